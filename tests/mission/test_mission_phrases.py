@@ -442,6 +442,51 @@ REFUSED = [
     ("come with me to the kitchen", "me to the kitchen"),
     ("visit the kitchen as long as you have not visited the garage",
      "as long as you have not visited the garage"),
+    ("take a walk to the sofa", "a walk to the sofa"),
+    ("you may go anywhere but you finish at the sofa", "go anywhere but you finish at the sofa"),
+    ("see the sofa zero times or more", "zero times or more"),
+    ("reach the sofa and do that again", "that again"),
+    ("turn back at the sofa", "back at the sofa"),
+    ("visit the sofa in this order", "visit the sofa in this order"),
+    ("either find the sofa", "either find the sofa"),
+    ("fetch the sofa. go to the bed first", "first"),
+    ("visit the sofa directly after the bed", "after the bed"),
+    ("hit the sofa no more than once got it", "got it"),
+    ("get to the sofa and take a picture", "take a picture"),
+    ("take a picture of the sofa", "take a picture of the sofa"),
+]  # fmt: skip
+
+COMPOSED = [  # what the composer of the small translator's sentences showed to be misread
+    ("take a look at the sofa", "F sofa"),
+    ("have a look at the sofa", "F sofa"),
+    ("visit the sofa more than zero times", "F sofa"),
+    ("stop by the sofa. afterwards be careful not to see the bed", "F sofa & G (sofa -> G !bed)"),
+    ("continue on to the sofa. from then on never visit the bed", "F sofa & G (sofa -> G !bed)"),
+    ("go to the sofa but use the road through the bed", "F (bed & F sofa)"),
+    ("take the route through the bed to the sofa", "F (bed & F sofa)"),
+    ("go to the sofa taking a path that avoids the oven", "F sofa & G !oven"),
+    ("your path ends at the sofa", "F sofa"),
+    ("only explore the sofa one single time", "F sofa & !F (sofa & F (!sofa & F sofa))"),
+    ("do not dust the sofa more than one single time", "!F (sofa & F (!sofa & F sofa))"),
+    ("open the sofa, swing by the bed, head to the oven one by one in this order",
+     "F (sofa & F (bed & F oven))"),
+    ("in this order, open the sofa, swing by the bed", "F (sofa & F bed)"),
+    ("you should end up at landmark two after visiting landmark one",
+     'F ("landmark one" & F "landmark two")'),
+    ("when traveling to the sofa you are obliged to walk through the bed", "F (bed & F sofa)"),
+    ("when heading to the sofa you shall not walk through the bed", "F sofa & G !bed"),
+    ("you can not proceed to the sofa more than once, and first turn on the bed, then the oven",
+     "F (bed & F oven) & !F (sofa & F (!sofa & F sofa))"),
+    ("you can not go past the sofa on the way to the bed", "F bed & G !sofa"),
+    ("dust the sofa, fill the bed first", "F (bed & F sofa)"),
+    ("follow the road via the sofa to the bed", "F (sofa & F bed)"),
+    ("go to the sofa stopping by the bed", "F (bed & F sofa)"),
+    ("visit the sofa and proceed to use the bed", "F (sofa & F bed)"),
+    ("you must examine the sofa directly after you scan the bed", "G (bed -> X sofa)"),
+    ("you may enter the sofa but you must reach the bed in the next time step",
+     "G (sofa -> X bed)"),
+    ("you are permitted to watch the sofa but then you must switch on the bed",
+     "G (sofa -> F bed)"),
 ]  # fmt: skip
 
 
@@ -450,7 +495,7 @@ def told(sentence: str) -> tuple[Formula, ...]:
     return distinct(readings(sentence))[0]
 
 
-PLAIN = [*THROUGH, *SEQUENCES, *ORDERS, *AVOIDANCE, *RULES]
+PLAIN = [*THROUGH, *SEQUENCES, *ORDERS, *AVOIDANCE, *RULES, *COMPOSED]
 MEANT = [*((said, [formula]) for said, formula in PLAIN), *ASKED]
 
 

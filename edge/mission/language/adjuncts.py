@@ -151,6 +151,9 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     elif token.kind == "in the end":
         clause.ends = True
         reader.at += 1
+    elif token.text == "directly" and reader.sees("after", "when", "once", ahead=1):
+        clause.next_step = True
+        reader.at += 1
     elif token.kind in ("filler", "happen") or (token.kind == "forever" and clause.negated):
         reader.at += 1
     elif take_route(reader, memory, clause):

@@ -91,6 +91,8 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     gerund = starts and reader.sees("verb") and reader.peek().text.endswith("ing")
     gerund = gerund and reader.peek().text != "bring"
     take_mood(reader, clause)
+    if reader.tokens[reader.at - 1].text in ("do", "does", "did") and reader.sees("pronoun"):
+        reader.refuse("say what to visit", reader.peek())  # "do that again"
     if reader.peek().text in _PERFORM and _counts(reader, 1):
         reader.at += 1
     count_at = reader.peek()
@@ -178,7 +180,8 @@ def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
             clause.bound = take_things(reader, memory.named)
         elif reader.sees(*CONDITIONS, ahead=ahead):
             if token.kind in ("immediately", "filler"):
-                clause.next_step = clause.next_step or token.kind == "immediately"
+                at_once = token.kind == "immediately" or token.text == "directly"
+                clause.next_step = clause.next_step or at_once
                 reader.at += 1
             condition = take_condition(reader, memory, clause)
             clause.conditions.append(condition)
@@ -198,11 +201,14 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     if avoid := reader.take("avoid"):
         clause.negated = not clause.negated
         clause.verb = avoid.text
+        if reader.sees("you"):  # "go anywhere but you finish at the bed"
+            reader.refuse("say it in two sentences", avoid)
         take_mood(reader, Clause(avoid))
     while token := reader.take("verb"):
         if clause.verb.startswith("stop") and token.text.endswith("ing"):
             clause.negated = not clause.negated  # "stop visiting it"
-        clause.verb = token.text
+        if not clause.verb.startswith(_GOES_ON) or token.text.startswith(_PASSES):
+            clause.verb = token.text  # "proceed to clean it" goes on
         clause.again = clause.again or token.text.startswith("revisit")
         clause.returns = clause.returns or token.text.startswith("return")
         skip_particles(reader, clause)
@@ -213,7 +219,7 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     last = reader.tokens[reader.at - 1]
     if last.text in ("off", "out", "with") and clause.verb in _LEAVES:
         reader.refuse("only reaching things can be asked for", last)
-    passes = last.text in PASSING or clause.verb.startswith(_PASSES)
+    passes = last.text.split(" ")[-1] in PASSING or clause.verb.startswith(_PASSES)
     if reader.sees("only") and _is_passing(reader, 1, any_way=True):
         reader.at += 2  # "go only through a"
         clause.only = passes = True
@@ -241,7 +247,8 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
 _INTO = ("into", "onto", "in to")
 _LEAVES = (*_MOTION, "get", "step", "climb", "fly", "roll", "navigate", "move", "pass")
 _PASSES = ("cross", "follow", "traverse", "pass")
-_PATHS = ("path", "route", "way")
+_ALONG = ("path", "route", "way", *PASSING)
+_GOES_ON = ("proceed", "continue")
 _RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
 _ANYWHERE = ("go anywhere", "visit anywhere")
 
@@ -262,7 +269,7 @@ def _take_passed(
     things = take_things(reader, memory.named, banned=clause.negated, way=passes)
     rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, things.names))
     clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
-    if clause.verb.startswith("follow") and not rides and not clause.verb.endswith(_PATHS):
+    if clause.verb.startswith("follow") and not rides and not clause.verb.endswith(_ALONG):
         reader.refuse("only a way can be followed", verb)
     start = verb if verb and verb.text == "from" else None
     on = start is not None

@@ -39,10 +39,12 @@ from edge.mission.language.goals import Every, Goal, Some, formula_of, steps, vi
 from edge.mission.language.lexicon import AVOIDING
 from edge.mission.language.meaning import Meaning, meaning_of, permission_of
 from edge.mission.language.nouns import is_foreign
+from edge.mission.language.routes import PASSING
 from edge.mission.language.sequences import (
     anchored,
     only_then,
     put_first,
+    put_in_order,
     sequence_goal,
     single_visits,
     split_return,
@@ -85,6 +87,7 @@ _MOVES = (
     "traverse",
     "return",
 )
+_WAYS = ("take the ", "use the ", "take a ", "use a ", "follow the ", "choose the ")
 _ARRIVES = ("arrive", "reach", "get")
 _ONWARD = (
     "proceed", "continue", "keep ", "go on", "carry on", "end ", "ends ", "ending ", "finish",
@@ -201,6 +204,9 @@ class _Discourse:
                 reader.skip("comma")
                 self._sentence(joint)
             reader.skip("comma", "stop")
+        if self.first and self.clauses > 1:
+            said = [token for token in reader.tokens if token.kind in ("first", "opener")]
+            reader.refuse("say in one sentence what comes after it", said[-1] if said else None)
         parts = [] if self.goal is None else [self.goal]
         parts += [sequence_goal([rule], reader) for rule in self.rules]
         if self.goal is None and self.elsewhere:
@@ -246,11 +252,15 @@ class _Discourse:
     def _sentence(self, joint: Token | None) -> None:
         """Sequences with "or" between them."""
         reader = self.reader
+        either = reader.peek()
         if reader.sees("either") and reader.sees("verb", "you", "first", ahead=1):
             reader.take("either")
         after = self.first or (joint is not None and joint.kind in _THEN)
         start = reader.peek()
+        before = self.last
         sequence, loose = self._sequence(joint)
+        if after and before and sequence and sequence[0].loose:
+            sequence[0].ban_after(before)  # "… . Afterwards never go to the bed."
         sequences = [sequence]
         while (ahead := self._alternative_ahead()) is not None:
             reader.at += ahead
@@ -258,6 +268,9 @@ class _Discourse:
                 sequences[-1].append(loose)
             sequence, loose = self._sequence(Token("or", "or", 0, 0))
             sequences.append(sequence)
+        said = reader.tokens[reader.tokens.index(either) : reader.at]
+        if either.kind == "either" and not any(token.kind == "or" for token in said):
+            reader.refuse("either that, or what?", either)
         if loose:
             self.rules.append(loose)
         if len(sequences) > 1 and not all(
@@ -287,6 +300,7 @@ class _Discourse:
         """Steps with "then" between them, and the rules that end them."""
         sequence: list[Meaning] = []
         loose: Meaning | None = None
+        ordered: Token | None = None
         while True:
             clause, meaning = self._clause(joint, sequence)
             kind = joint.kind if joint else ""
@@ -298,11 +312,18 @@ class _Discourse:
                     if not sequence and kind == "and" and forbidden & set(meaning.things.names):
                         hint = "the same is forbidden and asked for"
                         self.reader.refuse(hint, clause.token)
+                    if not sequence:
+                        loose.limit_for_good()
                     (sequence[-1] if sequence else meaning).add(loose)
                     loose = None
                 self._place(clause, meaning, kind, sequence)
+            said = clause.order if clause.order in ("in order", "strict order") else ""
+            if said and clause.things and len(clause.things.groups) + len(clause.route) < 2:
+                ordered = clause.token
             joint = self._joint()
             if joint is None:
+                if ordered:
+                    put_in_order(ordered, sequence, self.reader)
                 return sequence, loose
 
     def _clause(self, joint: Token | None, sequence: list[Meaning]) -> tuple[Clause, Meaning]:
@@ -313,11 +334,15 @@ class _Discourse:
         if self.halted:
             self.reader.refuse("it ends where it is said to stop; say so last", self.halted)
         clause = take_clause(self.reader, self.memory, bare)
+        if self.permitted and not clause.conditions and clause.mood == "must":
+            goes_on = joint is not None and joint.kind in _THEN
+            clause.trails = clause.trails or clause.next_step or goes_on
         if clause.trails:
             self._after_permission(clause, bool(sequence))
         then = clause.trails or (joint is not None and joint.kind in _THEN)
         then = then or (clause.returns and bool(sequence) and not clause.negated)
-        moves = clause.verb in _MOVES and not clause.negated and not clause.first
+        moves = clause.verb.startswith(_WAYS) and clause.verb.endswith(PASSING)
+        moves = (moves or clause.verb in _MOVES) and not clause.negated and not clause.first
         moves = moves and not (clause.only or clause.count or clause.conditions or clause.enroute)
         goes_on = clause.verb.startswith(_ONWARD) and not clause.negated
         then = then or (goes_on and bool(sequence) and not sequence[-1].loose)
@@ -375,7 +400,8 @@ class _Discourse:
             meaning.rules += only_then(sequence[-1], meaning)
         if clause.enroute and not sequence:
             self.reader.refuse("on the way to what? say 'on the way to …'", clause.token)
-        first = joint == "but" and clause.first
+        ends = len(sequence) == 1 and not meaning.follows and self.reader.sees("stop", "end")
+        first = clause.first and (joint == "but" or ends)  # "visit a, visit b first"
         if (first or clause.enroute) and sequence and meaning.goals:
             put_first(meaning, sequence)  # "…, but first go to the sofa"
             clause.first = False

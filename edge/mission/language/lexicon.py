@@ -69,7 +69,7 @@ PHRASES: dict[str, str] = {
     "and then from there|then followed by|and then after that|"
     "and then later|next up|last of all|at last|"
     "sometime later|and sometime later|then sometime later|and then sometime later|then later|"
-    "and then some time later",
+    "and then some time later|from then on|and from then on",
     "only then": "only then|and only then|only after that|and only after that|only afterwards",
     "first": "first|first of all|to begin with|firstly|initially",
     # Conditions.
@@ -103,6 +103,8 @@ PHRASES: dict[str, str] = {
     "while on your way to|"
     + _product("on the way|on your way|on its way|along the way", "to|into|towards|toward")
     + "|"
+    + _product("when", "going|moving|walking|driving|flying|heading|traveling|proceeding", "to")
+    + "|"
     + _product("in order to|so as to", "reach|get to|go to|enter|get into"),
     "bound there": "to get there|to reach it|to get to it|to go there",
     "on the way": "on the way|on your way|on its way|along the way|en route|on the way there|"
@@ -126,7 +128,7 @@ PHRASES: dict[str, str] = {
     # Counting.
     "once": "once",
     "times n": "twice|thrice",
-    "number": "zero|one|two|three|four|five|six|seven|eight|nine|ten|single|a single",
+    "number": "zero|one|two|three|four|five|six|seven|eight|nine|ten|single|a single|one single",
     "times": "time|times|instances|separate instances|distinct times|separate times|occasion|"
     "occasions|separate occasions|different times|different occasions|times in total|"
     "distinct visit|separate visit|separate instance|different instances|times overall|"
@@ -191,6 +193,8 @@ PHRASES: dict[str, str] = {
     "not stop visiting|not stop going",
     "going on": "continue|keep going|keep moving|keep on|go on|carry on",
     "stay": "stay|stays|staying|wait|waits|waiting|remain|remains|remaining|leave|leaving",
+    "stray": "got it",
+    "picture": _product("take|taking|took", "a|some", "picture|pictures|photo|photos"),
     # Says nothing new of a ban, and too much of a goal.
     "forever": "forever|indefinitely|for ever",
 }
@@ -231,6 +235,13 @@ VERB_PHRASES += "|" + _product(
     "move|drive|send|steer|guide|fly|navigate|take|bring|get|direct|moving|driving|taking",
     "the robot|the drone|the agent|yourself|itself",
 )
+VERB_PHRASES += "|" + _product(
+    "take|use|follow|choose", "a|any|the", "road|path|route|way", "through|past|along|across|via"
+)
+VERB_PHRASES += "|" + _product("take|taking|have|having", "a", "look|peek|glance")
+VERB_PHRASES += "|" + _product(
+    "your", "path|route|way|tour|trip|journey", "ends|should end|must end|will end", "at|in|on|with"
+)
 VERB_PHRASES += "|" + _product("make|making", "a|any|any single", "stop|visit") + "|"
 VERB_PHRASES += (
     _product("take|find|follow|choose|use", "a|any|the|some|the shortest", "path|route|way") + "|"
@@ -260,6 +271,12 @@ AVOID_PHRASES = (
     "getting around|"
 )
 AVOID_PHRASES += _product("that|which", "avoids|bypasses|skips")
+AVOID_PHRASES += "|" + _product(
+    "taking|by taking|using|by using|following",
+    "a|any|the",
+    "path|route|road|way",
+    "that avoids|which avoids|that does not go through|that does not pass through",
+)
 AVOID_PHRASES += "|" + _product(
     "that|which",
     "does not|never",
@@ -341,8 +358,9 @@ def expanded(word: str) -> list[str]:
 
 
 NUMBERS = {
-    "zero": 0, "once": 1, "twice": 2, "thrice": 3, "single": 1, "a single": 1, "one": 1, "two": 2,
-    "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7, "eight": 8, "nine": 9, "ten": 10,
+    "zero": 0, "once": 1, "twice": 2, "thrice": 3, "single": 1, "a single": 1, "one single": 1,
+    "one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7, "eight": 8,
+    "nine": 9, "ten": 10,
 }  # fmt: skip
 
 WORD = re.compile(r"[^\W_]+(?:['\-_][^\W_]+)*")

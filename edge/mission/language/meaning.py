@@ -63,6 +63,16 @@ class Meaning:
         """Whether it only restricts."""
         return not self.goals
 
+    def ban_after(self, things: Things) -> None:
+        """Lets its bans begin with the things only."""
+        self.rules += [f for names in self.bans for f in never_after(names, things)]
+        self.bans = []
+
+    def limit_for_good(self) -> None:
+        """Lets its limits last beyond the next step: said before it, they are no part of it."""
+        self.rules += [at_most(names, n) for names, n, again in self.limits if not again]
+        self.limits = [limit for limit in self.limits if limit[2]]
+
     def add(self, other: Meaning, joint: str = "") -> None:
         """Both at once."""
         if self.goals and other.goals:
@@ -268,6 +278,7 @@ def _counted_until(
     return meaning
 
 
+_ENDS = ("end ", "ends ", "ending ", "finish")
 _BEFORE = ("both", "first only", "in order")
 """What "x before y" asks for: both, and no y before x; x, and no y before it; x, then y."""
 
@@ -278,6 +289,8 @@ def _conditioned(
     """Adds what a condition makes of "visit x"."""
     kind, when = condition.kind, condition.things
     answers = (condition.recurring and clause.mood != "can") or clause.mood == "must"
+    if kind == "after" and clause.verb.startswith(_ENDS) and not condition.recurring:
+        answers = False  # where one ends up is no answer to anything
     _one_time(condition, reader)
     if clause.next_step and kind in ("before", "until"):
         reader.refuse("what comes right before cannot be told", condition.token)
@@ -311,7 +324,7 @@ def _conditioned(
         reader.refuse("say it as 'do not …, once …'", condition.token)
     elif answers:
         _reaction(clause, things, condition, reader, meaning)
-    elif clause.mood == "do":
+    elif clause.mood != "can":
         meaning.anchors.append(when)
 
 

@@ -61,6 +61,10 @@ def _way_length(reader: Reader) -> tuple[int, bool]:
         return ahead + 1, only
     if token.text == "by" and (follower.text in _RIDDEN or reader.peek(ahead + 2).text in _RIDDEN):
         return ahead + 1, only
+    if token.text == "stopping by" and not aside:
+        return ahead + 1, only
+    if token.text == "stopping" and follower.text in ("at", "in") and not aside:
+        return ahead + 2, only
     if token.text in _PARTICIPLES:
         return ahead + (2 if follower.text in PASSING else 1), only
     if token.kind == "verb" and token.text.endswith("ing") and follower.text in PASSING[:4]:
@@ -114,7 +118,7 @@ def lead(reader: Reader, memory: Memory, clause: Clause, bound: Things, token: T
     else:
         clause.avoiding.append(clause.things)
         clause.things, clause.negated, clause.elsewhere = bound, False, False
-        clause.around = False
+        clause.around, clause.mood = False, "do"  # where one goes is no permission
     memory.named = memory.asked = clause.things
 
 

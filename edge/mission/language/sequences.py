@@ -21,7 +21,7 @@ from edge.mission.language.goals import (
 )
 from edge.mission.language.meaning import Meaning
 from edge.mission.language.things import Things
-from edge.mission.language.words import Reader
+from edge.mission.language.words import Reader, Token
 from edge.mission.ltl import Formula
 
 
@@ -80,6 +80,14 @@ def put_first(meaning: Meaning, sequence: list[Meaning]) -> None:
     rest = [part for part in parts if not letters(part) <= said]
     last.goals = rest or last.goals
     sequence.insert(-1, meaning)
+
+
+def put_in_order(said: Token, sequence: list[Meaning], reader: Reader) -> None:
+    """`visit a, open b, clean c in this order`: an order said of clauses, not of a list."""
+    if sum(len(step.goals) for step in sequence) < 2:
+        reader.refuse("an order goes with a list: 'visit a, then b'", said)
+    for step in sequence:
+        step.goals = [steps(step.goals)] if step.goals else []
 
 
 def split_return(meaning: Meaning, sequence: list[Meaning]) -> None:

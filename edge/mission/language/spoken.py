@@ -105,11 +105,13 @@ def _range(
     reader: Reader, markers: set[str], numbers: list[int], negated: bool, begin: int
 ) -> Count:
     n = numbers[-1]
+    if 0 in numbers and markers & {"or more", "at least"}:
+        reader.refuse("so often it is in any case; leave it out", reader.tokens[begin])
     if "more or less" in markers:  # "not more or less than n": exactly n
         return Count(n, n)
     if markers & {"exactly", "only"} or {"at least", "at most"} <= markers:
         count = Count(n, n)
-    elif markers & {"at most", "or less"} or 0 in numbers:
+    elif markers & {"at most", "or less"} or (0 in numbers and "more than" not in markers):
         count = Count(0, max(numbers))
     elif "less than" in markers:
         count = Count(0, n - 1)
@@ -296,6 +298,8 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
     while True:
         token = reader.peek()
         if token.text == "back":
+            if clause.verb.startswith("turn"):
+                reader.refuse("say where to go back to", token)
             clause.again = clause.returns = True
             reader.at += 1
         elif token.text in AFTER_VERB and token.kind in ("word", "place", "to"):

@@ -254,6 +254,8 @@ def _name(reader: Reader) -> str:
     if token := reader.take("quoted"):
         return _canonical(reader, token.text, token)
     if _is_letter(reader.peek()):
+        if _hardly_a_name(reader):
+            reader.refuse("no thing that is known", start)
         return reader.tokens[_advance(reader)].text
     words = _words(reader, article)
     if words and (head := _head_ahead(reader, words)):
@@ -362,6 +364,13 @@ def _place_follows(reader: Reader) -> bool:
         )
         or (follower.text in ("a", "an") and reader.sees("word", ahead=2))
     )
+
+
+def _hardly_a_name(reader: Reader) -> bool:
+    """Whether `a` more likely begins "a walk" than names a thing: no other letter names one."""
+    if reader.peek().text != "a" or not reader.sees("verb", "times", "immediately", ahead=1):
+        return False
+    return not any(_is_letter(token) and token.text != "a" for token in reader.tokens)
 
 
 def _is_letter(token: Token) -> bool:

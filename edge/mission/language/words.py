@@ -21,6 +21,8 @@ REASONS = {
     "forever": "a mission ends, so nothing can be asked for ever",
     "going on": "say where to go, or until what is reached",
     "stay": "only reaching things can be asked for, not staying or leaving",
+    "stray": "leave it out",
+    "picture": "only reaching things can be asked for; say 'photograph the …'",
     "mark": "this character has no place in an instruction",
 }
 """Why tokens of these kinds are never understood."""
