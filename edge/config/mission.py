@@ -54,7 +54,7 @@ class TranslatorModel(Section):
 
 class TranslatorAuto(Section):
     """The grammar; what it refuses, the small model; what that is not sure of, `llm`, where it is
-    given. Where two of them differ, whoever gave the instruction is asked."""
+    given. Where those two differ, whoever gave the instruction is asked."""
 
     kind: Literal["auto"] = "auto"
     card: Name = SMALL_TRANSLATOR

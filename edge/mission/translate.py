@@ -197,12 +197,9 @@ def by_all(small: Reader, large: Reader | None) -> Reader:
 
     def read(instruction: str) -> Read:
         try:
-            first = _by_grammar(instruction)
+            return _by_grammar(instruction)
         except TranslationError as refusal:
             return _unread(instruction, refusal, small, large)
-        if len(first.formulas) > 1:
-            return first
-        return _compared(instruction, first, small)
 
     return read
 
@@ -232,14 +229,3 @@ def _unread(
     if any(same(told.formulas[0], formula) for formula in offered.formulas):
         return told
     return Read((*told.formulas, *offered.formulas), "llm", False, offered.doubts)
-
-
-def _compared(instruction: str, first: Read, small: Reader) -> Read:
-    """The grammar's formula, and beside it the small model's where that surely means another."""
-    try:
-        second = small(instruction)
-    except TranslationError:
-        return first
-    if not second.sure or same(first.formulas[0], second.formulas[0]):
-        return first
-    return Read((*first.formulas, *second.formulas), "grammar", sure=False)
