@@ -171,6 +171,10 @@ FAULTS = [
         "f.yaml: http: others can reach host 0.0.0.0: set token_file (docs/service.md), or host",
     ),
     ({"mapping": {"extent_m": 1e9}}, "f.yaml: mapping.extent_m: input should be less than or"),
+    (
+        {"mission": {"planner": {"kind": "expected", "p_obs": 0.3}}},
+        "f.yaml: mission.planner.expected: p_obs: read with weights: constant only",
+    ),
     ({1: 2}, "f.yaml: 1: keys should be strings"),
 ]
 

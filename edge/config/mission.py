@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Union
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from edge.config.section import (
     MODULE_CLASS,
@@ -104,6 +104,18 @@ class PlannerExpected(Section):
     explore_m: Positive = 10.0
     replan_margin_m: NonNegative = 1.0
     search_margin_m: NonNegative = 5.0
+
+    @model_validator(mode="after")
+    def _reads_what_it_is_given(self) -> PlannerExpected:
+        read = {
+            "constant": {"p_obs", "prior", "w_det"},
+            "distance": {"explore_m", "replan_margin_m", "search_margin_m"},
+        }
+        other = "constant" if self.weights == "distance" else "distance"
+        unread = ", ".join(sorted(self.model_fields_set & read[other]))
+        if unread:
+            raise ValueError(f"{unread}: read with weights: {other} only")
+        return self
 
 
 class PlannerInOrder(Section):

@@ -53,7 +53,7 @@ def make_planner(
         where, needs = "mission.planner", ("plan()",)
         own = config.kind, config.options, REGISTRY, where, needs, tuple(given)
         return find_named("planner", *own)(**given)
-    if isinstance(config, PlannerExpected) and config.weights == "distance" and not keywords:
+    if isinstance(config, PlannerExpected) and config.weights == "distance":
         return ExpectedMetresPlanner(config, automaton)
     return REGISTRY[config.kind](config, automaton, **keywords)
 

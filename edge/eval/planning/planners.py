@@ -62,7 +62,7 @@ def expected(problem: Problem, **config: float) -> Callable[[float], Choose]:
     others = problem.n_objects - problem.n_letters
 
     def at(p_obs: float) -> Choose:
-        settings = PlannerExpected(p_obs=p_obs, **config)
+        settings = PlannerExpected(weights="constant", p_obs=p_obs, **config)
         planner = make_planner(settings, problem.automaton, universe_extra=others)
         return _asking(planner, problem)
 

@@ -105,7 +105,7 @@ def test_planners_of_the_service_lie_between_the_optimum_and_chance(results):
 def test_simulation_agrees_with_the_exact_value():
     """The executor and the solver are written apart; they must mean the same model."""
     p_obs, episodes, nothing = 0.4, 150, Knowledge()
-    config = PlannerExpected(p_obs=p_obs, w_det=DIRECT_COST)
+    config = PlannerExpected(weights="constant", p_obs=p_obs, w_det=DIRECT_COST)
     for task in generate(12, seed=3):
         problem = problem_of(task.formula)
         choose = least_explorations(problem)(p_obs)
