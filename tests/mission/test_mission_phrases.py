@@ -375,6 +375,8 @@ ASKED = [
 ]  # fmt: skip
 
 REFUSED = [
+    ("when heading over to the sofa, avoid the bed", "when heading over to the sofa"),
+    ("take the road", ""),
     ("go to the green one", "one"),
     ("go to the red room, then to the other one", "other one"),
     ("go to the other room", "other room"),
@@ -481,6 +483,8 @@ COMPOSED = [  # what the composer of the small translator's sentences showed to 
     ("dust the sofa, fill the bed first", "F (bed & F sofa)"),
     ("follow the road via the sofa to the bed", "F (sofa & F bed)"),
     ("go to the sofa stopping by the bed", "F (bed & F sofa)"),
+    ("take the road to the sofa", "F sofa"),
+    ("follow the quickest road through the hall to the bed", "F (hall & F bed)"),
     ("visit the sofa and proceed to use the bed", "F (sofa & F bed)"),
     ("you must examine the sofa directly after you scan the bed", "G (bed -> X sofa)"),
     ("you may enter the sofa but you must reach the bed in the next time step",

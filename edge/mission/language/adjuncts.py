@@ -63,6 +63,7 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         return
     been = reader.sees("to") and reader.tokens[reader.at - 1].text == "been"
     if been or reader.sees("verb"):
+        condition.going = condition.token.text == "when" and reader.peek().text.endswith("ing")
         reader.skip("verb")
         skip_particles(reader, says)
         if not starts_things(reader):

@@ -247,7 +247,7 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
 _INTO = ("into", "onto", "in to")
 _LEAVES = (*_MOTION, "get", "step", "climb", "fly", "roll", "navigate", "move", "pass")
 _PASSES = ("cross", "follow", "traverse", "pass")
-_ALONG = ("path", "route", "way", *PASSING)
+_ALONG = ("path", "route", "road", "way", *PASSING)
 _GOES_ON = ("proceed", "continue")
 _RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
 _ANYWHERE = ("go anywhere", "visit anywhere")

@@ -244,7 +244,12 @@ VERB_PHRASES += "|" + _product(
 )
 VERB_PHRASES += "|" + _product("make|making", "a|any|any single", "stop|visit") + "|"
 VERB_PHRASES += (
-    _product("take|find|follow|choose|use", "a|any|the|some|the shortest", "path|route|way") + "|"
+    _product(
+        "take|find|follow|choose|use",
+        "a|any|the|some|the shortest|the quickest|the fastest",
+        "path|route|road|way",
+    )
+    + "|"
 )
 VERB_PHRASES += (
     _product(

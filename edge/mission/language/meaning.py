@@ -172,6 +172,8 @@ def _forbidden_when(
         if not rules:
             reader.refuse("nothing can come before itself", condition.token)
         return rules
+    if condition.going:
+        reader.refuse("say 'after …' or 'on the way to …'", condition.token)
     if condition.count and condition.things.names == things.names:
         return [at_most([name], condition.count.least) for name in things.names]
     if clause.next_step or clause.soon:

@@ -152,6 +152,7 @@ class Condition:
         only: "only after …".
         denied: "not before …", or a happening that is itself denied.
         recurring: "whenever", "if": each time, not once.
+        going: "when visiting a": on the way there, or from then on.
         count: how often the happening must have been.
     """
 
@@ -161,6 +162,7 @@ class Condition:
     only: bool = False
     denied: bool = False
     recurring: bool = False
+    going: bool = False
     count: Count | None = None
 
 

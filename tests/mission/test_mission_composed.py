@@ -1,0 +1,51 @@
+"""Sentences composed from formulas, which the grammar must not read as another one."""
+
+from __future__ import annotations
+
+from random import Random
+
+from edge.eval.languages import difference
+from edge.mission.language.compact import NAMES, REFUSED, formula_of
+from edge.mission.language.grammar import TranslationError, readings
+from edge.mission.ltl import to_text
+from edge.mission.readings import distinct
+from exporters.translator.compose import Composer, load
+
+THINGS = ("sofa", "bed", "oven", "chair", "desk", "floor lamp", "door", "window")
+DRAWN = 2000
+DEBATABLE = {
+    "F & x F": "whether 'visit a and open b', or 'a by way of b or c', is in order",
+    "F & | x x F": "as before",
+    "G -> x F": "whether 'once you reach a, go to b' asks for a",
+    "G -> x X": "whether 'as soon as you reach a' is a duty",
+    "O x x": "how far 'and only then' reaches",
+    "G ! x <=": "how far 'while avoiding b' reaches where more is said",
+}
+"""Parts of formulas, names aside, about which people differ; what about."""
+AGAIN = {"back", "return", "revisit"}
+"""Whether 'go to a and back to b' is in order."""
+
+
+def test_what_is_read_in_one_way_is_what_was_meant() -> None:
+    composer = Composer(load(), Random(11))
+    read, wrong = 0, []
+    for _ in range(DRAWN):
+        pair = composer.pair()
+        meant = " ".join("x" if token in NAMES else token for token in pair.tokens)
+        clear = pair.tokens[0] in "F&G" and not any(part in meant for part in DEBATABLE)
+        if pair.tokens == (REFUSED,) or not clear or AGAIN & set(pair.words):
+            continue
+        said = " ".join(
+            f"the {THINGS[NAMES.index(word)]}" if word in NAMES else word for word in pair.words
+        )
+        try:
+            formulas = distinct(readings(said))[0]
+        except TranslationError:
+            continue
+        if len(formulas) == 1:
+            read += 1
+            formula = formula_of(pair.tokens, THINGS)
+            if difference(formulas[0], formula, True) is not None:
+                wrong.append(f"{said} | {meant} | {to_text(formulas[0])}")
+    assert read > 100
+    assert not wrong, "\n".join(wrong)
