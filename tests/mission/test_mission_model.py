@@ -84,7 +84,9 @@ def test_what_is_believed(
 DOUBTS = [
     ("go to the soffa, then to the bed", ("soffa: sofa?",)),
     ("vist the sofa then the bed", ("vist: visit?",)),
+    ("go to soffa then to the bed", ("soffa: sofa?",)),
     ("zzz the sofa then the bed", ("zzz: not known?",)),
+    ("complete the sofa then the bed", ("complete: not known?",)),  # no computer
 ]
 
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from edge.mission.automaton import Automaton, CompileError, compile_formula, implies
 from edge.mission.language import nouns
 from edge.mission.language.compact import REFUSED, formula_of
-from edge.mission.language.lexicon import TABLE
-from edge.mission.language.lifting import Lifted, lift
+from edge.mission.language.lexicon import AFTER_VERB, TABLE
+from edge.mission.language.lifting import ARTICLES, Lifted, lift
 from edge.mission.language.network import MOST_WORDS, Network, Written
 from edge.mission.language.words import TranslationError, not_understood
 from edge.mission.ltl import Formula, propositions
@@ -31,7 +31,7 @@ more to say which verb and which turn of phrase began it."""
 OFFERED_P, OFFERED_WORD, MOST_OFFERED = 0.15, -6.0, 4
 """What is shown to whoever is asked, and how many."""
 MOST_SLIPS = 3
-_CLOSE = 0.75
+_CLOSE, _CLOSER = 0.75, 0.8
 _MAX_STATES, _MAX_STEPS = 500, 300_000
 _REFUSED = "instruction: no formula over what is reached says this; say it in other words"
 
@@ -122,7 +122,7 @@ class SmallModel:
         said, doubts = lift(instruction), []
         for _ in range(MOST_SLIPS):  # a name that was a slip is lifted out when it is mended
             unknown = (i for i, word in enumerate(said.words) if not self._is_known(word))
-            slips = ((i, nouns.meant(said.words[i])) for i in unknown)
+            slips = ((i, _name_meant(said.words, i)) for i in unknown)
             at, name = next(((i, name) for i, name in slips if name), (0, None))
             if name is None:
                 break
@@ -178,6 +178,16 @@ class SmallModel:
             for automaton, ones in kinds
         ]
         return sorted(meanings, key=lambda meaning: -meaning.p)
+
+
+def _name_meant(words: Sequence[str], at: int) -> str | None:
+    """The name that a word is most likely a slip of, where one may stand: behind an article, and
+    more surely behind a particle, which verbs follow too ("to complete")."""
+    before, word = words[at - 1] if at else "", words[at]
+    name = nouns.meant(word) if before in ARTICLES or before in AFTER_VERB else None
+    if name is None or before in ARTICLES:
+        return name
+    return name if difflib.SequenceMatcher(None, word, name).ratio() >= _CLOSER else None
 
 
 def _equal(a: Automaton, b: Automaton) -> bool:
