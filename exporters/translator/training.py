@@ -90,7 +90,8 @@ def train(
 
 def has_bfloat16() -> bool:
     """Whether the processor multiplies in bfloat16, which takes half the time here."""
-    return bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
+    capabilities = getattr(torch.cpu, "get_capabilities", dict)  # not in older PyTorch
+    return bool(capabilities().get("avx512_bf16", False))
 
 
 def _loss(net: Translator, source: Tensor, target: Tensor, padding: int) -> Tensor:
