@@ -1,4 +1,4 @@
-"""Train the small translator: from code, and from what people wrote, in about an hour on two cores.
+"""Train the small translator: from sentences made by code, and from what people wrote.
 
     python -m exporters.train_translator --out RUN --lang2ltl TABLE --clean-up TABLE
 
