@@ -149,15 +149,18 @@ def make_translator(config: TranslatorConfig) -> Translator:
 
     Raises:
         ChatError: the language model's URL or API key cannot be used.
-        ModelError: the small model's card or file is not there or not sound.
+        ModelError: the small model's card or file is not there or not sound; `auto` says so of the
+            first instruction that the grammar refuses.
     """
     readers: dict[str, Callable[[], Reader]] = {
         "grammar": lambda: _by_grammar,
         "ltl": lambda: lambda text: Read((ltl.parse(text),), "ltl"),
         "llm": lambda: _by_llm(config),
         "model": lambda: by_model(_small_model(config.card)),
+        # Opened when the grammar has refused something: most instructions need no network.
         "auto": lambda: by_all(
-            by_model(_small_model(config.card)), config.llm and _by_llm(config.llm)
+            lambda text: by_model(_small_model(config.card))(text),
+            config.llm and _by_llm(config.llm),
         ),
     }
     return Translator(config.kind, readers[config.kind]())

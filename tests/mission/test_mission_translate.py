@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from edge.config import TranslatorGrammar, TranslatorLtl
+from edge.config import TranslatorAuto, TranslatorGrammar, TranslatorLtl
 from edge.errors import UserError
 from edge.mission.ltl import FormulaError, ap, eventually, parse
 from edge.mission.translate import (
@@ -17,6 +17,7 @@ from edge.mission.translate import (
     make_translator,
     validated,
 )
+from edge.perception.model_file import ModelError
 
 BACKENDS = [
     (TranslatorGrammar(), "reach a tv, then a couch"),
@@ -134,3 +135,10 @@ def test_what_is_not_sure_is_asked_about_even_where_it_is_one_thing() -> None:
     with pytest.raises(AmbiguousError) as asked:
         two.translate("bed sofa", ask=False)
     assert asked.value.implied is None
+
+
+def test_auto_opens_no_network_for_what_the_grammar_reads() -> None:
+    auto = make_translator(TranslatorAuto(card="none"))
+    assert auto.translate("go to the bed").backend == "grammar"
+    with pytest.raises(ModelError, match="'none': no such card"):
+        auto.translate("zoom bed")
