@@ -108,13 +108,14 @@ class PlannerExpected(Section):
     @model_validator(mode="after")
     def _reads_what_it_is_given(self) -> PlannerExpected:
         read = {
-            "constant": {"p_obs", "prior", "w_det"},
-            "distance": {"explore_m", "replan_margin_m", "search_margin_m"},
+            "constant": ("p_obs", "prior", "w_det"),
+            "distance": ("explore_m", "replan_margin_m", "search_margin_m"),
         }
         other = "constant" if self.weights == "distance" else "distance"
-        unread = ", ".join(sorted(self.model_fields_set & read[other]))
+        fields = type(self).model_fields  # a configuration printed in full has them as they are
+        unread = [name for name in read[other] if getattr(self, name) != fields[name].default]
         if unread:
-            raise ValueError(f"{unread}: read with weights: {other} only")
+            raise ValueError(f"{', '.join(unread)}: read with weights: {other} only")
         return self
 
 
