@@ -76,7 +76,7 @@ class Read:
     doubts: tuple[str, ...] = ()
 
 
-Reader = Callable[[str], Read]
+Backend = Callable[[str], Read]
 """Reads an instruction; raises TranslationError for what it does not understand."""
 
 
@@ -85,7 +85,7 @@ class Translator:
     """Turns instructions into formulas."""
 
     kind: str
-    read: Reader
+    read: Backend
 
     def translate(
         self, instruction: str, reading: int | None = None, ask: bool = True
@@ -152,7 +152,7 @@ def make_translator(config: TranslatorConfig) -> Translator:
         ModelError: the small model's card or file is not there or not sound; `auto` says so of the
             first instruction that the grammar refuses.
     """
-    readers: dict[str, Callable[[], Reader]] = {
+    readers: dict[str, Callable[[], Backend]] = {
         "grammar": lambda: _by_grammar,
         "ltl": lambda: lambda text: Read((ltl.parse(text),), "ltl"),
         "llm": lambda: _by_llm(config),
@@ -170,7 +170,7 @@ def _by_grammar(instruction: str) -> Read:
     return Read(grammar.readings(instruction), "grammar")
 
 
-def _by_llm(config: TranslatorLlm) -> Reader:
+def _by_llm(config: TranslatorLlm) -> Backend:
     from edge.mission.language.llm import Model  # needs the chat client; the others do not
 
     model = Model(config)
@@ -185,7 +185,7 @@ def _small_model(card: str) -> SmallModel:
     return SmallModel(Network(card))
 
 
-def by_model(model: SmallModel) -> Reader:
+def by_model(model: SmallModel) -> Backend:
     """The small model alone."""
 
     def read(instruction: str) -> Read:
@@ -195,7 +195,7 @@ def by_model(model: SmallModel) -> Reader:
     return read
 
 
-def by_all(small: Reader, large: Reader | None) -> Reader:
+def by_all(small: Backend, large: Backend | None) -> Backend:
     """The grammar first, then the small model, then a language model: see `TranslatorAuto`."""
 
     def read(instruction: str) -> Read:
@@ -208,7 +208,7 @@ def by_all(small: Reader, large: Reader | None) -> Reader:
 
 
 def _unread(
-    instruction: str, refusal: TranslationError, small: Reader, large: Reader | None
+    instruction: str, refusal: TranslationError, small: Backend, large: Backend | None
 ) -> Read:
     """What the others make of what the grammar refused.
 

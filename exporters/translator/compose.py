@@ -60,7 +60,7 @@ class Phrases:
 
     def __post_init__(self) -> None:
         self.goals = [f for f in self.families if f.tokens[0] in "F&" and "W" not in f.tokens]
-        self.bans = [f for f in self.families if f.tokens[0] in "GW<" or f.tokens[0][0] == "<"]
+        self.bans = [f for f in self.families if f.tokens[0][0] in "GW<"]
 
 
 def load(path: Path = PHRASES) -> Phrases:

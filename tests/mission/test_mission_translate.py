@@ -10,7 +10,7 @@ from edge.mission.ltl import FormulaError, ap, eventually, parse
 from edge.mission.translate import (
     AmbiguousError,
     Read,
-    Reader,
+    Backend,
     TranslationError,
     Translator,
     by_all,
@@ -79,7 +79,7 @@ def test_a_formula_without_a_text_is_refused() -> None:
         validated(broken)
 
 
-def _reader(*texts: str, sure: bool = True, doubts: tuple[str, ...] = ()) -> Reader:
+def _reader(*texts: str, sure: bool = True, doubts: tuple[str, ...] = ()) -> Backend:
     """Reads whatever it is told as these formulas; refuses it where there are none."""
 
     def read(said: str) -> Read:
@@ -111,7 +111,7 @@ TOGETHER = [
 
 @pytest.mark.parametrize(("said", "small", "large", "wanted", "by", "sure"), TOGETHER)
 def test_auto_takes_what_is_agreed_on(
-    said: str, small: Reader, large: Reader | None, wanted: object, by: str, sure: bool
+    said: str, small: Backend, large: Backend | None, wanted: object, by: str, sure: bool
 ) -> None:
     read = by_all(small, large)
     if isinstance(wanted, str):

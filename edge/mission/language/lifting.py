@@ -38,10 +38,11 @@ _CUT_OFF = {
     "couldn",
 }
 """What a contraction is before a `t` that lost its apostrophe."""
-_ALSO_VERBS = """
+_VERBS_TOO = """
     swing drop park dock point ring rest stick tap drill paint book fan bat saw scale tie train
     track frame file mop sponge exit
 """
+_ALSO_VERBS = frozenset(_VERBS_TOO.split())
 """Things that are so only after an article."""
 _MARKS = {",": ",", ":": ",", ".": ".", ";": ".", "!": ".", "?": ".", "&": "and"}
 _NEVER_NAMES = {*ARTICLES, *_MARKS.values(), "robot", "robots"}
@@ -182,7 +183,7 @@ def _begins_name(texts: list[str], singled: bool) -> bool:
         return True
     if texts[0] in nouns.ORDINALS:
         return any(text in _STORIES for text in texts)
-    if texts[0] in _ALSO_VERBS.split():
+    if texts[0] in _ALSO_VERBS:
         return False
     kind = TABLE.get((texts[0],))
     return (len(texts) > 1 and texts[0] in nouns.QUALITIES) or kind in (None, "word", "group")
