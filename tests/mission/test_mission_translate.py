@@ -9,8 +9,8 @@ from edge.errors import UserError
 from edge.mission.ltl import FormulaError, ap, eventually, parse
 from edge.mission.translate import (
     AmbiguousError,
-    Read,
     Backend,
+    Read,
     TranslationError,
     Translator,
     by_all,
