@@ -19,6 +19,7 @@ DEBATABLE = {
     "G -> x F": "whether 'once you reach a, go to b' asks for a",
     "G -> x X": "whether 'as soon as you reach a' is a duty",
     "O x x": "how far 'and only then' reaches",
+    "W ! x x W ! x x": "whether 'not c before b, nor b before a' asks for c",
     "G ! x <=": "how far 'while avoiding b' reaches where more is said",
 }
 """Parts of formulas, names aside, about which people differ; what about."""

@@ -456,6 +456,17 @@ REFUSED = [
     ("hit the sofa no more than once got it", "got it"),
     ("get to the sofa and take a picture", "take a picture"),
     ("take a picture of the sofa", "take a picture of the sofa"),
+    ("visit the sofa, then all rooms", "all rooms"),
+    ("never visit any place again", "never visit any place again"),
+    ("visit each place only once", "visit each place only once"),
+    ("visit the sofa and the bed, without visiting any other place",
+     "without visiting any other place"),
+    ("visit the sofa and leave it", "leave it"),
+    ("go to the sofa and leave the bed", "leave the bed"),
+    ("go to the sofa and leave it. go to the bed", "leave it"),
+    ("visit and leave the sofa", "leave the sofa"),
+    ("visit the sofa, leave it and repeat this once", "repeat this once"),
+    ("visit the sofa twice, then the bed, no revisiting", "no revisiting"),
 ]  # fmt: skip
 
 COMPOSED = [  # what the composer of the small translator's sentences showed to be misread
@@ -494,12 +505,63 @@ COMPOSED = [  # what the composer of the small translator's sentences showed to 
 ]  # fmt: skip
 
 
+_IN_TURN = "F (sofa & F (bed & F desk)) & !bed W sofa & !desk W bed"
+_ONCE_EACH = f"{_IN_TURN} & !sofa W sofa W !sofa W bed & !bed W bed W !bed W desk"
+ALL_OF_THEM = [  # what is said of all that was asked for
+    ("visit the sofa and the bed, each only once",
+     "F sofa & F bed & !F (sofa & F (!sofa & F sofa)) & !F (bed & F (!bed & F bed))"),
+    ("visit the sofa and the bed exactly once each",
+     "F sofa & F bed & !F (sofa & F (!sofa & F sofa)) & !F (bed & F (!bed & F bed))"),
+    ("visit the sofa, then the bed. never visit them again",
+     "F (sofa & F bed) & !F (sofa & F (!sofa & F sofa)) & !F (bed & F (!bed & F bed))"),
+    ("visit the sofa, then the bed, and never return to it",
+     "F (sofa & F bed) & !F (bed & F (!bed & F bed))"),
+    ("go to the sofa. never go back", "F sofa & !F (sofa & F (!sofa & F sofa))"),
+    ("visit the sofa and the bed. then visit both of them again",
+     "F sofa & F bed & F (sofa & X (F sofa & F bed)) & F (bed & X (F sofa & F bed))"),
+    # In a sequence, until the next step; and none of them out of turn.
+    *((f"visit the sofa, then the bed, then the desk{how}", _ONCE_EACH) for how in (
+        ". visit each place only once", ", no revisiting", " without repetitions",
+        ". never return to any previously visited place", ", without going back",
+        ", while visiting each location once", ". visit each of them only once",
+        ". you can only visit each landmark once",
+        ". do not go back to the previous place while heading to the next",
+    )),
+    ("visit the sofa, the bed and the desk exactly once in order", _ONCE_EACH),
+    ("visit the sofa, the bed and the desk in order without skipping or revisiting any of them",
+     _ONCE_EACH),
+    *((f"visit the sofa, then the bed, then the desk{how}", _IN_TURN) for how in (
+        " in exactly that order", ", make sure not to visit places out of turn",
+        ". do not visit any place out of order",
+    )),
+    ("visit the sofa, the bed and the desk in order without skipping any of them", _IN_TURN),
+    ("do not go to the desk until you visited the bed, and do not go to the bed before the sofa",
+     _IN_TURN),
+    ("visit the sofa, then the bed, without entering the kitchen", "F (sofa & F bed) & G !kitchen"),
+    ("go to the sofa, not through the kitchen", "F sofa & G !kitchen"),
+]  # fmt: skip
+
+LEAVING = [  # which separate visits do anyway
+    ("go to the sofa, leave it and come back", "F (sofa & F (!sofa & F sofa))"),
+    ("go to the sofa, leave, then go to the sofa once again", "F (sofa & F (!sofa & F sofa))"),
+    ("go to the sofa, then leave it, then go to the bed", "F (sofa & F bed)"),
+    ("go to the sofa and then leave the sofa at least twice", "F (sofa & F (!sofa & F sofa))"),
+    ("visit and then leave the sofa at least twice", "F (sofa & F (!sofa & F sofa))"),
+    ("visit the sofa at least twice while leaving in between", "F (sofa & F (!sofa & F sofa))"),
+    ("visit the sofa, leave it and never come back", "F sofa & !F (sofa & F (!sofa & F sofa))"),
+    ("visit the sofa, leave it and repeat this exactly once more",
+     "F (sofa & F (!sofa & F sofa)) & !F (sofa & F (!sofa & F (sofa & F (!sofa & F sofa))))"),
+    ("visit the sofa, then leave and repeat this at least two more times",
+     "F (sofa & F (!sofa & F (sofa & F (!sofa & F sofa))))"),
+]  # fmt: skip
+
+
 def told(sentence: str) -> tuple[Formula, ...]:
     """All that it may mean."""
     return distinct(readings(sentence))[0]
 
 
-PLAIN = [*THROUGH, *SEQUENCES, *ORDERS, *AVOIDANCE, *RULES, *COMPOSED]
+PLAIN = [*THROUGH, *SEQUENCES, *ORDERS, *AVOIDANCE, *RULES, *COMPOSED, *ALL_OF_THEM, *LEAVING]
 MEANT = [*((said, [formula]) for said, formula in PLAIN), *ASKED]
 
 

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from edge.mission.language.lexicon import NUMBERS
 from edge.mission.language.routes import bound_ahead, take_bound, take_origin, take_route
 from edge.mission.language.spoken import (
     AUXILIARIES,
     CONDITIONS,
+    MAX_VISITS,
     ORDERS,
     PREDICATE,
     Clause,
     Condition,
     Count,
-    Memory,
     skip_particles,
     take_count,
     take_mood,
 )
-from edge.mission.language.things import Things, starts_things, take_things
+from edge.mission.language.things import Memory, Things, starts_things, take_things
 from edge.mission.language.words import Reader, Token
 
 
@@ -58,7 +59,7 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
     inside = reader.peek().text in ("in", "inside", "at", "on") and starts_things(reader, 1)
     if inside and ("be" in said or (condition.kind == "when" and not said)):
         reader.at += 1  # "once you are in the kitchen", "once in the kitchen"
-        condition.things = take_things(reader, memory.named)
+        condition.things = take_things(reader, memory)
         condition.denied = condition.denied or says.negated
         return
     been = reader.sees("to") and reader.tokens[reader.at - 1].text == "been"
@@ -68,7 +69,7 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         skip_particles(reader, says)
         if not starts_things(reader):
             reader.refuse("expected the name of a thing here")
-        condition.things = take_things(reader, memory.named)
+        condition.things = take_things(reader, memory)
         reader.take("happen")
     elif reader.sees("all of") and reader.sees(*AUXILIARIES, "pronoun", ahead=1):
         everything = reader.take("all of")
@@ -82,10 +83,10 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         condition.things = _asked(reader, memory, pronoun)
         _take_predicate(reader, says)
     elif starts_things(reader):
-        condition.things = take_things(reader, memory.named, subject=True)
+        condition.things = take_things(reader, memory, subject=True)
         while _take_predicate(reader, says) and _another_subject(reader):
             reader.skip("and")
-            more = take_things(reader, memory.named, subject=True)
+            more = take_things(reader, memory, subject=True)
             condition.things = Things(condition.things.groups + more.groups)
     elif condition.kind in ("before", "after") and memory.asked and _ends(reader):
         condition.things = memory.asked  # "do not go to b before": before what was asked
@@ -166,7 +167,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         take_origin(reader, memory, clause)
     elif token.text == "by going around" and clause.things and not clause.negated:
         reader.at += 1
-        clause.avoiding.append(take_things(reader, memory.named, banned=True))
+        clause.avoiding.append(take_things(reader, memory, banned=True))
     elif token.kind == "bound there" and clause.negated:
         reader.at += 1
     elif clause.things and bound_ahead(reader, clause):
@@ -177,11 +178,17 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         reader.at += 1
     elif token.kind == "comma" and reader.sees(*ORDERS, ahead=1):
         reader.at += 1
-    elif (count := take_count(reader, clause.negated)) is not None:
+    elif (count := take_count(reader, clause.negated, _of_every(clause))) is not None:
         clause.count = narrower(reader, clause.count, count, token)
     elif token.kind == "first" and not (reader.sees("verb", ahead=1) or starts_things(reader, 1)):
         clause.first = True
         reader.at += 1
+    elif (
+        token.kind == "at least"
+        and reader.peek(1).text.startswith("once ")
+        and (reader.sees("again", ahead=1))
+    ):
+        reader.at += 1  # "at least once more"
     elif token.kind == "again":
         clause.again = True
         reader.at += 1
@@ -195,8 +202,20 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     elif token.kind == "after" and reader.sees("comma", "stop", "end", "and", ahead=1):
         clause.trails = True  # "visit a, and b after"
         reader.at += 1
-    elif token.kind in ("but", "comma") and _count_ahead(reader, clause):
+    elif token.kind in ("but", "comma", "all of") and _count_ahead(reader, clause):
         pass
+    elif token.kind == "all of" and clause.count and reader.sees("comma", "stop", "end", ahead=1):
+        reader.at += 1  # "exactly once each"
+    elif token.kind == "no return":
+        clause.each = 1
+        reader.at += 1
+    elif token.kind == "out of turn" and clause.negated:
+        clause.out_of_turn = True
+        reader.at += 1
+    elif token.kind == "to the next" and clause.negated and clause.things and clause.things.every:
+        reader.at += 1  # what "not again" lasts until anyway
+    elif token.kind == "apart" and clause.count and clause.count.least > 1:
+        reader.at += 1  # visits are separate ones anyway
     elif token.kind == "then" and _trails(reader):
         clause.trails = True
         reader.at += 1
@@ -211,6 +230,10 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     else:
         return False
     return True
+
+
+def _of_every(clause: Clause) -> bool:
+    return clause.things is not None and clause.things.every != ""
 
 
 def _moves(clause: Clause) -> bool:
@@ -234,7 +257,7 @@ def _denied(reader: Reader, count: Count, token: Token) -> Count:
 def _count_ahead(reader: Reader, clause: Clause) -> bool:
     """Takes "but at most twice"."""
     begin, token = reader.at, reader.peek()
-    reader.skip("but", "comma")
+    reader.skip("but", "comma", "all of")
     count = take_count(reader, clause.negated)
     if count is None and clause.count and reader.peek().text.startswith("no more "):
         reader.at += 1  # "twice, no more no less"
@@ -308,6 +331,49 @@ def _avoided_aside(reader: Reader, memory: Memory, clause: Clause) -> bool:
     return True
 
 
+LEAVE = ("leave", "leaving", "exit", "exiting")
+
+
+def starts_leaving(reader: Reader) -> bool:
+    """Whether "leave", "you must leave it" comes."""
+    ahead = 0
+    while reader.sees("you", "must", ahead=ahead):
+        ahead += 1
+    return reader.peek(ahead).text in LEAVE
+
+
+def take_leaving(reader: Reader, memory: Memory) -> Things | None:
+    """What `leave a`, `leave it`, `leave` name to be left; None for the last one."""
+    reader.skip("you", "must")
+    reader.at += 1
+    return take_things(reader, memory) if starts_things(reader) else None
+
+
+def take_repetition(reader: Reader) -> Count | None:
+    """`and repeat this exactly twice more`, as the visits in all; None when there is none."""
+    begin = reader.at
+    reader.skip("comma", "and", "then")
+    token = reader.take("repeat")
+    if token is None:
+        reader.at = begin
+        return None
+    marker = reader.take("exactly", "at least", "at most")
+    number = reader.take("once", "times n", "number", "again")
+    if number is None or (number.kind != "again" and reader.peek().text != "more"):
+        reader.refuse("say how often more", token)
+    if number.kind == "again":  # "once more"
+        n = 2
+    else:
+        reader.at += 1
+        n = 1 + (NUMBERS[number.text] if number.text in NUMBERS else int(number.text[:9]))
+    reader.take("times")
+    if n > MAX_VISITS:
+        reader.refuse(f"at most {MAX_VISITS} visits can be counted", token)
+    if marker is None or marker.kind == "exactly":
+        return Count(n, n)
+    return Count(n) if marker.kind == "at least" else Count(1, n)
+
+
 def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     """`while avoiding x`, `without visiting x`, `while not going to x`, `without revisiting x`."""
     token = reader.take("while", "without", "avoid")
@@ -318,15 +384,34 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     take_mood(reader, says)
     if any(done.text in ("have", "has") for done in reader.tokens[begin : reader.at]):
         reader.refuse("say what is not to be reached before what", token)
-    denied = denied or says.negated or bool(reader.take("avoid"))
+    avoid = reader.take("avoid")
+    denied = denied or says.negated or avoid is not None
+    skips = avoid is not None and avoid.text == "skipping"
+    if skips and reader.sees("or") and reader.sees("verb", ahead=1):
+        reader.at += 1
     while verb := reader.take("verb"):
         says.again = says.again or verb.text.startswith(("revisit", "return"))
         skip_particles(reader, says)
-    if not denied:
-        reader.refuse("only 'while avoiding …' can be told; say what to reach first", token)
+    if says.again and not starts_things(reader):  # "without going back"
+        clause.each = 1
+        return
     if not starts_things(reader):
         reader.refuse("expected the name of a thing here")
-    things = take_things(reader, memory.named, banned=True)
+    things = take_things(reader, memory, banned=True)
+    if not denied and things.every:
+        count = take_count(reader, negated=False)
+        if count is None:
+            reader.refuse("say how often at most", token)
+        clause.each = count.most or count.least  # "while only visiting each place once"
+        return
+    if not denied:
+        reader.refuse("only 'while avoiding …' can be told; say what to reach first", token)
+    if things.every and (skips or says.again):
+        clause.order = "strict order" if skips else clause.order
+        clause.each = 1 if says.again else clause.each
+        return
+    if things.every == "places":
+        reader.refuse("say what to avoid", token)
     if says.again or reader.take("again"):
         clause.not_again.append(things)
     else:

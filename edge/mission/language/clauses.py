@@ -15,6 +15,7 @@ from typing import Literal
 
 from edge.mission.language import nouns
 from edge.mission.language.adjuncts import (
+    LEAVE,
     narrower,
     take_adjunct,
     take_avoiding,
@@ -30,13 +31,14 @@ from edge.mission.language.spoken import (
     PREDICATE,
     Clause,
     Condition,
-    Memory,
     skip_particles,
     take_count,
     take_mood,
     take_quota,
 )
 from edge.mission.language.things import (
+    COUNTING,
+    Memory,
     Things,
     is_indefinite,
     starts_things,
@@ -48,7 +50,7 @@ Bare = Literal["yes", "known", "no"]
 _MOTION = ("go", "come", "walk", "move", "head", "run", "drive", "travel", "return", "proceed")
 _PERFORM = ("make", "complete", "perform", "have")
 _UP = ("up", "down", "over", "on")
-_OPENINGS = ("quota", "onward", "opener", "origin", "on the way", "bound", "around")
+_OPENINGS = ("no return", "quota", "onward", "opener", "origin", "on the way", "bound", "around")
 
 
 def starts_clause(reader: Reader, ahead: int = 0) -> bool:
@@ -88,6 +90,9 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     _take_opening(reader, memory, clause)
     if reader.at > begin and reader.tokens[reader.at - 1].kind in ("opener", "on the way"):
         bare, starts = "yes", False
+    if reader.sees("end", "stop") and memory.every and (clause.avoiding or clause.each):
+        _take_restriction(memory, clause)
+        return clause
     gerund = starts and reader.sees("verb") and reader.peek().text.endswith("ing")
     gerund = gerund and reader.peek().text != "bring"
     take_mood(reader, clause)
@@ -99,35 +104,40 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     if (count := take_count(reader, clause.negated)) is not None:  # "at least two visits to a"
         clause.count = narrower(reader, clause.count, count, count_at)
         reader.skip("to")
-        clause.things = take_things(reader, memory.named)
+        clause.things = take_things(reader, memory)
     elif reader.sees("verb", "avoid"):
         _take_action(reader, memory, clause)
+    elif reader.take("no return"):
+        clause.each, clause.negated, clause.things = 1, True, Things(memory.every, every="places")
     elif reader.sees("quota"):
-        take_quota(reader, clause, memory.named)
+        take_quota(reader, memory, clause)
     elif reader.sees("onward"):
         _take_until(reader, memory, clause)
     elif starts_things(reader):
         _take_passive(reader, memory, clause, bare)
     elif bare == "yes" and reader.peek().text in ("back", *_UP) and starts_clause(reader):
         skip_particles(reader, clause)
-        clause.things = take_things(reader, memory.named)
+        clause.things = take_things(reader, memory)
     elif (bare == "yes" or clause.negated) and _is_passing(reader):
         reader.at += 1
         _take_passed(reader, memory, clause)
     elif reader.sees("to") and starts_things(reader, 1) and (bare != "no" or clause.negated):
         reader.take("to")
-        clause.things = take_things(reader, memory.named, banned=clause.negated)
+        clause.things = take_things(reader, memory, banned=clause.negated)
     else:
         reader.refuse("expected something to do or to avoid here")
     if clause.things:
         memory.named = clause.things
         if not clause.negated and clause.mood != "can":
             memory.asked = clause.things
+            memory.ask(clause.things.groups)
     asked = memory.asked
     if clause.bound:
         lead(reader, memory, clause, clause.bound, clause.token)
     while take_adjunct(reader, memory, clause):
         pass
+    if clause.leaves and not clause.count:
+        reader.refuse("say how often", clause.leaves)
     if clause.always:
         for condition in clause.conditions:
             condition.recurring = True
@@ -148,6 +158,16 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         clause.conditions.append(Condition("before", clause.token, asked))  # "not b first"
         clause.first = False
     return clause
+
+
+def _take_restriction(memory: Memory, clause: Clause) -> None:
+    """`…, without entering x`, `…, without going back`: said of all before it."""
+    clause.negated = True
+    if clause.each:
+        clause.things = Things(memory.every, every="places")
+    else:
+        clause.things = Things(tuple(g for avoided in clause.avoiding for g in avoided.groups))
+        clause.avoiding = []
 
 
 def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
@@ -177,7 +197,7 @@ def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
             reader.at += 1
             while reader.take("verb"):
                 skip_particles(reader, clause)
-            clause.bound = take_things(reader, memory.named)
+            clause.bound = take_things(reader, memory)
         elif reader.sees(*CONDITIONS, ahead=ahead):
             if token.kind in ("immediately", "filler"):
                 at_once = token.kind == "immediately" or token.text == "directly"
@@ -194,7 +214,7 @@ def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
 
 
 def _counts(reader: Reader, ahead: int) -> bool:
-    return reader.sees("number", "at least", "at most", "exactly", "only", ahead=ahead)
+    return reader.sees(*COUNTING, ahead=ahead)
 
 
 def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
@@ -212,6 +232,7 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.again = clause.again or token.text.startswith("revisit")
         clause.returns = clause.returns or token.text.startswith("return")
         skip_particles(reader, clause)
+        _take_leaving(reader, clause)
     if reader.take("neither"):
         clause.negated = True
     elif reader.tokens[reader.at - 1].text in _MOTION and not _plainly_named(reader):
@@ -234,14 +255,25 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.through, clause.only = passes, False
         token = reader.peek()
         if passes and _take_onward(reader):  # "go through any room but a to b"
-            lead(reader, memory, clause, take_things(reader, memory.named), token)
+            lead(reader, memory, clause, take_things(reader, memory), token)
     elif starts_things(reader):
         _take_passed(reader, memory, clause, passes, last)
         _take_more_bans(reader, memory, clause)
+    elif clause.returns and memory.asked and (clause.negated or memory.left):
+        clause.things = memory.asked  # "leave it and come back", "never go back"
     elif not clause.negated or not clause.verb.startswith("stop"):
         reader.refuse("expected the name of a thing here", reader.peek())
     if clause.verb.startswith(_ANYWHERE):
         clause.elsewhere = clause.mood != "can"
+
+
+def _take_leaving(reader: Reader, clause: Clause) -> None:
+    """`visit and then leave a twice`: visits are separate ones anyway."""
+    ahead = 1 if reader.sees("and") else 0
+    ahead += 1 if reader.sees("then", ahead=ahead) else 0
+    if ahead and reader.peek(ahead).text in LEAVE and starts_things(reader, ahead + 1):
+        clause.leaves = reader.peek(ahead)
+        reader.at += ahead + 1
 
 
 _INTO = ("into", "onto", "in to")
@@ -266,7 +298,7 @@ def _take_passed(
         passes: they lie on the way.
         verb: the last word before them.
     """
-    things = take_things(reader, memory.named, banned=clause.negated, way=passes)
+    things = take_things(reader, memory, banned=clause.negated, way=passes)
     rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, things.names))
     clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
     if clause.verb.startswith("follow") and not rides and not clause.verb.endswith(_ALONG):
@@ -277,7 +309,7 @@ def _take_passed(
         token = reader.peek()
         if not _take_onward(reader):
             break
-        further = take_things(reader, memory.named)
+        further = take_things(reader, memory)
         if clause.route and len(clause.things.groups[-1]) > 1:
             reader.refuse("say it in two sentences: 'go through a to b, or through c to d'", token)
         if clause.negated:  # "do not go through a to b"
@@ -332,7 +364,7 @@ def _take_more_bans(reader: Reader, memory: Memory, clause: Clause) -> None:
         while verb := reader.take("verb"):
             again = again or verb.text.startswith(("revisit", "return"))
             skip_particles(reader, clause)
-        things = take_things(reader, memory.named, banned=True)
+        things = take_things(reader, memory, banned=True)
         if again:
             clause.not_again.append(things)
         elif clause.things is not None:
@@ -343,7 +375,7 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     """`a and b must be visited`; or just names."""
     start = reader.peek()
     begin = reader.at
-    things = take_things(reader, memory.named, subject=True, banned=clause.negated)
+    things = take_things(reader, memory, subject=True, banned=clause.negated)
     says = Clause(start)
     said = take_mood(reader, says, PREDICATE)
     if reader.sees("do") and reader.sees("not", ahead=1) and reader.sees("happen", ahead=2):
@@ -369,13 +401,13 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         bare == "known" and _well_known(reader, memory)
     ):
         reader.refuse("no verb that is known", start)
-    clause.things = take_things(reader, memory.named, banned=clause.negated)
+    clause.things = take_things(reader, memory, banned=clause.negated)
 
 
 def _well_known(reader: Reader, memory: Memory) -> bool:
     """Whether the names that follow can be nothing but names, so that they need no verb."""
     begin = reader.at
-    things = take_things(reader, memory.named)
+    things = take_things(reader, memory)
     reader.at = begin
     return all(len(name) == 1 or nouns.unknown_in(name.split()) is None for name in things.names)
 

@@ -16,7 +16,7 @@ from functools import lru_cache
 from itertools import pairwise, product
 
 from edge.mission.language.goals import Visit
-from edge.mission.language.things import Things, take_things
+from edge.mission.language.things import Memory, Things, take_things
 from edge.mission.language.words import Reader, TranslationError
 from edge.mission.ltl import Formula, conj, postorder, propositions, to_text
 
@@ -251,7 +251,7 @@ def _thing(name: str) -> str:
     spoken = name if len(name) == 1 else f"the {name}"
     try:
         reader = Reader(spoken)
-        if take_things(reader, None) == Things(((name,),)) and reader.sees("end"):
+        if take_things(reader, Memory()) == Things(((name,),)) and reader.sees("end"):
             return spoken
     except TranslationError:
         pass

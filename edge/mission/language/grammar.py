@@ -20,12 +20,17 @@ files of their own (`clauses`, `adjuncts`, `things`, `spoken`, `lexicon`). How a
 - what lies on the way ("x via y", "through y to x", "visit y on the way to x") is: y, then x; of
   "through y and z" the order is asked, and of "from y" whether y is more than where it starts;
 - "do not x until y" with nothing asked for beside it is asked about: y, or both, may be meant;
+  a chain of them ("not c until b, not b until a") asks for a, then b, then c;
 - "and stay there" at the end is where a mission ends anyway;
 - goals without "then" between them may come in any order; a list with commas only that "then"
   ends ("a, b, then c") is in order;
 - "in order" is "then" between all; "in exactly this order" also bans each before the one before;
 - "n times" means at least n separate visits; in a sequence, "exactly once" and "at most once"
-  hold until the next step.
+  hold until the next step;
+- "each place only once", "no revisiting", "none out of turn" are said of all that is asked for: in
+  a sequence each is reached once until the next step, and not before its turn;
+- "leave it" is what happens between separate visits, or on the way to something else; as the last
+  thing asked for it is refused.
 
 Whatever fits none of this is refused by name, never skipped or guessed.
 """
@@ -34,24 +39,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from edge.mission.language.adjuncts import starts_leaving, take_leaving, take_repetition
 from edge.mission.language.clauses import Bare, starts_clause, take_clause
-from edge.mission.language.goals import Every, Goal, Some, formula_of, steps, visits
+from edge.mission.language.goals import Every, Goal, Some, formula_of, letters, steps, visits
 from edge.mission.language.lexicon import AVOIDING
 from edge.mission.language.meaning import Meaning, meaning_of, permission_of
 from edge.mission.language.nouns import is_foreign
 from edge.mission.language.routes import PASSING
 from edge.mission.language.sequences import (
     anchored,
+    chained,
+    each_at_most,
+    in_strict_order,
     only_then,
     put_first,
     put_in_order,
     sequence_goal,
     single_visits,
     split_return,
+    visit_often,
 )
-from edge.mission.language.spoken import Clause, Condition, Memory
-from edge.mission.language.things import Things
+from edge.mission.language.spoken import Clause, Condition, Count, take_count
+from edge.mission.language.things import Memory, Things
 from edge.mission.language.words import (
+    REASONS,
     Reader,
     Token,
     TranslationError,
@@ -169,6 +180,8 @@ class _Discourse:
         settled: one thing comes last.
         shuns: something was to be avoided, not only to wait for something else.
         permitted: what the last clause allowed, if it asked for nothing.
+        each: how often at most each place may be visited, and where that was said.
+        strictly: where it was said that nothing comes out of turn.
     """
 
     reader: Reader
@@ -189,6 +202,8 @@ class _Discourse:
     settled: bool = False
     shuns: bool = False
     waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
+    each: tuple[int, Token] | None = None
+    strictly: Token | None = None
 
     def formula(self) -> Formula:
         """Sentence after sentence; "then" at the start of one goes on from the one before."""
@@ -213,6 +228,7 @@ class _Discourse:
             reader.refuse("say what is to be reached", self.elsewhere)
         if not self.ordered:
             parts += self._asked_after_all()
+        parts += self._of_all(Every(tuple(part for part in parts if letters(part))))
         formula = formula_of(Every(tuple(parts)))
         if _size(formula) > MAX_NODES:
             reader.refuse("its formula would be too large; ask for less at once", reader.tokens[0])
@@ -225,11 +241,25 @@ class _Discourse:
         """`do not go to b until a` and only rules beside: a, or both, may be asked for as well."""
         if not self.waits:
             return []
+        if self.goal is None and not self.shuns and (chain := chained(self.waits)):
+            return [chain]
         way = self.reader.pick(self.reader.tokens[0], 2 if self.shuns else 3)
         asked = [until for _, until in self.waits] if way else []
         if way == 2:
             asked += [Things(tuple((n,) for n in names)) for names, _ in self.waits]
         return [visits(things) for things in asked]
+
+    def _of_all(self, goal: Every) -> list[Goal]:
+        """What was said of all that is asked for, whichever clause said it."""
+        rules: list[Formula] = []
+        said = self.strictly or (self.each and self.each[1])
+        if said and not goal.goals:
+            self.reader.refuse("say first what to visit", said)
+        if self.strictly:
+            rules += in_strict_order(goal, self.strictly, self.reader)
+        if self.each:
+            rules += each_at_most(goal, *self.each, self.reader)
+        return [Every((), tuple(rules))] if rules else []
 
     def _ends(self, clause: Clause, sequence: list[Meaning]) -> None:
         """What comes in the end comes after all that was asked for, and nothing after it."""
@@ -302,6 +332,11 @@ class _Discourse:
         loose: Meaning | None = None
         ordered: Token | None = None
         while True:
+            if sequence and starts_leaving(self.reader):
+                self._leaves(sequence)
+                joint = self._joint()
+                if joint is None:
+                    return self._all_left(sequence), loose
             clause, meaning = self._clause(joint, sequence)
             kind = joint.kind if joint else ""
             if meaning.loose and kind != "but" and not meaning.follows:
@@ -324,7 +359,34 @@ class _Discourse:
             if joint is None:
                 if ordered:
                     put_in_order(ordered, sequence, self.reader)
-                return sequence, loose
+                return self._all_left(sequence), loose
+
+    def _leaves(self, sequence: list[Meaning]) -> None:
+        """Takes "leave it", maybe "and repeat this twice more": visits are separate ones anyway."""
+        reader, token = self.reader, self.reader.peek()
+        left = take_leaving(reader, self.memory)
+        if self.last is None or (left and left.groups != self.last.groups) or self.memory.left:
+            reader.refuse(REASONS["stay"], token)
+        if count := take_count(reader, negated=False) or take_repetition(reader):
+            visit_often(sequence[-1], self.last, count, token, reader)
+        else:
+            self.memory.left = token
+
+    def _returned(self, clause: Clause, meaning: Meaning, sequence: list[Meaning]) -> None:
+        """What comes after "leave it": another visit, or something else, which is leaving too."""
+        left, self.memory.left = self.memory.left, None
+        again = clause.things and self.last and clause.things.groups == self.last.groups
+        if left is None or clause.negated or not meaning.goals or not again:
+            return
+        count = clause.count or Count(1)
+        most = None if count.most is None else count.most + 1
+        visit_often(sequence[-1], self.last, Count(count.least + 1, most), left, self.reader)
+        meaning.repeats = True
+
+    def _all_left(self, sequence: list[Meaning]) -> list[Meaning]:
+        if self.memory.left:
+            self.reader.refuse(REASONS["stay"], self.memory.left)
+        return sequence
 
     def _clause(self, joint: Token | None, sequence: list[Meaning]) -> tuple[Clause, Meaning]:
         """The next clause, and what it means after those before it."""
@@ -369,8 +431,14 @@ class _Discourse:
         plain = clause.verb == "" and not (clause.negated or clause.first or clause.conditions)
         if joint is not None and joint.kind == "but" and plain and not clause.count:
             self.reader.refuse("all but that, or that too? say 'visit …'", clause.token)
+        one = clause.things is not None and len(clause.things.groups) + len(clause.route) == 1
+        if one and sequence and clause.order == "strict order" and not clause.negated:
+            clause.order, self.strictly = "", clause.token  # "a, then b in this exact order"
         meaning = meaning_of(clause, self.reader, self.times, then)
         meaning.follows = then
+        if meaning.each:
+            self.each = (meaning.each, clause.token)
+        self.strictly = clause.token if meaning.strictly else self.strictly
         if meaning.anchors and not then and self.times.keys() & set(meaning.things.names):
             hint = "it was asked for before; say in one sentence what comes after what"
             self.reader.refuse(hint, clause.token)
@@ -383,6 +451,7 @@ class _Discourse:
         meaning.repeats = then and plain and bool(meaning.goals) and clause.things == self.last
         if meaning.repeats:  # "a, then b, then b and c": is b meant twice?
             meaning.repeats = self.reader.pick(clause.token, 2) == 1
+        self._returned(clause, meaning, sequence)
         self.last = clause.things if meaning.goals else self.last
         self.waits += meaning.waits
         self.shuns = self.shuns or clause.verb in AVOIDING
@@ -440,12 +509,12 @@ class _Discourse:
         if self.clauses and self._halts():
             return None
         if reader.at > begin:
-            if not starts_clause(reader):
+            if not starts_clause(reader) and not starts_leaving(reader):
                 reader.refuse("expected a clause here")
             return joint
         if reader.sees("end", "stop", "or"):
             return None
-        if not starts_clause(reader) or not self._begins_well():
+        if not (starts_leaving(reader) or (starts_clause(reader) and self._begins_well())):
             reader.refuse("no word that is known here")
         return Token("", "", joint.start, joint.start)
 
@@ -458,3 +527,4 @@ class _Discourse:
         for goal in meaning.goals:
             for visit in single_visits(goal):
                 self.times |= dict.fromkeys(visit.options, visit.times)
+                self.memory.ask([visit.options])

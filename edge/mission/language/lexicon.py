@@ -107,7 +107,8 @@ PHRASES: dict[str, str] = {
     + "|"
     + _product("in order to|so as to", "reach|get to|go to|enter|get into"),
     "bound there": "to get there|to reach it|to get to it|to go there",
-    "on the way": "on the way|on your way|on its way|along the way|en route|on the way there|"
+    "on the way": "along the path|on the way|on your way|on its way|along the way|en route|"
+    "on the way there|"
     "on your way there|on its way there|along your way|as you go",
     "around": "around|by going around|going around|by driving around|by walking around",
     "origin": "starting on|start on|beginning on|begin on|starting off at|start off at|"
@@ -154,6 +155,30 @@ PHRASES: dict[str, str] = {
     "or more": "or more|or more than|or more often|and more",
     "or less": "or less|or fewer|or less often|or fewer times",
     "only": "only|solely",
+    "out of turn": "out of turn|out of order|out of sequence",
+    "no return": _product(
+        "no|without any|without",
+        "repetition|repetitions|repeats|repeated visits",
+    )
+    + "|"
+    + _product(
+        "no",
+        "revisiting|revisits|returning|going back|turning back|repeated visits|repetitions",
+        "is allowed|are allowed|allowed|is permitted|are permitted|permitted",
+    )
+    + "|no revisiting|no revisits|no going back|no turning back|"
+    "repeated visits are not permitted|repeated visits are not allowed",
+    "to the next": _product("while|when", "heading|going|moving|on your way", "to the next")
+    + "|on the way to the next|on your way to the next|while heading to the next one|"
+    "on the way to the next one",
+    "repeat": "repeat|repeat this|repeat that|repeat it|do this|do that|do it",
+    "apart": _product(
+        "while leaving|leaving",
+        "it|its region|the region|the area|the room",
+        "in between|each time",
+    )
+    + "|while leaving in between|leaving in between|leaving each time|leaving in between visits|"
+    "each time you must leave before coming back|leave it in between|leave in between",
     "again": "again|anymore|any more|any longer|a second time|another time|once again|once more",
     # Order.
     "any order": "in any order|in any order you like|in no particular order|in no specific order|"
@@ -179,7 +204,8 @@ PHRASES: dict[str, str] = {
     "either": "either|one of|either one of|either of|any of|any one of|at least one of",
     "all of": "both|both of|all of|each of|all|all the following|the following|"
     "every one of|each|every",
-    "group": "locations|location|places|landmarks|landmark|waypoints|objects|targets|rooms|things",
+    "group": "locations|location|place|places|landmarks|landmark|waypoints|objects|targets|rooms|"
+    "things",
     "place": "near|next to|beside|in|inside|on|under|below|above|behind|in front of|close to|"
     "opposite|against|of",
     "to": "to|towards|toward|over to|through|into|onto|in to|inside of",

@@ -44,6 +44,8 @@ class Meaning:
         follows: said to come after the step before it.
         repeats: the same visit as the last one.
         anchors: what the goals are said to come after.
+        each: how often at most each place of the whole instruction may be visited.
+        strictly: the whole instruction's order is a strict one.
     """
 
     goals: list[Goal] = field(default_factory=list)
@@ -57,6 +59,8 @@ class Meaning:
     follows: bool = False
     repeats: bool = False
     anchors: list[Things] = field(default_factory=list)
+    each: int | None = None
+    strictly: bool = False
 
     @property
     def loose(self) -> bool:
@@ -107,14 +111,32 @@ def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int], then: b
         reader.refuse("'only' needs a number or a condition; say what to avoid", clause.token)
     if clause.things is None:
         return _until_done(clause, reader)
+    if clause.things.every and (meaning := _of_every(clause, clause.things, reader)):
+        return meaning
     alone = len(clause.things.groups) + len(clause.route) < 2 and not clause.negated
     if alone and (clause.order == "strict order" or (clause.order and clause.conditions)):
         reader.refuse("an order goes with a list: 'visit a, b and c in this order'", clause.token)
-    if clause.negated:
-        return _forbidden(clause, clause.things, reader, times)
-    if then and clause.mood == "can":
+    if clause.out_of_turn:
+        reader.refuse("say of which places", clause.token)
+    if then and clause.mood == "can" and not clause.negated:
         clause.mood = "do"
-    return _asked(clause, clause.things, reader, times)
+    said = _forbidden if clause.negated else _asked
+    meaning = said(clause, clause.things, reader, times)
+    meaning.each = clause.each or meaning.each
+    return meaning
+
+
+def _of_every(clause: Clause, things: Things, reader: Reader) -> Meaning | None:
+    """`visit each place only once`, `never go back to any of them`, `no place out of turn`."""
+    if clause.out_of_turn:
+        return Meaning(strictly=True)
+    if clause.each or (clause.negated and (clause.again or clause.returns)):
+        return Meaning(each=1)
+    if clause.count and clause.count.most and clause.count.least < 2:
+        return Meaning(each=clause.count.most)
+    if things.every == "places" or not things.groups:
+        reader.refuse("say which", clause.token)
+    return None
 
 
 def permission_of(clause: Clause) -> Things | None:
@@ -144,7 +166,9 @@ def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[st
     if clause.count:
         _counted(clause, things, clause.count, meaning, times)
         _no_conditions(clause, reader)
-    elif clause.again and all(c.things.names == things.names for c in clause.conditions):
+    elif (clause.again or (clause.returns and things.names[0] in times)) and all(
+        c.things.names == things.names for c in clause.conditions
+    ):
         for name in things.names:
             most = times.get(name, 1)
             for condition in clause.conditions:
@@ -214,10 +238,13 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
         return _counted_until(clause, things, clause.count, reader, times)
     if clause.count and len(things.groups) > 1 and clause.order:
         most = clause.count.most
-        meaning.limits += [(group, most, None) for group in things.groups if most is not None]
         meaning.goals.append(
             steps([visits(Things((g,)), clause.count.least) for g in things.groups])
         )
+        if most == 1:
+            meaning.each = 1
+        elif most is not None:
+            meaning.limits += [(group, most, None) for group in things.groups]
         meaning.things = things
     elif clause.count:
         _counted(clause, things, clause.count, meaning, times)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from edge.mission.language.spoken import Clause, Memory, skip_particles
-from edge.mission.language.things import Things, starts_things, take_things
+from edge.mission.language.spoken import Clause, skip_particles
+from edge.mission.language.things import Memory, Things, starts_things, take_things
 from edge.mission.language.words import Reader, Token
 
 PASSING = ("through", "past", "along", "across", "via", "by")
@@ -38,12 +38,12 @@ def take_route(reader: Reader, memory: Memory, clause: Clause) -> bool:
         reader.refuse("expected the name of a thing here")
     if len(clause.things.groups) > 1:
         reader.refuse("on the way to which of them? say it in two sentences", token)
-    pass_by(reader, clause, take_things(reader, memory.named), token)
+    pass_by(reader, clause, take_things(reader, memory), token)
     ahead = 1 if reader.sees("comma") else 0
     then = reader.peek(ahead)
     if then.kind == "then" and starts_things(reader, ahead + 1) and reader.pick(then, 2) == 1:
         reader.at += ahead + 1  # "via the sofa and then the bed": both on the way
-        pass_by(reader, clause, take_things(reader, memory.named), then)
+        pass_by(reader, clause, take_things(reader, memory), then)
     clause.only_way = clause.only_way or only or bool(reader.take("only"))
     return True
 
@@ -103,7 +103,7 @@ def take_bound(reader: Reader, memory: Memory, clause: Clause) -> None:
         skip_particles(reader, clause)
     if not starts_things(reader):
         reader.refuse("expected the name of a thing here")
-    lead(reader, memory, clause, take_things(reader, memory.named), token)
+    lead(reader, memory, clause, take_things(reader, memory), token)
 
 
 def lead(reader: Reader, memory: Memory, clause: Clause, bound: Things, token: Token) -> None:
@@ -126,7 +126,7 @@ def take_origin(reader: Reader, memory: Memory, clause: Clause) -> None:
     """`from a`: where the robot is now, or a first stop."""
     token = reader.peek()
     reader.at += 1
-    start = take_things(reader, memory.named)
+    start = take_things(reader, memory)
     clause.origin = True
     if reader.pick(token, 2) == 1:
         clause.route[:0] = [start]
@@ -165,4 +165,4 @@ def take_exception(reader: Reader, memory: Memory) -> Things | None:
     if not starts_things(reader, ahead):
         return None
     reader.at += ahead
-    return take_things(reader, memory.named, banned=True)
+    return take_things(reader, memory, banned=True)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+from collections import Counter
 from collections.abc import Container, Iterator, Sequence
 
 from edge.mission.language.goals import (
     Every,
     Goal,
+    Some,
     Steps,
     Visit,
     at_most,
@@ -20,6 +23,7 @@ from edge.mission.language.goals import (
     visits,
 )
 from edge.mission.language.meaning import Meaning
+from edge.mission.language.spoken import Count
 from edge.mission.language.things import Things
 from edge.mission.language.words import Reader, Token
 from edge.mission.ltl import Formula
@@ -99,9 +103,76 @@ def split_return(meaning: Meaning, sequence: list[Meaning]) -> None:
         sequence[0].goals = [steps([_together(start), _together(rest)])]
 
 
+def visit_often(step: Meaning, things: Things, count: Count, token: Token, reader: Reader) -> None:
+    """Makes the last visit of a step several: "go to a, leave it and repeat this twice more"."""
+    visit = step.goals[-1] if step.goals else None
+    if len(things.groups) != 1 or not isinstance(visit, Visit) or visit.options != things.groups[0]:
+        reader.refuse("say it in two sentences", token)
+    step.goals[-1] = Visit(visit.options, visit.times - 1 + count.least)
+    if count.most is not None:
+        step.limits.append((visit.options, visit.times - 1 + count.most, None))
+
+
 def only_then(before: Meaning, after: Meaning) -> list[Formula]:
     """`x, only then y`: y not before x."""
     return held_until(after.things.names, before.things)
+
+
+def each_at_most(goal: Goal, n: int, token: Token, reader: Reader) -> list[Formula]:
+    """`…; visit each place only once`: of steps each until the next, where the mission goes on."""
+    if isinstance(goal, Visit):
+        return [at_most(goal.options, n)]
+    if isinstance(goal, Some):
+        reader.refuse("say it of each alternative", token)
+    if isinstance(goal, Every):
+        asked = Counter(name for part in goal.goals for name in letters(part))
+        if asked.most_common(1)[0][1] > 1:
+            reader.refuse("say in one list what comes after what", token)
+        return [rule for part in goal.goals for rule in each_at_most(part, n, token, reader)]
+    rules: list[Formula] = []
+    asked = Counter(name for part in goal.goals for name in letters(part))
+    for i, part in enumerate(goal.goals):
+        before = goal.goals[i - 1] if i else None
+        after = goal.goals[i + 1] if i + 1 < len(goal.goals) else None
+        for visit in single_visits(part):
+            if visit.times > n or any(asked[name] > 1 for name in visit.options):
+                reader.refuse("something is asked for more often", token)
+            in_turn = n == 1 and isinstance(before, Visit)
+            if in_turn:  # its only visit comes after the one before
+                rules += held_until(visit.options, Things((before.options,)))
+            if isinstance(after, Visit):
+                rules.append(at_most_before(visit.options, n, after.options))
+            elif after is not None or not in_turn:
+                rules.append(at_most(visit.options, n))
+    return rules
+
+
+def in_strict_order(goal: Goal, token: Token, reader: Reader) -> list[Formula]:
+    """`…; no place out of turn`: none of a step before all of the step before it."""
+    while isinstance(goal, Every) and len(goal.goals) == 1:
+        goal = goal.goals[0]
+    if not isinstance(goal, Steps):
+        reader.refuse("an order goes with a list: 'visit a, then b'", token)
+    return [
+        rule
+        for before, after in itertools.pairwise(goal.goals)
+        for visit in single_visits(before)
+        for rule in held_until(letters(after), Things((visit.options,)))
+    ]
+
+
+def chained(waits: Sequence[tuple[tuple[str, ...], Things]]) -> Goal | None:
+    """`do not visit c until b, and do not visit b until a`: a, then b, then c; None for less."""
+    before = {name: until.names[0] for names, until in waits for name in names}
+    single = all(len(names) == 1 and len(until.names) == 1 for names, until in waits)
+    first = set(before.values()) - before.keys()
+    if len(waits) < 2 or not single or len(before) < len(waits) or len(first) != 1:
+        return None
+    after = {earlier: name for name, earlier in before.items()}
+    order = [*first]
+    while order[-1] in after:
+        order.append(after[order[-1]])
+    return steps([Visit((name,)) for name in order]) if len(order) == len(waits) + 1 else None
 
 
 def _together(goals: Sequence[Goal]) -> Goal:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from edge.mission.language.lexicon import AFTER_VERB, NUMBERS
-from edge.mission.language.things import Things, starts_things, take_things
+from edge.mission.language.things import Memory, Things, starts_things, take_things
 from edge.mission.language.words import Reader, Token
 
 MAX_VISITS = 20
@@ -30,8 +30,11 @@ class Count:
         return Count(self.most + 1) if self.least == 0 else None
 
 
-def take_count(reader: Reader, negated: bool) -> Count | None:
+def take_count(reader: Reader, negated: bool, every: bool = False) -> Count | None:
     """The count that begins here, already negated if the clause is; None when there is none.
+
+    Args:
+        every: of all that was asked for, so that "once" can only mean: no second time.
 
     Raises:
         TranslationError: a count beyond `MAX_VISITS`, or one that "not" leaves without sense.
@@ -67,14 +70,16 @@ def take_count(reader: Reader, negated: bool) -> Count | None:
         if marked["at least"] > marked["at most"]:
             reader.refuse("the counts contradict each other", start)
         return Count(marked["at least"], marked["at most"])
+    if every and not markers and numbers == [1]:
+        return Count(1, 1)
     return _range(reader, markers, numbers, negated, begin)
 
 
-def take_quota(reader: Reader, clause: Clause, mentioned: Things | None) -> None:
+def take_quota(reader: Reader, memory: Memory, clause: Clause) -> None:
     """`the maximum number of visits to a is three`"""
     token = reader.take("quota")
     assert token is not None
-    clause.things = take_things(reader, mentioned)
+    clause.things = take_things(reader, memory)
     reader.skip("be", "must", "can")
     if reader.sees("exactly") and reader.sees("number", ahead=1):
         reader.at += 1
@@ -94,6 +99,8 @@ def take_quota(reader: Reader, clause: Clause, mentioned: Things | None) -> None
 
 def _joins(reader: Reader) -> bool:
     """Whether "once" here means "as soon as"."""
+    if reader.sees("all of", ahead=1) and reader.sees("comma", "stop", "end", ahead=2):
+        return False  # "once each"
     return reader.sees("you", "article", "word", "quoted", "pronoun", "all of", "either", ahead=1)
 
 
@@ -196,6 +203,9 @@ class Clause:
         always: where that was said.
         ends: said to come in the end.
         elsewhere: it names what is left out ("any room but a"), so something else is to be reached.
+        each: how often at most each place that is asked for may be visited ("no revisiting").
+        out_of_turn: said of a ban: it forbids another order than the one asked for.
+        leaves: where it was said to leave the things between two visits.
         verb: the word that named the action, "" in a bare clause.
     """
 
@@ -227,15 +237,10 @@ class Clause:
     elsewhere: bool = False
     always: Token | None = None
     ends: bool = False
+    each: int | None = None
+    out_of_turn: bool = False
+    leaves: Token | None = None
     verb: str = ""
-
-
-@dataclass(slots=True)
-class Memory:
-    """What pronouns stand for: the last thing named, and the last one asked for."""
-
-    named: Things | None = None
-    asked: Things | None = None
 
 
 def names_one_robot(reader: Reader) -> bool:

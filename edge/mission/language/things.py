@@ -20,6 +20,8 @@ from edge.mission.language.lexicon import AFTER_VERB
 from edge.mission.language.words import Reader, Token
 from edge.text import one_line
 
+COUNTING = ("number", "once", "times n", "at least", "at most", "exactly", "only")
+"""Kinds of token that begin a count."""
 _ELEMENT = ("word", "quoted", "article", "either", "all of", "pronoun", "group")
 _STARTS_PREDICATE = ("be", "must", "can", "happen")
 _NOT_NAMES = """
@@ -39,15 +41,39 @@ class Things:
 
     Attributes:
         listed: two or more, with neither "and" nor "or" between them.
+        every: said of all that was asked for: "them" ("any of them") or "places" ("each place"),
+            which names nothing by itself.
     """
 
     groups: tuple[tuple[str, ...], ...]
     listed: bool = False
+    every: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Every name once, in order."""
         return tuple(dict.fromkeys(name for group in self.groups for name in group))
+
+
+@dataclass(slots=True)
+class Memory:
+    """What pronouns stand for.
+
+    Attributes:
+        named: the things named last.
+        asked: those asked for last.
+        every: all that was asked for so far, in the order said.
+        left: where it was said to leave the last one.
+    """
+
+    named: Things | None = None
+    asked: Things | None = None
+    every: tuple[tuple[str, ...], ...] = ()
+    left: Token | None = None
+
+    def ask(self, groups: Sequence[tuple[str, ...]]) -> None:
+        """Something is asked for, once more or for the first time."""
+        self.every = tuple(dict.fromkeys((*self.every, *groups)))
 
 
 def starts_things(reader: Reader, ahead: int = 0) -> bool:
@@ -62,7 +88,7 @@ def starts_things(reader: Reader, ahead: int = 0) -> bool:
 
 def take_things(
     reader: Reader,
-    mentioned: Things | None,
+    memory: Memory,
     subject: bool = False,
     banned: bool = False,
     way: bool = False,
@@ -70,7 +96,7 @@ def take_things(
     """The noun phrase that begins here.
 
     Args:
-        mentioned: what a pronoun stands for.
+        memory: what pronouns stand for.
         subject: a predicate is expected to follow, so it does not end the list early.
         banned: "and" and "or" mean the same here ("avoid a and b", "never visit a or b").
         way: it is passed through, so "and to b" goes on from there.
@@ -79,7 +105,9 @@ def take_things(
         TranslationError: no noun phrase, or one that can be read in two ways.
     """
     start = reader.peek()
-    elements = [_element(reader, mentioned)]
+    if every := _take_collective(reader, memory):
+        return Things(memory.every, every=every)
+    elements = [_element(reader, memory)]
     between: list[Token] = []
     commas: set[str] = set()
     while True:
@@ -99,7 +127,7 @@ def take_things(
         joint = next((i for i in range(ahead) if reader.sees("and", "or", ahead=i)), 0)
         between.append(reader.peek(joint))
         reader.at += ahead
-        elements.append(_element(reader, mentioned))
+        elements.append(_element(reader, memory))
     groups = [group for element in elements for group in element]
     joints = {token.kind for token in between} & {"and", "or"}
     if len(set(groups)) < len(groups):
@@ -186,6 +214,8 @@ def _joint_length(reader: Reader) -> int | None:
         if reader.peek(ahead).text in ("into", "onto"):
             return None  # "through a and into b" is an order
         ahead += 1
+    if reader.sees("all of", ahead=ahead) and reader.sees(*COUNTING, ahead=ahead + 1):
+        return None  # "a and b, each only once"
     return ahead if ahead and starts_things(reader, ahead) else None
 
 
@@ -196,16 +226,63 @@ def _is_subject(reader: Reader, ahead: int) -> bool:
     return reader.sees(*_STARTS_PREDICATE, ahead=ahead)
 
 
-def _element(reader: Reader, mentioned: Things | None) -> tuple[tuple[str, ...], ...]:
+_EARLIER = ("previous", "previously", "visited", "earlier", "one", "already", "other")
+_BEEN = (
+    ("you", "have", "visited"), ("you", "have", "been", "to"), ("you", "have", "been"),
+    ("visited",), ("so", "far"), ("before",), ("already",),
+    ("once", "you", "have", "been", "there"), ("after", "you", "have", "been", "there"),
+    ("once", "after", "you", "have", "been", "there"),
+)  # fmt: skip
+
+
+def _take_collective(reader: Reader, memory: Memory) -> str:
+    """Takes `each place`, `any of them`, `previously visited locations`; "" where none comes."""
+    ahead = 0
+    while reader.sees("all of", "either", "article", ahead=ahead) or (
+        reader.peek(ahead).text in _EARLIER
+    ):
+        ahead += 1
+    first, last = reader.peek(), reader.peek(ahead)
+    of_them = last.text in PLURALS and ahead > 0 and first.kind in ("all of", "either")
+    named = memory.named.groups if memory.named else ()
+    if of_them and len(named) > 1 and named != memory.every:
+        return ""  # those named last
+    places = last.kind == "group" and (ahead > 0 or reader.sees("out of turn", ahead=1))
+    if not (of_them or places):
+        return ""
+    if starts_things(reader, ahead + 1) or _is_number(reader, ahead + 1):
+        return ""  # "each of the places a and b"
+    reader.at += ahead + 1
+    while phrase := next((said for said in _BEEN if _says(reader, said)), None):
+        reader.at += len(phrase)
+    return "them" if of_them else "places"
+
+
+def _says(reader: Reader, words: Sequence[str]) -> bool:
+    return all(reader.peek(i).text == word for i, word in enumerate(words))
+
+
+PLURALS = ("them", "these", "those")
+
+
+def _meant_by(token: Token, reader: Reader, memory: Memory) -> Things:
+    """What a pronoun stands for; "them" after one thing is all that was asked for."""
+    meant = memory.named
+    if token.text in PLURALS and meant and len(meant.groups) == 1 and len(memory.every) > 1:
+        meant = Things(memory.every)
+    if meant is None:
+        reader.refuse(f"nothing was named before that {token.text!r} could mean", token)
+    return meant
+
+
+def _element(reader: Reader, memory: Memory) -> tuple[tuple[str, ...], ...]:
     """The groups of one element of a list."""
     if reader.take("all of") or (reader.sees("group", ahead=1) and not _is_singled(reader)):
         reader.skip("number", "article", "group", "comma")
     if not _is_singled(reader):
         reader.skip("group")
     if token := reader.take("pronoun"):
-        if mentioned is None:
-            reader.refuse(f"nothing was named before that {token.text!r} could mean", token)
-        return mentioned.groups
+        return _meant_by(token, reader, memory).groups
     if token := reader.take("either"):
         return (_choice(reader, every=token.text != "either"),)
     return ((_name(reader),),)
