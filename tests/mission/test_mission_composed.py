@@ -23,8 +23,8 @@ DEBATABLE = {
     "G ! x <=": "how far 'while avoiding b' reaches where more is said",
 }
 """Parts of formulas, names aside, about which people differ; what about."""
-AGAIN = {"back", "return", "revisit"}
-"""Whether 'go to a and back to b' is in order."""
+UNCLEAR = {"back", "return", "revisit", "destination"}
+"""Whether 'go to a and back to b' and 'your final destination is b' are in order."""
 
 
 def test_what_is_read_in_one_way_is_what_was_meant() -> None:
@@ -34,7 +34,7 @@ def test_what_is_read_in_one_way_is_what_was_meant() -> None:
         pair = composer.pair()
         meant = " ".join("x" if token in NAMES else token for token in pair.tokens)
         clear = pair.tokens[0] in "F&G" and not any(part in meant for part in DEBATABLE)
-        if pair.tokens == (REFUSED,) or not clear or AGAIN & set(pair.words):
+        if pair.tokens == (REFUSED,) or not clear or UNCLEAR & set(pair.words):
             continue
         said = " ".join(
             f"the {THINGS[NAMES.index(word)]}" if word in NAMES else word for word in pair.words

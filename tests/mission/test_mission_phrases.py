@@ -462,6 +462,15 @@ REFUSED = [
     ("visit the sofa and the bed, without visiting any other place",
      "without visiting any other place"),
     ("visit the sofa and leave it", "leave it"),
+    ("the robot is in the house, have it go to the sofa", "in the house"),
+    ("if the sofa is there, tidy the bed", "there"),
+    ("bring the sofa onto the bed", "onto the bed"),
+    ("visit the sofa heading for the bed", "heading for the bed"),
+    ("visit the sofa, then visit the bed in the next step", "in the next step"),
+    ("go to the sofa or go to the desk on the way to the bed", "on the way to the bed"),
+    ("go to the sofa when you reach the bed visit the oven", "when you reach the bed"),
+    ("go to the kitchen and the sofa. pass the hallway on the way", "pass the hallway on the way"),
+    ("when stopping by the sofa, avoid the bed", "when stopping by the sofa"),
     ("go to the sofa and leave the bed", "leave the bed"),
     ("go to the sofa and leave it. go to the bed", "leave it"),
     ("visit and leave the sofa", "leave the sofa"),
@@ -502,6 +511,71 @@ COMPOSED = [  # what the composer of the small translator's sentences showed to 
      "G (sofa -> X bed)"),
     ("you are permitted to watch the sofa but then you must switch on the bed",
      "G (sofa -> F bed)"),
+]  # fmt: skip
+
+
+SAID_OTHERWISE = [  # what people said where a list of examples had not thought of it
+    ("Drone, find landmark 2", 'F "landmark two"'),
+    ("go to the sofa, drone", "F sofa"),
+    ("be in the kitchen, and eventually be at the sofa", "F kitchen & F sofa"),
+    ("I want you in the kitchen, but the sofa is off limits", "F kitchen & G !sofa"),
+    ("go to the kitchen. you are not allowed in the hallway", "F kitchen & G !hallway"),
+    ("go to the kitchen and never be near the sofa", "F kitchen & G !sofa"),
+    ("go to the kitchen; the robot is forbidden from the hallway", "F kitchen & G !hallway"),
+    ("go to the kitchen, and don't ever go on the second floor", 'F kitchen & G !"second floor"'),
+    ("go to the kitchen, but not near the sofa", "F kitchen & G !sofa"),
+    ("do not visit the sofa. do not visit the bed either", "G !sofa & G !bed"),
+    ("visit the sofa, the hallway is forbidden please", "F sofa & G !hallway"),
+    ("keep away from the sofa the whole time and go to the bed", "F bed & G !sofa"),
+    ("go to the bed via the desk, and keep clear of the sofa throughout",
+     "F (desk & F bed) & G !sofa"),
+    ("visit the sofa, then the bed, while always avoiding the desk", "F (sofa & F bed) & G !desk"),
+    ("do not under any condition enter the kitchen; go to the bed", "F bed & G !kitchen"),
+    ("as soon as you reach the sofa, do not visit the bed", "G (sofa -> G !bed)"),
+    ("go to the kitchen but stay out of the hallway until you get there",
+     "F kitchen & !hallway W kitchen"),
+    ("go to the theater; only after the bank though", "F theater & !theater W bank"),
+    # orders
+    ("go to the kitchen. when you're done there, go to the hallway", "F (kitchen & F hallway)"),
+    ("see the sofa; when that's done, the bed; and end at the door", "F (sofa & F (bed & F door))"),
+    ("visit the sofa. finish at the bed", "F (sofa & F bed)"),
+    ("visit the sofa at some point and sometime after that visit the bed", "F (sofa & F bed)"),
+    ("your first stop is the sofa, your second stop is the bed and your last stop is the desk",
+     "F (sofa & F (bed & F desk))"),
+    ("through the hallway and to the bed", "F (hallway & F bed)"),
+    ("pass the sofa while you go to the bed", "F (sofa & F bed)"),
+    ("drive to the bed and go through the hallway to get there", "F (hallway & F bed)"),
+    ("the bed is your goal. you have to cross the hallway to get there", "F (hallway & F bed)"),
+    ("visit the sofa, then the bed. pass the hallway on the way",
+     "F (sofa & F (hallway & F bed))"),
+    ("the bed is where you finish, but go to the sofa before that", "F (sofa & F bed)"),
+    ("consecutively, visit the sofa, the bed, uh and the oven", "F (sofa & F (bed & F oven))"),
+    ("reach the sofa and do not go to the bed afterwards please", "F sofa & G (sofa -> G !bed)"),
+    # any order, any of them
+    ("go to the sofa and also go to the bed", "F sofa & F bed"),
+    ("visit the sofa and the bed, it doesn't matter which one is first", "F sofa & F bed"),
+    ("visit the sofa. visit the bed too, but the order is up to you", "F sofa & F bed"),
+    ("the sofa and the bed both have to be visited", "F sofa & F bed"),
+    ("visit either the sofa or the bed, whichever you like", "F (sofa | bed)"),
+    ("go to the sofa or go to the bed, it doesn't matter which one", "F (sofa | bed)"),
+    # whenever
+    ("any visit to the sofa must be followed by a visit to the bed", "G (sofa -> F bed)"),
+    ("every visit to the sofa must be immediately followed by the bed", "G (sofa -> X bed)"),
+    ("any time you are in the kitchen make sure you later go to the sofa", "G (kitchen -> F sofa)"),
+    ("whenever you visit the sofa you have to visit the bed at some later point",
+     "G (sofa -> F bed)"),
+    ("go to the bed, and each time you pass the desk, go to the window after it",
+     "F bed & G (desk -> F window)"),
+    ("see the sofa if you have seen the bed then you may go to the oven", "F sofa"),
+    # verbs
+    ("pop into the kitchen, then make a round of the hallway", "F (kitchen & F hallway)"),
+    ("deliver this package to the bed, then check in at the desk", "F (bed & F desk)"),
+    ("go to the bed without ever setting a wheel in the kitchen", "F bed & G !kitchen"),
+]  # fmt: skip
+
+ASKED_ABOUT = [
+    ("reach the bed, going via the hallway and then the sofa",
+     ["F (hallway & F (bed & F sofa))", "F (hallway & F (sofa & F bed))"]),
 ]  # fmt: skip
 
 
@@ -561,8 +635,18 @@ def told(sentence: str) -> tuple[Formula, ...]:
     return distinct(readings(sentence))[0]
 
 
-PLAIN = [*THROUGH, *SEQUENCES, *ORDERS, *AVOIDANCE, *RULES, *COMPOSED, *ALL_OF_THEM, *LEAVING]
-MEANT = [*((said, [formula]) for said, formula in PLAIN), *ASKED]
+PLAIN = [
+    *THROUGH,
+    *SEQUENCES,
+    *ORDERS,
+    *AVOIDANCE,
+    *RULES,
+    *COMPOSED,
+    *ALL_OF_THEM,
+    *LEAVING,
+    *SAID_OTHERWISE,
+]
+MEANT = [*((said, [formula]) for said, formula in PLAIN), *ASKED, *ASKED_ABOUT]
 
 
 @pytest.mark.parametrize(("sentence", "formulas"), MEANT)

@@ -17,7 +17,7 @@ from edge.mission.language.spoken import (
     take_count,
     take_mood,
 )
-from edge.mission.language.things import Memory, Things, starts_things, take_things
+from edge.mission.language.things import LEAVE, Memory, Things, starts_things, take_things
 from edge.mission.language.words import Reader, Token
 
 
@@ -37,6 +37,8 @@ def take_condition(reader: Reader, memory: Memory, clause: Clause) -> Condition:
     condition = Condition(kind, token, Things(()), only, denied, recurring)
     begin = reader.at
     take_happening(reader, memory, condition)
+    if condition.things is clause.things and kind in ("before", "after") and memory.previous:
+        condition.things = memory.previous  # "…, but go to b before that"
     if kind in ("after", "when") and any(
         t.text == "ever" for t in reader.tokens[begin : reader.at]
     ):
@@ -64,7 +66,8 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         return
     been = reader.sees("to") and reader.tokens[reader.at - 1].text == "been"
     if been or reader.sees("verb"):
-        condition.going = condition.token.text == "when" and reader.peek().text.endswith("ing")
+        participle = reader.peek().text.split()[0].endswith("ing")
+        condition.going = condition.token.text == "when" and participle
         reader.skip("verb")
         skip_particles(reader, says)
         if not starts_things(reader):
@@ -81,7 +84,7 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         pronoun = reader.take("pronoun")
         assert pronoun is not None
         condition.things = _asked(reader, memory, pronoun)
-        _take_predicate(reader, says)
+        condition.referred = not _take_predicate(reader, says)
     elif starts_things(reader):
         condition.things = take_things(reader, memory, subject=True)
         while _take_predicate(reader, says) and _another_subject(reader):
@@ -120,6 +123,8 @@ def _take_predicate(reader: Reader, says: Clause) -> bool:
             reader.refuse("how a thing is cannot be told, only that it is reached")
         reader.take("verb")
         return True
+    if "be" in said and not _ends(reader):
+        reader.refuse("how a thing is cannot be told, only that it is reached")
     reader.at, says.negated = begin, negated
     return False
 
@@ -168,7 +173,14 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     elif token.text == "by going around" and clause.things and not clause.negated:
         reader.at += 1
         clause.avoiding.append(take_things(reader, memory, banned=True))
-    elif token.kind == "bound there" and clause.negated:
+    elif token.kind == "bound there":
+        clause.enroute = clause.enroute or not clause.negated
+        reader.at += 1
+    elif token.kind in ("whichever", "comma") and _whichever(reader):
+        pass
+    elif token.kind == "either" and clause.negated and _ends_sentence(reader, 1):
+        reader.at += 1  # "do not visit b either"
+    elif token.text in ("though", "however") and _ends_sentence(reader, 1):
         reader.at += 1
     elif clause.things and bound_ahead(reader, clause):
         take_bound(reader, memory, clause)
@@ -194,6 +206,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         reader.at += 1
     elif token.kind == "immediately":
         clause.next_step = True
+        clause.instant = token if token.text.startswith(("in ", "at ")) else clause.instant
         reader.at += 1
     elif token.kind == "banned":
         clause.negated = not clause.negated
@@ -223,12 +236,42 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         take_avoiding(reader, memory, clause)
     elif token.kind == "comma" and _avoided_aside(reader, memory, clause):
         pass
+    elif (
+        token.kind == "after"
+        and clause.conditions
+        and reader.sees("pronoun", ahead=1)
+        and (_ends_sentence(reader, 2))
+    ):
+        reader.at += 2  # "each time you pass a, go to b after it"
     elif _condition_ahead(reader, clause):
-        clause.conditions.append(take_condition(reader, memory, clause))
+        begin = reader.at
+        condition = take_condition(reader, memory, clause)
+        when = condition.kind == "when" and not condition.only
+        if when and reader.peek().text == "then":
+            reader.at = begin
+            return False  # "visit a if you saw b then visit c": of the next clause
+        after = condition.kind == "after" and clause.negated
+        if (when or after) and reader.sees("verb", "ensure", "you", "avoid"):
+            reader.refuse("of which part is this said? put a comma", condition.token)
+        clause.conditions.append(condition)
     elif token.text in _APART and clause.verb and not starts_things(reader, 1):
         reader.at += 1
     else:
         return False
+    return True
+
+
+def _ends_sentence(reader: Reader, ahead: int) -> bool:
+    return reader.sees("comma", "stop", "end", ahead=ahead)
+
+
+def _whichever(reader: Reader) -> bool:
+    """Takes ", whichever you like" where there was a choice."""
+    ahead = 1 if reader.sees("comma") else 0
+    choice = any(token.kind in ("or", "either") for token in reader.tokens[: reader.at])
+    if not (choice and reader.sees("whichever", ahead=ahead) and _ends_sentence(reader, ahead + 1)):
+        return False
+    reader.at += ahead + 1
     return True
 
 
@@ -284,6 +327,8 @@ def _trails(reader: Reader) -> bool:
     """Whether "after that" ends a clause here, and does not begin the next."""
     if reader.peek().text in ("then", "and then", "followed by", "finally", "and finally"):
         return False
+    if reader.sees("filler", ahead=1):
+        return _ends_sentence(reader, 2)
     return reader.sees("comma", "and", "but", "stop", "end", "then", ahead=1)
 
 
@@ -329,9 +374,6 @@ def _avoided_aside(reader: Reader, memory: Memory, clause: Clause) -> bool:
         return False
     clause.avoiding += aside.avoiding
     return True
-
-
-LEAVE = ("leave", "leaving", "exit", "exiting")
 
 
 def starts_leaving(reader: Reader) -> bool:
@@ -412,7 +454,9 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
         return
     if things.every == "places":
         reader.refuse("say what to avoid", token)
-    if says.again or reader.take("again"):
+    if says.always and not says.again:
+        clause.never.append(things)
+    elif says.again or reader.take("again"):
         clause.not_again.append(things)
     else:
         clause.avoiding.append(things)

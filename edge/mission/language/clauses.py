@@ -15,7 +15,6 @@ from typing import Literal
 
 from edge.mission.language import nouns
 from edge.mission.language.adjuncts import (
-    LEAVE,
     narrower,
     take_adjunct,
     take_avoiding,
@@ -38,6 +37,7 @@ from edge.mission.language.spoken import (
 )
 from edge.mission.language.things import (
     COUNTING,
+    LEAVE,
     Memory,
     Things,
     is_indefinite,
@@ -90,8 +90,9 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     _take_opening(reader, memory, clause)
     if reader.at > begin and reader.tokens[reader.at - 1].kind in ("opener", "on the way"):
         bare, starts = "yes", False
-    if reader.sees("end", "stop") and memory.every and (clause.avoiding or clause.each):
-        _take_restriction(memory, clause)
+    if reader.at > begin and reader.peek().text in ("though", "however"):
+        reader.at += 1
+    if reader.sees("end", "stop") and _take_restriction(memory, clause):
         return clause
     gerund = starts and reader.sees("verb") and reader.peek().text.endswith("ing")
     gerund = gerund and reader.peek().text != "bring"
@@ -105,8 +106,12 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         clause.count = narrower(reader, clause.count, count, count_at)
         reader.skip("to")
         clause.things = take_things(reader, memory)
-    elif reader.sees("verb", "avoid"):
+    elif reader.sees("verb", "avoid") or _goes_on_to(reader):
         _take_action(reader, memory, clause)
+    elif _is_there(reader):
+        clause.verb = "be"
+        reader.skip("place", "word")
+        clause.things = take_things(reader, memory, banned=clause.negated)
     elif reader.take("no return"):
         clause.each, clause.negated, clause.things = 1, True, Things(memory.every, every="places")
     elif reader.sees("quota"):
@@ -118,7 +123,7 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     elif bare == "yes" and reader.peek().text in ("back", *_UP) and starts_clause(reader):
         skip_particles(reader, clause)
         clause.things = take_things(reader, memory)
-    elif (bare == "yes" or clause.negated) and _is_passing(reader):
+    elif (bare != "no" or clause.negated) and _is_passing(reader):
         reader.at += 1
         _take_passed(reader, memory, clause)
     elif reader.sees("to") and starts_things(reader, 1) and (bare != "no" or clause.negated):
@@ -129,8 +134,7 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     if clause.things:
         memory.named = clause.things
         if not clause.negated and clause.mood != "can":
-            memory.asked = clause.things
-            memory.ask(clause.things.groups)
+            memory.ask(clause.things)
     asked = memory.asked
     if clause.bound:
         lead(reader, memory, clause, clause.bound, clause.token)
@@ -160,14 +164,36 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     return clause
 
 
-def _take_restriction(memory: Memory, clause: Clause) -> None:
-    """`…, without entering x`, `…, without going back`: said of all before it."""
+def _goes_on_to(reader: Reader) -> bool:
+    """Whether "go on the third floor" comes, which is no "go on until"."""
+    return reader.peek().text == "go on" and starts_things(reader, 1)
+
+
+def _is_there(reader: Reader) -> bool:
+    """Whether what follows "be", "i want you" or "you are not allowed" is where: "in the hall"."""
+    before, token = reader.tokens[reader.at - 1], reader.peek()
+    if reader.at and before.text.endswith(" from") and before.kind == "not":
+        return starts_things(reader)
+    placed = token.text in ("in", "inside", "at", "on", "near") and starts_things(reader, 1)
+    asked = before.text == "be" or before.kind in ("ensure", "not", "can")
+    return bool(reader.at) and placed and asked  # "the robot is in the hall" asks for nothing
+
+
+def _take_restriction(memory: Memory, clause: Clause) -> bool:
+    """`…, without entering x`, `…, without going back`, `…, but only after x`: of all before it."""
+    avoided = [*clause.avoiding, *clause.never]
+    if not memory.every or not memory.asked:
+        return False
+    if clause.conditions and all(c.only or c.denied for c in clause.conditions) and not avoided:
+        clause.things, clause.mood = memory.asked, "can"
+        return True
     clause.negated = True
     if clause.each:
         clause.things = Things(memory.every, every="places")
     else:
-        clause.things = Things(tuple(g for avoided in clause.avoiding for g in avoided.groups))
-        clause.avoiding = []
+        clause.things = Things(tuple(group for things in avoided for group in things.groups))
+        clause.avoiding, clause.never = [], []
+    return bool(clause.each or avoided) and not clause.conditions
 
 
 def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
@@ -224,6 +250,9 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         if reader.sees("you"):  # "go anywhere but you finish at the bed"
             reader.refuse("say it in two sentences", avoid)
         take_mood(reader, Clause(avoid))
+    if _goes_on_to(reader):
+        clause.verb = "go"
+        reader.at += 1
     while token := reader.take("verb"):
         if clause.verb.startswith("stop") and token.text.endswith("ing"):
             clause.negated = not clause.negated  # "stop visiting it"
@@ -276,6 +305,7 @@ def _take_leaving(reader: Reader, clause: Clause) -> None:
         reader.at += ahead + 1
 
 
+_CARRIES = ("bring", "fetch", "take", "put", "carry", "grab", "collect", "load", "pick", "get ")
 _INTO = ("into", "onto", "in to")
 _LEAVES = (*_MOTION, "get", "step", "climb", "fly", "roll", "navigate", "move", "pass")
 _PASSES = ("cross", "follow", "traverse", "pass")
@@ -327,6 +357,8 @@ def _onward(reader: Reader, clause: Clause) -> bool:
     """Whether "to b" may go on from there."""
     ahead = 1 if reader.sees("and") else 0
     onto = reader.peek(ahead + (reader.peek(ahead).text == "out")).text in _INTO
+    if onto and not clause.through and clause.verb.startswith(_CARRIES):
+        reader.refuse("only reaching things can be asked for", reader.peek(ahead))
     moved = clause.verb in _MOTION and reader.sees("to")
     return clause.through or (not clause.negated and (onto or moved))
 
@@ -376,12 +408,16 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     start = reader.peek()
     begin = reader.at
     things = take_things(reader, memory, subject=True, banned=clause.negated)
+    if start.text in _ANY_VISIT and _take_consequence(reader, memory, clause, start, things):
+        return
+    if reader.sees("all of") and reader.sees(*AUXILIARIES, ahead=1):
+        reader.at += 1  # "a and b both have to be visited"
     says = Clause(start)
     said = take_mood(reader, says, PREDICATE)
     if reader.sees("do") and reader.sees("not", ahead=1) and reader.sees("happen", ahead=2):
         reader.at += 2
         says.negated = True
-    barred = reader.tokens[reader.at - 1].kind == "banned"
+    barred = any(token.kind == "banned" for token in reader.tokens[begin : reader.at])
     avoid = reader.take("avoid")
     verb = avoid or reader.take("verb", "happen")
     if barred and verb is None:  # "the hallway is off limits"
@@ -402,6 +438,27 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     ):
         reader.refuse("no verb that is known", start)
     clause.things = take_things(reader, memory, banned=clause.negated)
+
+
+_ANY_VISIT = ("any visit to", "any visits to", "a visit to", "every visit to", "each visit to")
+
+
+def _take_consequence(
+    reader: Reader, memory: Memory, clause: Clause, start: Token, things: Things
+) -> bool:
+    """Takes `any visit to a must be followed by a visit to b`."""
+    begin = reader.at
+    reader.skip("must", "be", "always")
+    clause.next_step = bool(reader.take("immediately"))
+    if reader.peek().text != "followed by":
+        reader.at, clause.next_step = begin, False
+        return False
+    reader.at += 1
+    reader.skip("verb", "to")
+    clause.mood = "must"
+    clause.conditions.append(Condition("when", start, things, recurring=True))
+    clause.things = take_things(reader, memory)
+    return True
 
 
 def _well_known(reader: Reader, memory: Memory) -> bool:

@@ -52,6 +52,7 @@ from edge.mission.language.sequences import (
     each_at_most,
     in_strict_order,
     only_then,
+    passing_by,
     put_first,
     put_in_order,
     sequence_goal,
@@ -104,6 +105,7 @@ _ONWARD = (
     "proceed", "continue", "keep ", "go on", "carry on", "end ", "ends ", "ending ", "finish",
     "your ", "the ",
 )  # fmt: skip
+_ENDING = ("end ", "ends ", "ending ", "finish", "your ", "the ")
 _THEN = ("then", "only then")
 _JOINTS = ("comma", "and", "but", *_THEN)  # the last one said most about how clauses go together
 
@@ -177,6 +179,7 @@ class _Discourse:
         elsewhere: where only what is left out was named ("go anywhere but to a").
         halted: where it was said to stop.
         waits: what is not to be reached before what.
+        detour: where this sentence was said to be on the way to the one before.
         settled: one thing comes last.
         shuns: something was to be avoided, not only to wait for something else.
         permitted: what the last clause allowed, if it asked for nothing.
@@ -199,6 +202,7 @@ class _Discourse:
     passed: bool = False
     elsewhere: Token | None = None
     halted: Token | None = None
+    detour: Token | None = None
     settled: bool = False
     shuns: bool = False
     waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
@@ -210,6 +214,9 @@ class _Discourse:
         reader = self.reader
         reader.skip("comma", "stop")
         while not reader.sees("end"):
+            if reader.sees("addressed"):  # "Drone, find …"
+                reader.at += 1
+                reader.skip("comma")
             if self.clauses and reader.sees("any order") and reader.sees("stop", "end", ahead=1):
                 reader.take("any order")  # "…; the order does not matter": as it is anyway
             elif self.clauses and self._halts():
@@ -283,12 +290,14 @@ class _Discourse:
         """Sequences with "or" between them."""
         reader = self.reader
         either = reader.peek()
+        self.detour = None
         if reader.sees("either") and reader.sees("verb", "you", "first", ahead=1):
             reader.take("either")
         after = self.first or (joint is not None and joint.kind in _THEN)
         start = reader.peek()
         before = self.last
         sequence, loose = self._sequence(joint)
+        after = after or (bool(sequence) and sequence[0].follows)
         if after and before and sequence and sequence[0].loose:
             sequence[0].ban_after(before)  # "… . Afterwards never go to the bed."
         sequences = [sequence]
@@ -313,6 +322,8 @@ class _Discourse:
         goal = options[0] if len(options) == 1 else Some(options)
         if self.goal is None:
             self.goal = goal
+        elif self.detour and not after and len(sequences) == 1:
+            self.goal = passing_by(self.goal, goal, self.detour, reader)
         else:
             self.goal = steps([self.goal, goal]) if after else Every((self.goal, goal))
 
@@ -334,9 +345,9 @@ class _Discourse:
         while True:
             if sequence and starts_leaving(self.reader):
                 self._leaves(sequence)
-                joint = self._joint()
-                if joint is None:
+                if self._joint() is None:
                     return self._all_left(sequence), loose
+                joint = Token("then", "then", self.reader.peek().start, 0)
             clause, meaning = self._clause(joint, sequence)
             kind = joint.kind if joint else ""
             if meaning.loose and kind != "but" and not meaning.follows:
@@ -408,6 +419,7 @@ class _Discourse:
         moves = moves and not (clause.only or clause.count or clause.conditions or clause.enroute)
         goes_on = clause.verb.startswith(_ONWARD) and not clause.negated
         then = then or (goes_on and bool(sequence) and not sequence[-1].loose)
+        then = then or (goes_on and self.goal is not None and clause.verb.startswith(_ENDING))
         ensures = clause.token.kind == "ensure"
         follows_on = joint is not None and joint.kind == "" and not ensures
         then = then or (moves and self.moved and follows_on)
@@ -420,6 +432,8 @@ class _Discourse:
             clause.enroute = True  # "go to a, making sure to go through b"
         elif beside and self.moved:
             clause.enroute = self.reader.pick(clause.token, 2) == 0
+        elif clause.token.text in ("also", "too", "as well"):
+            pass  # "and also go to b": no order
         elif moves and self.moved and not then and joint is not None and joint.kind == "and":
             then = self.reader.pick(joint, 2) == 1  # "go to a and go to b" may be in order
         self.moved, self.passed = moves, through and not clause.negated
@@ -434,6 +448,8 @@ class _Discourse:
         one = clause.things is not None and len(clause.things.groups) + len(clause.route) == 1
         if one and sequence and clause.order == "strict order" and not clause.negated:
             clause.order, self.strictly = "", clause.token  # "a, then b in this exact order"
+        if clause.bound_by and joint is not None and joint.kind == "or":
+            self.reader.refuse("on the way with which of them? say it of each", clause.bound_by)
         meaning = meaning_of(clause, self.reader, self.times, then)
         meaning.follows = then
         if meaning.each:
@@ -468,7 +484,9 @@ class _Discourse:
         if joint == "only then" and sequence:
             meaning.rules += only_then(sequence[-1], meaning)
         if clause.enroute and not sequence:
-            self.reader.refuse("on the way to what? say 'on the way to …'", clause.token)
+            if self.goal is None:
+                self.reader.refuse("on the way to what? say 'on the way to …'", clause.token)
+            self.detour = clause.token  # "go to a. on the way, go to b"
         ends = len(sequence) == 1 and not meaning.follows and self.reader.sees("stop", "end")
         first = clause.first and (joint == "but" or ends)  # "visit a, visit b first"
         if (first or clause.enroute) and sequence and meaning.goals:
@@ -503,8 +521,9 @@ class _Discourse:
         while token := reader.take(*_JOINTS):
             if _JOINTS.index(token.kind) >= _JOINTS.index(joint.kind):
                 joint = token
-        if reader.sees("filler") and reader.sees("stop", "end", ahead=1):
-            reader.take("filler")  # "…, please."
+        last = reader.sees("filler", "addressed") or (self.clauses and reader.sees("any order"))
+        if last and reader.sees("stop", "end", ahead=1):
+            reader.at += 1  # "…, please.", "…, but the order is up to you."
             return None
         if self.clauses and self._halts():
             return None
@@ -514,7 +533,9 @@ class _Discourse:
             return joint
         if reader.sees("end", "stop", "or"):
             return None
-        if not (starts_leaving(reader) or (starts_clause(reader) and self._begins_well())):
+        participle = reader.sees("verb") and reader.peek().text.split()[0].endswith("ing")
+        starts = starts_clause(reader) and self._begins_well() and not participle
+        if not (starts_leaving(reader) or starts):
             reader.refuse("no word that is known here")
         return Token("", "", joint.start, joint.start)
 
@@ -527,4 +548,4 @@ class _Discourse:
         for goal in meaning.goals:
             for visit in single_visits(goal):
                 self.times |= dict.fromkeys(visit.options, visit.times)
-                self.memory.ask([visit.options])
+                self.memory.note([visit.options])

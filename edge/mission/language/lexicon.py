@@ -28,6 +28,7 @@ PHRASES: dict[str, str] = {
     "see to it that|seeing to it that|do not forget|never forget|without forgetting|do not fail|"
     "never fail|go ahead and|"
     + _product("your|the", "task|mission|goal|job|objective|aim|assignment", "is"),
+    "addressed": "drone|rover|bot|quadcopter|droid",
     "must": "must|should|shall|have|has|had|need|needs|need to|required|are required|is required|"
     "ought|will|supposed|are supposed|is supposed|obliged|are obliged",
     "can": "can|may|could|would|might|are allowed|is allowed|be allowed|allowed|are permitted|"
@@ -35,6 +36,8 @@ PHRASES: dict[str, str] = {
     "do": "do|does|did|let|let us",
     "be": "be|is|are|was|were|been|being",
     "not": "not|never|no|don|don t|doesn t|isn t|can t|won t|never ever|"
+    + _product("is|are|be|being|", "forbidden|banned|barred|prohibited", "from")
+    + "|not welcome|are not welcome|is not welcome|"
     "prohibited from|are prohibited from|are forbidden|"
     "not allowed|are not allowed|not permitted|are not permitted|at no point|at no time|"
     "at no stage|under no circumstances|under no circumstance|on no account|in no case|"
@@ -45,16 +48,24 @@ PHRASES: dict[str, str] = {
     "neither": "neither",
     # Reviewed: the only words that may be left out of any sentence without changing what it asks.
     "filler": "me|us|for me|please|kindly|thanks|thank you|thank you very much|hi|hello|hey|ok|"
-    "okay|alright|all right|um|uh|er|robot|now|just|simply|also|too|as well|already|directly|"
+    "okay|alright|all right|robot|now|just|simply|also|too|as well|already|directly|"
     "would you mind|do you mind|if you do not mind|when you have a minute|when you have time|"
     "when you have the chance|whenever you can|as many times as you want|on your travels|"
     "eventually|sometime|some time|at some time|at some point|at any time|at any point|"
     "at any point in time|at any stage|in the future|at some point in the future|"
     "some time in the future|sometime in the future|ever|at all|at all costs|in any way|"
     "under any circumstances|under any circumstance|no matter what|completely|totally|entirely|"
+    "under any condition|under any conditions|no matter what happens|"
+    + _product("sometime|some time|at some point|at some time|any time", "today")
+    + "|"
     + _product("there can be other", "locations|landmarks|waypoints|places|stops", "in between"),
     # Says nothing new of a ban or a condition, and too much of a goal.
-    "always": "always|at all times|all the time|each time you do|at every moment",
+    "always": "the whole time|the entire time|throughout|all along|the whole way|the entire way|"
+    + _product("for|during|throughout", "the", "whole|entire", "trip|mission|time|flight|journey")
+    + "|"
+    + _product("for|during|throughout", "the", "trip|mission|flight|journey")
+    + "|at every point|at any moment|at every step|always|at all times|all the time|"
+    "each time you do|at every moment",
     "in the end": "in the end|at the end|at the very end|last",
     # How clauses hang together.
     "and": "and|plus|as well as|&",
@@ -68,6 +79,28 @@ PHRASES: dict[str, str] = {
     "move on to|from there|and from there|from there on|from here|then from there|"
     "and then from there|then followed by|and then after that|"
     "and then later|next up|last of all|at last|"
+    + _product(
+        "when|once|after|and when|and once|as soon as",
+        "you are done|you are done there|that is done|this is done|done|done there|"
+        "you are finished|you are finished there|you have done that|you have done so|"
+        "you get there|you are there|you arrive there|you have arrived there",
+    )
+    + "|"
+    + _product(
+        "|and|then|and then",
+        "sometime|some time|at some point|at some time|soon|shortly|any time|eventually|not long",
+        "after|after that|after this|afterwards|thereafter|later on",
+    )
+    + "|"
+    + _product("at", "some|a", "later", "point|time|stage|moment")
+    + "|"
+    + _product(
+        "your|the|and your|and the",
+        "second|third|fourth|fifth|next",
+        "stop|destination|target|goal|waypoint",
+        "is|should be|will be|must be",
+    )
+    + "|"
     "sometime later|and sometime later|then sometime later|and then sometime later|then later|"
     "and then some time later|from then on|and from then on",
     "only then": "only then|and only then|only after that|and only after that|only afterwards",
@@ -79,10 +112,11 @@ PHRASES: dict[str, str] = {
     "unless": "unless|if not|except after",
     "when": "when|as soon|as soon as|whenever|every time|each time|any time|if|if ever",
     "while": "while|whilst|during which|as long as",
-    "without": "without|not through|but not through|without ever|not via|but not via|not past",
+    "without": "without|without ever|"
+    + _product("not|but not", "through|via|past|near|over|across|along|by way of"),
     "via": "via|by way of|"
     + _product(
-        "by|by first|while|while first",
+        "by|by first|while|while first|when",
         "going|moving|passing|walking|driving|flying|traveling|travelling|heading",
         "through|via|past|along|by|across",
     )
@@ -103,10 +137,22 @@ PHRASES: dict[str, str] = {
     "while on your way to|"
     + _product("on the way|on your way|on its way|along the way", "to|into|towards|toward")
     + "|"
-    + _product("when", "going|moving|walking|driving|flying|heading|traveling|proceeding", "to")
+    + _product(
+        "when|in",
+        "going|moving|walking|driving|flying|heading|traveling|proceeding",
+        "to|towards|toward",
+    )
     + "|"
-    + _product("in order to|so as to", "reach|get to|go to|enter|get into"),
-    "bound there": "to get there|to reach it|to get to it|to go there",
+    + _product("in order to|so as to", "reach|get to|go to|enter|get into")
+    + "|"
+    + _product(
+        "while|as",
+        "you",
+        "go|head|move|drive|fly|walk|travel|make your way|are going|are heading|are moving|"
+        "are flying|are on your way",
+        "to|towards|toward",
+    ),
+    "bound there": "to get there|to reach it|to get to it|to go there|in order to get there",
     "on the way": "along the path|on the way|on your way|on its way|along the way|en route|"
     "on the way there|"
     "on your way there|on its way there|along your way|as you go",
@@ -114,7 +160,10 @@ PHRASES: dict[str, str] = {
     "origin": "starting on|start on|beginning on|begin on|starting off at|start off at|"
     "starting from|starting at|starting in|starting out from|start from|start at|"
     "start in|start out from|beginning at|beginning in|beginning from|begin at|begin in",
-    "opener": "start by|begin by|start off by|starting by|beginning by|start with|begin with|"
+    "opener": _product(
+        "your|the", "first", "stop|destination|target|goal|waypoint", "is|should be|will be|must be"
+    )
+    + "|start by|begin by|start off by|starting by|beginning by|start with|begin with|"
     "starting with|beginning with",
     "halt": _product("stay|stop|wait|remain|rest|be", "there")
     + "|stay put|you are done|you can stop|you can stop there",
@@ -187,7 +236,25 @@ PHRASES: dict[str, str] = {
     "it can be done in any order|regardless of order|in whichever order|in a random order|"
     "in whichever order you like|in any order you want|in whatever order you like|in either order|"
     "in any order required|"
-    "the order is up to you|the order is arbitrary",
+    "the order is up to you|the order is arbitrary|order is not important|"
+    "in whatever order suits you|in whichever order suits you|in no set order|in no fixed order|"
+    "either one can be first|either can be first|either one may come first|either may come first|"
+    "either one can come first|either can come first|"
+    + _product(
+        "it does not matter|it makes no difference|i do not care|i do not mind",
+        "in which order|in what order|which order|what order|which one you visit first|"
+        "which you visit first|which one is first|which is first|which one comes first|"
+        "which comes first|which one you do first|which you do first|which one you go to first|"
+        "which you go to first",
+    ),
+    "whichever": _product(
+        "whichever|whichever one",
+        "you like|you prefer|you want|you choose|suits you|is closer|is closest|is nearer|"
+        "is nearest|is easier|is quicker|is faster",
+    )
+    + "|your choice|the choice is yours|you choose|you decide|either is fine|either one is fine|"
+    "either will do|either one will do|"
+    + _product("it does not matter|i do not care|i do not mind", "which|which one"),
     "in order": "in order|in that order|in this order|in the order given|in the given order|"
     "in turn|in sequence|sequentially|"
     "consecutively|one after another|one after the other|in this sequence|"
@@ -209,7 +276,18 @@ PHRASES: dict[str, str] = {
     "place": "near|next to|beside|in|inside|on|under|below|above|behind|in front of|close to|"
     "opposite|against|of",
     "to": "to|towards|toward|over to|through|into|onto|in to|inside of",
-    "happen": "happen|happens|happened|happening|occur|occurs|occurred|occured|occurring|hold|"
+    "happen": _product(
+        "is|should be|will be|must be",
+        "your|the",
+        "goal|target|destination|final destination|final goal|objective|final target",
+    )
+    + "|"
+    + _product(
+        "is where you",
+        "finish|end|end up|need to be|have to be|should be|must be|must go|need to go|have to go|"
+        "are going|should go|should finish|should end up",
+    )
+    + "|happen|happens|happened|happening|occur|occurs|occurred|occured|occurring|hold|"
     "holds|hold true|holds true|become true|becomes true|be true|is true",
     # Known only to be refused with a reason: see `words.REASONS`.
     "endless": "keep visiting|continuously|repeatedly|"
@@ -231,7 +309,8 @@ _REGULAR_VERBS = """
     mop tidy polish scrub water open close lock unlock touch press use fetch grab collect watch
     observe spot locate discover charge load unload empty fill photograph scan search view greet
     feed iron attend cross navigate travel walk move head proceed drive return arrive pass step roll
-    look
+    look pop hop nip hurry rush race glide hover land ascend descend soar float march stroll cruise
+    journey trek advance dash zoom
     turn switch stop pick plug sanitize disinfect activate start repair service contact access
     fly follow climb traverse progress
     """
@@ -250,7 +329,12 @@ _IRREGULAR_VERBS += """
 VERB_PHRASES = "make your way|making your way|made your way|go near|going near|come near|get near|"
 VERB_PHRASES += "continue to|continue on to|continue into|continue through|continue on into|"
 VERB_PHRASES += "keep going to|keep moving to|keep walking to|go on to|carry on to|"
-VERB_PHRASES += "find your way|get yourself|bring yourself|take yourself|pay a visit|drop by|"
+VERB_PHRASES += "set a wheel|setting a wheel|check in|checking in|deliver to|delivering to|"
+VERB_PHRASES += "make a delivery|making a delivery|make a round of|do a round of|do the rounds of|"
+VERB_PHRASES += _product(
+    "deliver", "this|the|a|my", "package|parcel|letter|order", "to|at"
+)  # it is carried already
+VERB_PHRASES += "|find your way|get yourself|bring yourself|take yourself|pay a visit|drop by|"
 VERB_PHRASES += (
     "drop in at|swing by|stop by|stopping by|stop off|set foot|setting foot|gain access|"
 )

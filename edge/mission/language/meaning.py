@@ -111,6 +111,8 @@ def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int], then: b
         reader.refuse("'only' needs a number or a condition; say what to avoid", clause.token)
     if clause.things is None:
         return _until_done(clause, reader)
+    if clause.instant and not clause.conditions:
+        reader.refuse("what must come in the very next step cannot be told", clause.instant)
     if clause.things.every and (meaning := _of_every(clause, clause.things, reader)):
         return meaning
     alone = len(clause.things.groups) + len(clause.route) < 2 and not clause.negated
@@ -123,6 +125,7 @@ def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int], then: b
     said = _forbidden if clause.negated else _asked
     meaning = said(clause, clause.things, reader, times)
     meaning.each = clause.each or meaning.each
+    meaning.bans += [things.names for things in clause.never]
     return meaning
 
 
@@ -200,7 +203,7 @@ def _forbidden_when(
         reader.refuse("say 'after …' or 'on the way to …'", condition.token)
     if condition.count and condition.things.names == things.names:
         return [at_most([name], condition.count.least) for name in things.names]
-    if clause.next_step or clause.soon:
+    if clause.next_step:
         return [
             always(implies(any_of(group), weak_next(neg(ap(name)))))
             for name in things.names
@@ -340,7 +343,10 @@ def _conditioned(
     elif kind == "unless":
         reader.refuse("'unless' goes with something forbidden", condition.token)
     elif kind == "before" and (clause.mood != "can" or condition.only):
-        way = _BEFORE[reader.pick(condition.token, len(_BEFORE)) if clause.mood != "can" else 1]
+        way = "in order"  # "visit x, but visit y before that": y, then x
+        if not condition.referred or clause.mood == "can":
+            pick = reader.pick(condition.token, len(_BEFORE)) if clause.mood != "can" else 1
+            way = _BEFORE[pick]
         if way != "in order":
             meaning.rules += held_until(when.names, things)
         if way != "first only":

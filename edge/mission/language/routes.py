@@ -67,7 +67,8 @@ def _way_length(reader: Reader) -> tuple[int, bool]:
         return ahead + 2, only
     if token.text in _PARTICIPLES:
         return ahead + (2 if follower.text in PASSING else 1), only
-    if token.kind == "verb" and token.text.endswith("ing") and follower.text in PASSING[:4]:
+    passes = follower.text in PASSING[:4] or follower.kind == "via"
+    if token.kind == "verb" and token.text.endswith("ing") and passes:
         return ahead + 2, only
     return 0, False
 
@@ -103,6 +104,7 @@ def take_bound(reader: Reader, memory: Memory, clause: Clause) -> None:
         skip_particles(reader, clause)
     if not starts_things(reader):
         reader.refuse("expected the name of a thing here")
+    clause.bound_by = token
     lead(reader, memory, clause, take_things(reader, memory), token)
 
 
@@ -119,7 +121,8 @@ def lead(reader: Reader, memory: Memory, clause: Clause, bound: Things, token: T
         clause.avoiding.append(clause.things)
         clause.things, clause.negated, clause.elsewhere = bound, False, False
         clause.around, clause.mood = False, "do"  # where one goes is no permission
-    memory.named = memory.asked = clause.things
+    memory.named = clause.things
+    memory.ask(clause.things)
 
 
 def take_origin(reader: Reader, memory: Memory, clause: Clause) -> None:

@@ -103,6 +103,18 @@ def split_return(meaning: Meaning, sequence: list[Meaning]) -> None:
         sequence[0].goals = [steps([_together(start), _together(rest)])]
 
 
+def passing_by(goal: Goal, passed: Goal, said: Token, reader: Reader) -> Goal:
+    """`go to a. on the way, go to b`: b before the last step of what was asked for."""
+    held: list[Formula] = []
+    while isinstance(goal, Every) and len(goal.goals) == 1:
+        held += goal.rules
+        goal = goal.goals[0]
+    parts = goal.goals if isinstance(goal, Steps) else (goal,)
+    if not isinstance(parts[-1], Visit):
+        reader.refuse("on the way to what? say 'on the way to …'", said)
+    return Every((steps([*parts[:-1], passed, parts[-1]]),), tuple(held))
+
+
 def visit_often(step: Meaning, things: Things, count: Count, token: Token, reader: Reader) -> None:
     """Makes the last visit of a step several: "go to a, leave it and repeat this twice more"."""
     visit = step.goals[-1] if step.goals else None

@@ -161,6 +161,7 @@ class Condition:
         recurring: "whenever", "if": each time, not once.
         going: "when visiting a": on the way there, or from then on.
         count: how often the happening must have been.
+        referred: it was named by a pronoun only ("before that").
     """
 
     kind: str
@@ -171,6 +172,7 @@ class Condition:
     recurring: bool = False
     going: bool = False
     count: Count | None = None
+    referred: bool = False
 
 
 @dataclass(slots=True)
@@ -185,14 +187,17 @@ class Clause:
         things: what it is about; None for "do not stop (until …)".
         avoiding: things to be avoided on the way ("while avoiding", "without").
         during: that is said with "while", so that it lasts no longer.
+        never: things to be avoided for good ("while always avoiding").
         not_again: things not to be visited once more on the way ("without returning to x").
         next_step: "right after", "immediately".
+        instant: where it was said to be exactly the next step.
         soon: "as soon as", which says so of a duty only.
         again: "again", "any more", "revisit".
         first: said to come first.
         trails: said to come after the clause before it ("… after that").
         returns: "return to", "go back to": after all before it.
         bound: where it leads, said first: "to reach x, go through y".
+        bound_by: where that was said behind it: "go through y to reach x".
         through: the things are on the way to something.
         route: what is reached before the things, one after the other.
         several_ways: the route took "a and b" at once.
@@ -217,16 +222,19 @@ class Clause:
     conditions: list[Condition] = field(default_factory=list)
     avoiding: list[Things] = field(default_factory=list)
     during: bool = False
+    never: list[Things] = field(default_factory=list)
     not_again: list[Things] = field(default_factory=list)
     order: str = ""
     count: Count | None = None
     next_step: bool = False
+    instant: Token | None = None
     soon: bool = False
     again: bool = False
     first: bool = False
     trails: bool = False
     returns: bool = False
     bound: Things | None = None
+    bound_by: Token | None = None
     through: bool = False
     route: list[Things] = field(default_factory=list)
     several_ways: bool = False
@@ -268,7 +276,7 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
         ):  # "are both visited"
             reader.at += 1
             continue
-        if token.text in ("then", "afterwards", "later") and seen & AUXILIARIES:
+        if token.text in ("then", "afterwards", "later") and seen & {*AUXILIARIES, "you", "ensure"}:
             clause.trails = True  # "you must then visit it"
             reader.at += 1
             continue

@@ -22,8 +22,9 @@ from edge.text import one_line
 
 COUNTING = ("number", "once", "times n", "at least", "at most", "exactly", "only")
 """Kinds of token that begin a count."""
+LEAVE = ("leave", "leaving", "exit", "exiting")
 _ELEMENT = ("word", "quoted", "article", "either", "all of", "pronoun", "group")
-_STARTS_PREDICATE = ("be", "must", "can", "happen")
+_STARTS_PREDICATE = ("be", "must", "can", "happen", "banned")
 _NOT_NAMES = """
     anywhere nowhere everywhere somewhere none nothing everything more less most leave leaving
     among exit mean means if than which who whose whom what how why where about because not very
@@ -62,17 +63,24 @@ class Memory:
     Attributes:
         named: the things named last.
         asked: those asked for last.
+        previous: those asked for before them.
         every: all that was asked for so far, in the order said.
         left: where it was said to leave the last one.
     """
 
     named: Things | None = None
     asked: Things | None = None
+    previous: Things | None = None
     every: tuple[tuple[str, ...], ...] = ()
     left: Token | None = None
 
-    def ask(self, groups: Sequence[tuple[str, ...]]) -> None:
-        """Something is asked for, once more or for the first time."""
+    def ask(self, things: Things) -> None:
+        """Something is asked for."""
+        self.previous, self.asked = self.asked, things
+        self.note(things.groups)
+
+    def note(self, groups: Sequence[tuple[str, ...]]) -> None:
+        """Something is among all that is asked for."""
         self.every = tuple(dict.fromkeys((*self.every, *groups)))
 
 
@@ -216,6 +224,8 @@ def _joint_length(reader: Reader) -> int | None:
         ahead += 1
     if reader.sees("all of", ahead=ahead) and reader.sees(*COUNTING, ahead=ahead + 1):
         return None  # "a and b, each only once"
+    if reader.peek(ahead).text in LEAVE:
+        return None
     return ahead if ahead and starts_things(reader, ahead) else None
 
 
@@ -244,6 +254,8 @@ def _take_collective(reader: Reader, memory: Memory) -> str:
         ahead += 1
     first, last = reader.peek(), reader.peek(ahead)
     of_them = last.text in PLURALS and ahead > 0 and first.kind in ("all of", "either")
+    if ahead == 1 and first.text in ("both", "all") and reader.sees("must", "be", "can", ahead=1):
+        of_them, ahead = True, 0  # "both must be visited"
     named = memory.named.groups if memory.named else ()
     if of_them and len(named) > 1 and named != memory.every:
         return ""  # those named last
@@ -267,7 +279,7 @@ PLURALS = ("them", "these", "those")
 
 def _meant_by(token: Token, reader: Reader, memory: Memory) -> Things:
     """What a pronoun stands for; "them" after one thing is all that was asked for."""
-    meant = memory.named
+    meant = (token.text == "there" and memory.asked) or memory.named
     if token.text in PLURALS and meant and len(meant.groups) == 1 and len(memory.every) > 1:
         meant = Things(memory.every)
     if meant is None:
@@ -282,7 +294,10 @@ def _element(reader: Reader, memory: Memory) -> tuple[tuple[str, ...], ...]:
     if not _is_singled(reader):
         reader.skip("group")
     if token := reader.take("pronoun"):
-        return _meant_by(token, reader, memory).groups
+        meant = _meant_by(token, reader, memory).groups
+        if reader.sees("all of") and reader.sees("comma", "stop", "end", "and", ahead=1):
+            reader.at += 1  # "them both"
+        return meant
     if token := reader.take("either"):
         return (_choice(reader, every=token.text != "either"),)
     return ((_name(reader),),)
@@ -324,7 +339,10 @@ def _choice(reader: Reader, every: bool) -> tuple[str, ...]:
 def _name(reader: Reader) -> str:
     """One thing's canonical name."""
     start = reader.peek()
-    article = bool(reader.take("article"))
+    said = reader.take("article")
+    article = said is not None
+    if said and said.text.endswith(" to"):  # "any visit to the sofa"
+        reader.take("article")
     if is_indefinite(reader):
         reader.take("word")
         article = True

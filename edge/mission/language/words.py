@@ -27,6 +27,7 @@ REASONS = {
 }
 """Why tokens of these kinds are never understood."""
 
+_HESITATIONS = ("uh", "um", "er", "erm", "hmm")
 _SHOWN = 60
 _PUNCTUATION = {",": "comma", ";": "stop", ".": "stop", "!": "stop", "?": "stop", ":": "comma"}
 _TOKEN = re.compile(rf"""(?P<quoted>"[^"]*")|(?P<word>{WORD.pattern})|(?P<mark>\S)""")
@@ -109,6 +110,8 @@ def _words(text: str) -> list[Token]:
         if match["quoted"] is not None:
             words.append(Token("quoted", found[1:-1].strip(), start, end))
         elif match["word"] is not None:
+            if found.lower() in _HESITATIONS:
+                continue
             for part in expanded(found.lower()):
                 words.append(Token("word", part, start, end))
         elif found == "&":
