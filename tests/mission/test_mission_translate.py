@@ -92,13 +92,17 @@ def _reader(*texts: str, sure: bool = True, doubts: tuple[str, ...] = ()) -> Bac
 
 # Said, what the small model and the large one make of it, the formulas then, who spoke, whether
 # it is sure. The grammar reads the first instructions, and refuses the last.
-PLAIN, OPEN, STRANGE = "go to the bed", "go to the bed without the sofa, then to the tv", "zoom bed"
+PLAIN, OPEN, STRANGE = (
+    "go to the bed",
+    "go to the bed without the sofa, then to the tv",
+    "skedaddle bed",
+)
 NOTHING = _reader()
 TOGETHER = [
     (PLAIN, NOTHING, None, ["F bed"], "grammar", True),
     (PLAIN, _reader("F sofa"), None, ["F bed"], "grammar", True),
     (OPEN, _reader("F sofa"), None, 2, "grammar", True),
-    (STRANGE, NOTHING, None, "did not understand 'zoom bed'", "", True),
+    (STRANGE, NOTHING, None, "did not understand 'skedaddle bed'", "", True),
     (STRANGE, _reader("F bed"), NOTHING, ["F bed"], "stub", True),
     (STRANGE, _reader("F bed", sure=False), None, ["F bed"], "stub", False),
     (STRANGE, _reader("F bed", sure=False), NOTHING, ["F bed"], "stub", False),
@@ -141,4 +145,4 @@ def test_auto_opens_no_network_for_what_the_grammar_reads() -> None:
     auto = make_translator(TranslatorAuto(card="none"))
     assert auto.translate("go to the bed").backend == "grammar"
     with pytest.raises(ModelError, match="'none': no such card"):
-        auto.translate("zoom bed")
+        auto.translate("skedaddle bed")

@@ -93,6 +93,7 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
             condition.things = Things(condition.things.groups + more.groups)
     elif condition.kind in ("before", "after") and memory.asked and _ends(reader):
         condition.things = memory.asked  # "do not go to b before": before what was asked
+        condition.referred = True
     else:
         reader.refuse("expected what must have happened here", condition.token)
     condition.denied = condition.denied or says.negated
@@ -180,6 +181,8 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         pass
     elif token.kind == "either" and clause.negated and _ends_sentence(reader, 1):
         reader.at += 1  # "do not visit b either"
+    elif token.kind == "goal" and clause.verb == "make":
+        reader.at += 1  # "make the hotel your destination"
     elif token.text in ("though", "however") and _ends_sentence(reader, 1):
         reader.at += 1
     elif clause.things and bound_ahead(reader, clause):
@@ -190,6 +193,12 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         reader.at += 1
     elif token.kind == "comma" and reader.sees(*ORDERS, ahead=1):
         reader.at += 1
+    elif (
+        token.kind == "stop"
+        and reader.sees("in order", "strict order", ahead=1)
+        and (_ends_sentence(reader, 2 + reader.sees("filler", ahead=2)))
+    ):
+        reader.at += 1  # "the sofa, the bed, the desk. In that order please."
     elif (count := take_count(reader, clause.negated, _of_every(clause))) is not None:
         clause.count = narrower(reader, clause.count, count, token)
     elif token.kind == "first" and not (reader.sees("verb", ahead=1) or starts_things(reader, 1)):
@@ -416,6 +425,9 @@ def take_repetition(reader: Reader) -> Count | None:
     return Count(n) if marker.kind == "at least" else Count(1, n)
 
 
+_EVER = ("ever", "at any point", "at any time", "at any point in time", "at all")
+
+
 def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     """`while avoiding x`, `without visiting x`, `while not going to x`, `without revisiting x`."""
     token = reader.take("while", "without", "avoid")
@@ -454,7 +466,13 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
         return
     if things.every == "places":
         reader.refuse("say what to avoid", token)
-    if says.always and not says.again:
+    ever = token.text == "without ever" or any(
+        said.text in _EVER for said in reader.tokens[begin : reader.at]
+    )
+    if reader.peek().text in _EVER:
+        reader.at += 1
+        ever = True
+    if (says.always or ever) and not says.again:
         clause.never.append(things)
     elif says.again or reader.take("again"):
         clause.not_again.append(things)

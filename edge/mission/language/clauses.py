@@ -59,6 +59,8 @@ def starts_clause(reader: Reader, ahead: int = 0) -> bool:
         ahead += 1
     if starts_things(reader, ahead) or _is_passing(reader, ahead):
         return True
+    if reader.peek(ahead).text in ("at", "in") and starts_things(reader, ahead + 1):
+        return True
     if reader.peek(ahead).text == "from" or reader.sees("while", "without", ahead=ahead):
         return True
     return reader.sees(
@@ -120,6 +122,9 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         _take_until(reader, memory, clause)
     elif starts_things(reader):
         _take_passive(reader, memory, clause, bare)
+    elif bare == "yes" and reader.peek().text in ("at", "in") and starts_things(reader, 1):
+        reader.at += 1  # "…, and after that at the bank"
+        clause.things = take_things(reader, memory)
     elif bare == "yes" and reader.peek().text in ("back", *_UP) and starts_clause(reader):
         skip_particles(reader, clause)
         clause.things = take_things(reader, memory)
@@ -164,6 +169,9 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     return clause
 
 
+_PLACED = ("in", "inside", "at", "on", "near")
+
+
 def _goes_on_to(reader: Reader) -> bool:
     """Whether "go on the third floor" comes, which is no "go on until"."""
     return reader.peek().text == "go on" and starts_things(reader, 1)
@@ -174,8 +182,10 @@ def _is_there(reader: Reader) -> bool:
     before, token = reader.tokens[reader.at - 1], reader.peek()
     if reader.at and before.text.endswith(" from") and before.kind == "not":
         return starts_things(reader)
-    placed = token.text in ("in", "inside", "at", "on", "near") and starts_things(reader, 1)
+    over = 1 if token.text == "over" else 0
+    placed = reader.peek(over).text in _PLACED and starts_things(reader, over + 1)
     asked = before.text == "be" or before.kind in ("ensure", "not", "can")
+    asked = asked or (before.kind == "banned" and "ed" in before.text)
     return bool(reader.at) and placed and asked  # "the robot is in the hall" asks for nothing
 
 
@@ -200,6 +210,9 @@ def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
     """Passes what may stand before a clause: an order, conditions."""
     while True:
         token = reader.peek()
+        if token.kind == "all of" and reader.sees("without", "while", ahead=1):
+            reader.at += 1  # "…, all without visiting b"
+            continue
         ahead = 1 if reader.sees("only", "immediately", "filler") else 0
         if token.kind in ORDERS:
             clause.order = token.kind
@@ -262,6 +275,9 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.returns = clause.returns or token.text.startswith("return")
         skip_particles(reader, clause)
         _take_leaving(reader, clause)
+    if reader.sees("in order", "strict order") and reader.peek(1).text == ":":
+        clause.order = reader.peek().kind  # "visit in this order: a, b, c"
+        reader.at += 2
     if reader.take("neither"):
         clause.negated = True
     elif reader.tokens[reader.at - 1].text in _MOTION and not _plainly_named(reader):
@@ -292,7 +308,7 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.things = memory.asked  # "leave it and come back", "never go back"
     elif not clause.negated or not clause.verb.startswith("stop"):
         reader.refuse("expected the name of a thing here", reader.peek())
-    if clause.verb.startswith(_ANYWHERE):
+    if clause.verb.startswith(_ANYWHERE) and not clause.verb.endswith("near"):
         clause.elsewhere = clause.mood != "can"
 
 
@@ -438,6 +454,8 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     ):
         reader.refuse("no verb that is known", start)
     clause.things = take_things(reader, memory, banned=clause.negated)
+    if reader.sees("verb") and reader.peek().text.split()[0].endswith("s"):
+        reader.refuse("say what to do, as in 'visit the bed'", start)  # "the path goes through b"
 
 
 _ANY_VISIT = ("any visit to", "any visits to", "a visit to", "every visit to", "each visit to")

@@ -176,6 +176,7 @@ class _Discourse:
         denied: the last clause forbade something, so a bare "then the bed" could mean either.
         moved: the last clause was a plain order to go somewhere: "go to a go to b" is in order.
         passed: the last clause only went through somewhere.
+        verb: what named its action.
         elsewhere: where only what is left out was named ("go anywhere but to a").
         halted: where it was said to stop.
         waits: what is not to be reached before what.
@@ -200,6 +201,7 @@ class _Discourse:
     denied: bool = False
     moved: bool = False
     passed: bool = False
+    verb: str = ""
     elsewhere: Token | None = None
     halted: Token | None = None
     detour: Token | None = None
@@ -387,11 +389,15 @@ class _Discourse:
         """What comes after "leave it": another visit, or something else, which is leaving too."""
         left, self.memory.left = self.memory.left, None
         again = clause.things and self.last and clause.things.groups == self.last.groups
-        if left is None or clause.negated or not meaning.goals or not again:
+        anew = clause.again and clause.verb and meaning.follows and not clause.returns
+        separate = left or anew  # "…, and later visit it again"
+        if not separate or clause.negated or not meaning.goals or not again or not sequence:
             return
         count = clause.count or Count(1)
         most = None if count.most is None else count.most + 1
-        visit_often(sequence[-1], self.last, Count(count.least + 1, most), left, self.reader)
+        visit_often(
+            sequence[-1], self.last, Count(count.least + 1, most), clause.token, self.reader
+        )
         meaning.repeats = True
 
     def _all_left(self, sequence: list[Meaning]) -> list[Meaning]:
@@ -425,18 +431,24 @@ class _Discourse:
         then = then or (moves and self.moved and follows_on)
         bare_way = clause.verb == "" and not clause.negated
         reaches = moves or bare_way or (clause.verb.startswith(_ARRIVES) and not clause.negated)
-        then = then or (reaches and self.passed and joint is not None)
+        also = clause.token.text in ("also", "too", "as well")
+        then = then or (reaches and self.passed and joint is not None and not also)
+        by_way = self.passed and self.verb == "" and not clause.negated
+        then = then or (
+            by_way and joint is not None and joint.kind in ("", "comma")
+        )  # "via b, go to a"
         through = clause.through and not clause.route
         beside = through and moves and not then and not self.passed and bool(sequence)
         if beside and (ensures or (joint is not None and joint.kind == "but")):
             clause.enroute = True  # "go to a, making sure to go through b"
         elif beside and self.moved:
             clause.enroute = self.reader.pick(clause.token, 2) == 0
-        elif clause.token.text in ("also", "too", "as well"):
+        elif also:
             pass  # "and also go to b": no order
         elif moves and self.moved and not then and joint is not None and joint.kind == "and":
             then = self.reader.pick(joint, 2) == 1  # "go to a and go to b" may be in order
         self.moved, self.passed = moves, through and not clause.negated
+        self.verb = clause.verb
         if clause.elsewhere:
             self.elsewhere = clause.token
         if clause.ends:
@@ -533,8 +545,9 @@ class _Discourse:
             return joint
         if reader.sees("end", "stop", "or"):
             return None
-        participle = reader.sees("verb") and reader.peek().text.split()[0].endswith("ing")
-        starts = starts_clause(reader) and self._begins_well() and not participle
+        verb = reader.peek().text.split()[0] if reader.sees("verb") else ""
+        no_order = verb.endswith(("ing", "s")) and not verb.endswith("ss")  # "…, it goes to b"
+        starts = starts_clause(reader) and self._begins_well() and not no_order
         if not (starts_leaving(reader) or starts):
             reader.refuse("no word that is known here")
         return Token("", "", joint.start, joint.start)

@@ -20,7 +20,8 @@ def _product(*slots: str) -> str:
 
 PHRASES: dict[str, str] = {
     # Who is spoken to, how strongly, and words that carry nothing.
-    "you": "you|we|i|the robot|you robot|the drone|the agent",
+    "you": "you|we|i|the robot|you robot|the drone|the agent|the rover|the bot|the quadcopter|"
+    "the vehicle|the delivery robot",
     "ensure": "make sure|make sure that|making sure|making sure that|ensure|ensure that|ensuring|"
     "ensuring that|be sure|be sure that|being sure|remember|remembering|"
     + _product("i want|i need|i would like|we want|we need", "you|the robot|the drone|the agent")
@@ -29,7 +30,8 @@ PHRASES: dict[str, str] = {
     "never fail|go ahead and|"
     + _product("your|the", "task|mission|goal|job|objective|aim|assignment", "is"),
     "addressed": "drone|rover|bot|quadcopter|droid",
-    "must": "must|should|shall|have|has|had|need|needs|need to|required|are required|is required|"
+    "must": _product("the car", "must|should|shall|will|has to|needs to")
+    + "|must|should|shall|have|has|had|need|needs|need to|required|are required|is required|"
     "ought|will|supposed|are supposed|is supposed|obliged|are obliged",
     "can": "can|may|could|would|might|are allowed|is allowed|be allowed|allowed|are permitted|"
     "permitted|are free|are welcome|are good",
@@ -58,9 +60,12 @@ PHRASES: dict[str, str] = {
     "under any condition|under any conditions|no matter what happens|"
     + _product("sometime|some time|at some point|at some time|any time", "today")
     + "|"
+    + _product("on", "your|this|the", "trip|journey|tour|round")
+    + "|"
     + _product("there can be other", "locations|landmarks|waypoints|places|stops", "in between"),
     # Says nothing new of a ban or a condition, and too much of a goal.
-    "always": "the whole time|the entire time|throughout|all along|the whole way|the entire way|"
+    "always": "the whole way through|the whole time|the entire time|throughout|all along|"
+    "the whole way|the entire way|"
     + _product("for|during|throughout", "the", "whole|entire", "trip|mission|time|flight|journey")
     + "|"
     + _product("for|during|throughout", "the", "trip|mission|flight|journey")
@@ -78,7 +83,7 @@ PHRASES: dict[str, str] = {
     "and then finally|second|third|fourth|fifth|then next|and lastly|after which|then after that|"
     "move on to|from there|and from there|from there on|from here|then from there|"
     "and then from there|then followed by|and then after that|"
-    "and then later|next up|last of all|at last|"
+    "and then later|and later on|next up|last of all|at last|"
     + _product(
         "when|once|after|and when|and once|as soon as",
         "you are done|you are done there|that is done|this is done|done|done there|"
@@ -97,14 +102,14 @@ PHRASES: dict[str, str] = {
     + _product(
         "your|the|and your|and the",
         "second|third|fourth|fifth|next",
-        "stop|destination|target|goal|waypoint",
+        "stop|destination|target|goal|waypoint|place|place to go|place to visit",
         "is|should be|will be|must be",
     )
     + "|"
     "sometime later|and sometime later|then sometime later|and then sometime later|then later|"
     "and then some time later|from then on|and from then on",
     "only then": "only then|and only then|only after that|and only after that|only afterwards",
-    "first": "first|first of all|to begin with|firstly|initially",
+    "first": "first|beforehand|first of all|to begin with|firstly|initially",
     # Conditions.
     "before": "before|prior to|ahead of|earlier than",
     "after": "after|following|having",
@@ -113,6 +118,10 @@ PHRASES: dict[str, str] = {
     "when": "when|as soon|as soon as|whenever|every time|each time|any time|if|if ever",
     "while": "while|whilst|during which|as long as",
     "without": "without|without ever|"
+    + _product("with|", "no", "stops at|stop at|visits to|visit to|stopping at|detour through")
+    + "|"
+    + _product("without", "any|a|", "stops at|stop at|visits to|visit to|detour through")
+    + "|"
     + _product("not|but not", "through|via|past|near|over|across|along|by way of"),
     "via": "via|by way of|"
     + _product(
@@ -155,13 +164,17 @@ PHRASES: dict[str, str] = {
     "bound there": "to get there|to reach it|to get to it|to go there|in order to get there",
     "on the way": "along the path|on the way|on your way|on its way|along the way|en route|"
     "on the way there|"
-    "on your way there|on its way there|along your way|as you go",
+    "on your way there|on its way there|along your way|as you go|as you do so|while doing so|"
+    "in doing so",
     "around": "around|by going around|going around|by driving around|by walking around",
     "origin": "starting on|start on|beginning on|begin on|starting off at|start off at|"
     "starting from|starting at|starting in|starting out from|start from|start at|"
     "start in|start out from|beginning at|beginning in|beginning from|begin at|begin in",
     "opener": _product(
-        "your|the", "first", "stop|destination|target|goal|waypoint", "is|should be|will be|must be"
+        "your|the",
+        "first",
+        "stop|destination|target|goal|waypoint|place|place to go|place to visit",
+        "is|should be|will be|must be",
     )
     + "|start by|begin by|start off by|starting by|beginning by|start with|begin with|"
     "starting with|beginning with",
@@ -237,6 +250,11 @@ PHRASES: dict[str, str] = {
     "in whichever order you like|in any order you want|in whatever order you like|in either order|"
     "in any order required|"
     "the order is up to you|the order is arbitrary|order is not important|"
+    "whatever order you like|whichever order you like|order is up to you|order is arbitrary|"
+    + _product(
+        "in whatever|in whichever", "order", "is|seems", "quickest|easiest|fastest|shortest|best"
+    )
+    + "|"
     "in whatever order suits you|in whichever order suits you|in no set order|in no fixed order|"
     "either one can be first|either can be first|either one may come first|either may come first|"
     "either one can come first|either can come first|"
@@ -298,6 +316,7 @@ PHRASES: dict[str, str] = {
     "going on": "continue|keep going|keep moving|keep on|go on|carry on",
     "stay": "stay|stays|staying|wait|waits|waiting|remain|remains|remaining|leave|leaving",
     "stray": "got it",
+    "goal": _product("your|the", "destination|goal|target|final destination|next stop|last stop"),
     "picture": _product("take|taking|took", "a|some", "picture|pictures|photo|photos"),
     # Says nothing new of a ban, and too much of a goal.
     "forever": "forever|indefinitely|for ever",
@@ -329,6 +348,9 @@ _IRREGULAR_VERBS += """
 VERB_PHRASES = "make your way|making your way|made your way|go near|going near|come near|get near|"
 VERB_PHRASES += "continue to|continue on to|continue into|continue through|continue on into|"
 VERB_PHRASES += "keep going to|keep moving to|keep walking to|go on to|carry on to|"
+VERB_PHRASES += "make a detour|making a detour|take a detour|"
+VERB_PHRASES += "make it|makes it|making it|cut through|cutting through|cut across|"
+VERB_PHRASES += _product("go|come|get|going|coming", "anywhere near") + "|"
 VERB_PHRASES += "set a wheel|setting a wheel|check in|checking in|deliver to|delivering to|"
 VERB_PHRASES += "make a delivery|making a delivery|make a round of|do a round of|do the rounds of|"
 VERB_PHRASES += _product(
@@ -339,7 +361,10 @@ VERB_PHRASES += (
     "drop in at|swing by|stop by|stopping by|stop off|set foot|setting foot|gain access|"
 )
 VERB_PHRASES += _product(
-    "your|the", "final destination|destination|last stop", "is|will be|should be"
+    "your|the",
+    "final destination|destination|last stop|last place|last place to go|last place to visit|"
+    "final stop|final place",
+    "is|will be|should be|must be",
 )
 VERB_PHRASES += "|" + _product(
     "move|drive|send|steer|guide|fly|navigate|take|bring|get|direct|moving|driving|taking",
@@ -363,7 +388,8 @@ VERB_PHRASES += (
 )
 VERB_PHRASES += (
     _product(
-        "end|ends|ending|finish|finishes|finishing|stop", "up at|up in|up on|at|in|on|up by|by"
+        "end|ends|ending|finish|finishes|finishing|stop",
+        "up at|up in|up on|at|in|on|up by|by|with|up with",
     )
     + "|end up|ends up|ending up"
 )
@@ -380,7 +406,7 @@ AVOID_PHRASES = (
     "keep away from|keeping away from|keep avoiding|stay clear of|staying clear of|"
     "steer clear of|steering clear of|keep off|stay off|keep out of|stay out of|skip|skipping|"
     "keep clear of|go anywhere but|visit anywhere but|go anywhere except|go anywhere other than|"
-    "by avoiding|by bypassing|by a path that avoids|by a route that avoids|refrain from|ignore|"
+    "by avoiding|by bypassing|refrain from|ignore|"
     "leave out|leaving out|staying out of|"
     "keeping out of|keeping off|keep well away from|stay well away from|keeping clear of|"
     "getting around|"
@@ -391,6 +417,12 @@ AVOID_PHRASES += "|" + _product(
     "a|any|the",
     "path|route|road|way",
     "that avoids|which avoids|that does not go through|that does not pass through",
+)
+AVOID_PHRASES += "|" + _product(
+    "by|on|along|via|using|only on|only along|only by",
+    "a|any",
+    "road|path|route|way",
+    "that avoids|which avoids|that bypasses|that does not go through|that does not pass through",
 )
 AVOID_PHRASES += "|" + _product(
     "that|which",
@@ -440,6 +472,7 @@ LONGEST = max(map(len, TABLE))
 
 CONTRACTIONS = {
     "can't": "can not",
+    "untill": "until", "anytime": "any time",
     "isnt": "is not", "thru": "through", "dont": "do not", "cant": "can not", "wont": "will not",
     "cannot": "can not", "won't": "will not", "shan't": "shall not",
     "let's": "let us", "it's": "it is", "that's": "that is", "i'd": "i would",

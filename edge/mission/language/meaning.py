@@ -261,7 +261,8 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
             meaning.rules += held_until(after.names, before)
     if clause.only_way and reader.pick(reader.tokens[-1], 2) == 1:
         meaning.rules += held_until(things.names, Things(clause.route[-1].groups))
-    alone = not times and (reader.sees("end") or reader.sees("end", ahead=1))
+    last = reader.sees("end") or reader.sees("end", ahead=1)
+    alone = last and (clause.during or not times)
     for avoided in clause.avoiding:
         others = [n for n in avoided.names if n not in times]
         if (clause.during and not alone) or set(others) & set(things.names):

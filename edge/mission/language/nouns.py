@@ -149,6 +149,7 @@ NOUNS = _listed(_PLACES) | _listed(_OBJECTS) | _listed(_PEOPLE)
 QUALITIES = _listed(_QUALITIES) | _listed(_MATERIALS)
 NUMBERED = _listed("floor level storey story landmark room door waypoint gate street")
 """Kinds whose members are told apart by number: "second floor" is no second step."""
+STOREYS = ("floor", "level", "storey", "story")
 NUMERALS = tuple(_ORDINALS.split())  # the last one is "last"
 ORDINALS = frozenset(NUMERALS)
 CARDINALS = tuple(_CARDINALS.split())

@@ -271,6 +271,9 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
         if token.kind == "to" and reader.sees("verb", "not", "avoid", "be", "happen", ahead=1):
             reader.at += 1
             continue
+        if token.kind == "to" and reader.sees("filler", ahead=1) and reader.sees("verb", ahead=2):
+            reader.at += 2  # "you have to eventually get there"
+            continue
         if (
             token.kind == "all of" and seen and reader.sees("verb", "be", ahead=1)
         ):  # "are both visited"

@@ -11,7 +11,7 @@ longer word follows.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 from edge import names
@@ -65,6 +65,7 @@ class Memory:
         asked: those asked for last.
         previous: those asked for before them.
         every: all that was asked for so far, in the order said.
+        mentioned: all that was named so far, whatever for.
         left: where it was said to leave the last one.
     """
 
@@ -72,6 +73,7 @@ class Memory:
     asked: Things | None = None
     previous: Things | None = None
     every: tuple[tuple[str, ...], ...] = ()
+    mentioned: dict[str, None] = field(default_factory=dict)
     left: Token | None = None
 
     def ask(self, things: Things) -> None:
@@ -114,6 +116,8 @@ def take_things(
     """
     start = reader.peek()
     if every := _take_collective(reader, memory):
+        if every == "them" and not memory.every and len(memory.mentioned) == 2:
+            return Things(tuple((name,) for name in memory.mentioned), every=every)
         return Things(memory.every, every=every)
     elements = [_element(reader, memory)]
     between: list[Token] = []
@@ -137,6 +141,7 @@ def take_things(
         reader.at += ahead
         elements.append(_element(reader, memory))
     groups = [group for element in elements for group in element]
+    memory.mentioned |= {name: None for group in groups for name in group}
     joints = {token.kind for token in between} & {"and", "or"}
     if len(set(groups)) < len(groups):
         reader.refuse("the same thing is named twice", start)
@@ -190,11 +195,11 @@ def _one_of(options: Sequence[_Groups]) -> _Groups:
 
 def _number_ahead(reader: Reader, last: _Groups) -> Token | None:
     """What joins "1" and "2" in "landmarks 1 and 2"; None where no such list goes on."""
-    head, _, number = last[-1][-1].rpartition(" ")
+    head = _numbered_head(last[-1][-1])
     ahead = 1 if reader.sees("comma") else 0
     if reader.sees("and", "or", ahead=ahead):
         ahead += 1
-    goes_on = head and number in nouns.CARDINALS and len(last) == 1 and ahead
+    goes_on = head and len(last) == 1 and ahead
     return reader.peek(ahead - 1) if goes_on and _is_number(reader, ahead) else None
 
 
@@ -202,13 +207,27 @@ def _next_numbered(reader: Reader, last: _Groups) -> _Groups:
     """`2`, after "landmark 1": landmark two."""
     reader.skip("comma", "and", "or")
     token = reader.tokens[_advance(reader)]
-    head = last[-1][-1].rpartition(" ")[0]
+    head = _numbered_head(last[-1][-1])
     number = token.text
     if number.isdecimal():
         if len(number) > 2 or int(number) >= len(nouns.CARDINALS):
             reader.refuse("names are numbered up to ten", token)
         number = nouns.CARDINALS[int(number)]
-    return ((_canonical(reader, f"{head} {number}", token),),)
+    return ((_canonical(reader, _numbered(head, number), token),),)
+
+
+def _numbered_head(name: str) -> str:
+    """`landmark` of "landmark one", `floor` of "first floor"; "" of others."""
+    first, _, last = name.rpartition(" ")
+    if first in nouns.ORDINALS and last in nouns.STOREYS:
+        return last
+    return first if last in nouns.CARDINALS else ""
+
+
+def _numbered(head: str, number: str) -> str:
+    """`landmark two`, and `second floor`, which "floor two" is."""
+    n = nouns.CARDINALS.index(number)
+    return f"{nouns.NUMERALS[n - 1]} {head}" if head in nouns.STOREYS and n else f"{head} {number}"
 
 
 def _joint_length(reader: Reader) -> int | None:
@@ -222,8 +241,9 @@ def _joint_length(reader: Reader) -> int | None:
         if reader.peek(ahead).text in ("into", "onto"):
             return None  # "through a and into b" is an order
         ahead += 1
-    if reader.sees("all of", ahead=ahead) and reader.sees(*COUNTING, ahead=ahead + 1):
-        return None  # "a and b, each only once"
+    aside = (*COUNTING, "without", "while")
+    if reader.sees("all of", ahead=ahead) and reader.sees(*aside, ahead=ahead + 1):
+        return None  # "a and b, each only once", "all without passing c"
     if reader.peek(ahead).text in LEAVE:
         return None
     return ahead if ahead and starts_things(reader, ahead) else None
@@ -254,8 +274,12 @@ def _take_collective(reader: Reader, memory: Memory) -> str:
         ahead += 1
     first, last = reader.peek(), reader.peek(ahead)
     of_them = last.text in PLURALS and ahead > 0 and first.kind in ("all of", "either")
-    if ahead == 1 and first.text in ("both", "all") and reader.sees("must", "be", "can", ahead=1):
-        of_them, ahead = True, 0  # "both must be visited"
+    follows = ("must", "be", "can", "comma", "stop", "end")
+    both = first.text in ("both", "all") and not reader.sees("not", ahead=-1)  # "but not both"
+    if ahead == 1 and both and reader.sees(*follows, ahead=1):
+        of_them, ahead = True, 0  # "both must be visited", "visit both"
+    if last.text in PLURALS and reader.peek(ahead + 1).text == ":":
+        return ""  # "at least one of these: a, b and c"
     named = memory.named.groups if memory.named else ()
     if of_them and len(named) > 1 and named != memory.every:
         return ""  # those named last
@@ -289,7 +313,9 @@ def _meant_by(token: Token, reader: Reader, memory: Memory) -> Things:
 
 def _element(reader: Reader, memory: Memory) -> tuple[tuple[str, ...], ...]:
     """The groups of one element of a list."""
-    if reader.take("all of") or (reader.sees("group", ahead=1) and not _is_singled(reader)):
+    if reader.sees("all of") and reader.peek(1).text in PLURALS and reader.peek(2).text == ":":
+        reader.at += 3  # "all of these: a, b and c"
+    elif reader.take("all of") or (reader.sees("group", ahead=1) and not _is_singled(reader)):
         reader.skip("number", "article", "group", "comma")
     if not _is_singled(reader):
         reader.skip("group")
@@ -322,8 +348,12 @@ def _choice(reader: Reader, every: bool) -> tuple[str, ...]:
     """`either x, y or z` ends after "or z"; `one of x, y and z` takes the whole list."""
     if reader.take("all of"):
         reader.skip("group")
+    if reader.peek().text in PLURALS and reader.peek(1).text == ":":
+        reader.at += 1
     if not _is_singled(reader):
         reader.skip("group")
+    if reader.peek().text == ":":
+        reader.at += 1
     options = [_name(reader)]
     decided = False
     while (ahead := _joint_length(reader)) is not None:
@@ -426,7 +456,8 @@ def _spelled(reader: Reader, words: list[Token]) -> str:
             reader.refuse("names are numbered up to ten", words[0])
         texts[-1] = nouns.CARDINALS[int(texts[-1])]
     if len(texts) > 1 and texts[-1] in nouns.CARDINALS:
-        texts[-2] = names.singular(texts[-2])  # "landmarks one and two"
+        head = " ".join([*texts[:-2], names.singular(texts[-2])])  # "landmarks one and two"
+        return _numbered(head, texts[-1])
     return " ".join(texts)
 
 
