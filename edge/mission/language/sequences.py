@@ -136,18 +136,17 @@ def each_at_most(goal: Goal, n: int, token: Token, reader: Reader) -> list[Formu
         return [at_most(goal.options, n)]
     if isinstance(goal, Some):
         reader.refuse("say it of each alternative", token)
+    visited = Counter(name for visit in single_visits(goal) for name in visit.options)
+    if visited.most_common(1)[0][1] > 1:
+        reader.refuse("something is asked for more often; say in one list what is", token)
     if isinstance(goal, Every):
-        asked = Counter(name for part in goal.goals for name in letters(part))
-        if asked.most_common(1)[0][1] > 1:
-            reader.refuse("say in one list what comes after what", token)
         return [rule for part in goal.goals for rule in each_at_most(part, n, token, reader)]
     rules: list[Formula] = []
-    asked = Counter(name for part in goal.goals for name in letters(part))
     for i, part in enumerate(goal.goals):
         before = goal.goals[i - 1] if i else None
         after = goal.goals[i + 1] if i + 1 < len(goal.goals) else None
         for visit in single_visits(part):
-            if visit.times > n or any(asked[name] > 1 for name in visit.options):
+            if visit.times > n:
                 reader.refuse("something is asked for more often", token)
             in_turn = n == 1 and isinstance(before, Visit)
             if in_turn:  # its only visit comes after the one before
