@@ -338,6 +338,8 @@ def _trails(reader: Reader) -> bool:
         return False
     if reader.sees("filler", ahead=1):
         return _ends_sentence(reader, 2)
+    if reader.sees("can", "must", ahead=1) and reader.sees("you", ahead=2):
+        return _ends_sentence(reader, 3)  # "… after that, would you?"
     return reader.sees("comma", "and", "but", "stop", "end", "then", ahead=1)
 
 
@@ -452,6 +454,7 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     if not starts_things(reader):
         reader.refuse("expected the name of a thing here")
     things = take_things(reader, memory, banned=True)
+    reader.skip("first")  # "do not go to a without visiting b first"
     if not denied and things.every:
         count = take_count(reader, negated=False)
         if count is None:

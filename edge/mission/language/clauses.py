@@ -61,6 +61,8 @@ def starts_clause(reader: Reader, ahead: int = 0) -> bool:
         return True
     if reader.peek(ahead).text in ("at", "in") and starts_things(reader, ahead + 1):
         return True
+    if reader.peek(ahead).text == "on" and reader.sees("to", ahead=ahead + 1):
+        return True
     if reader.peek(ahead).text == "from" or reader.sees("while", "without", ahead=ahead):
         return True
     return reader.sees(
@@ -184,7 +186,7 @@ def _is_there(reader: Reader) -> bool:
         return starts_things(reader)
     over = 1 if token.text == "over" else 0
     placed = reader.peek(over).text in _PLACED and starts_things(reader, over + 1)
-    asked = before.text == "be" or before.kind in ("ensure", "not", "can")
+    asked = before.text in ("be", "been") or before.kind in ("ensure", "not", "can")
     asked = asked or (before.kind == "banned" and "ed" in before.text)
     return bool(reader.at) and placed and asked  # "the robot is in the hall" asks for nothing
 
@@ -428,6 +430,14 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         return
     if reader.sees("all of") and reader.sees(*AUXILIARIES, ahead=1):
         reader.at += 1  # "a and b both have to be visited"
+    if reader.peek().text in ("comes", "come") and reader.sees("first", "in the end", ahead=1):
+        clause.first, clause.ends = (
+            reader.sees("first", ahead=1),
+            reader.sees("in the end", ahead=1),
+        )
+        clause.verb, clause.things = "come", things
+        reader.at += 2
+        return
     says = Clause(start)
     said = take_mood(reader, says, PREDICATE)
     if reader.sees("do") and reader.sees("not", ahead=1) and reader.sees("happen", ahead=2):

@@ -216,9 +216,11 @@ class _Discourse:
         reader = self.reader
         reader.skip("comma", "stop")
         while not reader.sees("end"):
-            if reader.sees("addressed"):  # "Drone, find …"
+            aside = reader.sees("filler") and reader.sees("comma", "stop", "end", ahead=1)
+            if aside or reader.sees("addressed"):  # "Drone, find …", "robot! find …", "thanks."
                 reader.at += 1
-                reader.skip("comma")
+                reader.skip("comma", "stop")
+                continue
             if self.clauses and reader.sees("any order") and reader.sees("stop", "end", ahead=1):
                 reader.take("any order")  # "…; the order does not matter": as it is anyway
             elif self.clauses and self._halts():
@@ -270,9 +272,9 @@ class _Discourse:
             rules += each_at_most(goal, *self.each, self.reader)
         return [Every((), tuple(rules))] if rules else []
 
-    def _ends(self, clause: Clause, sequence: list[Meaning]) -> None:
+    def _ends(self, clause: Clause) -> None:
         """What comes in the end comes after all that was asked for, and nothing after it."""
-        if clause.negated or (self.goal is not None and not sequence):
+        if clause.negated:
             self.reader.refuse("say it in one sentence, with 'then'", clause.token)
         self.halted = clause.token
 
@@ -310,7 +312,7 @@ class _Discourse:
             sequence, loose = self._sequence(Token("or", "or", 0, 0))
             sequences.append(sequence)
         said = reader.tokens[reader.tokens.index(either) : reader.at]
-        if either.kind == "either" and not any(token.kind == "or" for token in said):
+        if either.text == "either" and not any(token.kind == "or" for token in said):
             reader.refuse("either that, or what?", either)
         if loose:
             self.rules.append(loose)
@@ -452,8 +454,8 @@ class _Discourse:
         if clause.elsewhere:
             self.elsewhere = clause.token
         if clause.ends:
-            self._ends(clause, sequence)
-            then = then or bool(sequence)
+            self._ends(clause)
+            then = then or bool(sequence) or self.goal is not None
         plain = clause.verb == "" and not (clause.negated or clause.first or clause.conditions)
         if joint is not None and joint.kind == "but" and plain and not clause.count:
             self.reader.refuse("all but that, or that too? say 'visit …'", clause.token)
@@ -536,6 +538,13 @@ class _Discourse:
         last = reader.sees("filler", "addressed") or (self.clauses and reader.sees("any order"))
         if last and reader.sees("stop", "end", ahead=1):
             reader.at += 1  # "…, please.", "…, but the order is up to you."
+            return None
+        if (
+            reader.sees("can", "must")
+            and reader.sees("you", ahead=1)
+            and (reader.sees("stop", "end", ahead=2))
+        ):
+            reader.at += 2  # "…, would you?"
             return None
         if self.clauses and self._halts():
             return None

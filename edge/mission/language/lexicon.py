@@ -37,7 +37,7 @@ PHRASES: dict[str, str] = {
     "permitted|are free|are welcome|are good",
     "do": "do|does|did|let|let us",
     "be": "be|is|are|was|were|been|being",
-    "not": "not|never|no|don|don t|doesn t|isn t|can t|won t|never ever|"
+    "not": "not|never|not ever|no|don|don t|doesn t|isn t|can t|won t|never ever|"
     + _product("is|are|be|being|", "forbidden|banned|barred|prohibited", "from")
     + "|not welcome|are not welcome|is not welcome|"
     "prohibited from|are prohibited from|are forbidden|"
@@ -49,7 +49,8 @@ PHRASES: dict[str, str] = {
     "is banned",
     "neither": "neither",
     # Reviewed: the only words that may be left out of any sentence without changing what it asks.
-    "filler": "me|us|for me|please|kindly|thanks|thank you|thank you very much|hi|hello|hey|ok|"
+    "filler": "buddy|my dear|dear|mate|dude|pal|my friend|hey there|hi there|hello there|"
+    "good morning|me|us|for me|please|kindly|thanks|thank you|thank you very much|hi|hello|hey|ok|"
     "okay|alright|all right|robot|now|just|simply|also|too|as well|already|directly|"
     "would you mind|do you mind|if you do not mind|when you have a minute|when you have time|"
     "when you have the chance|whenever you can|as many times as you want|on your travels|"
@@ -100,7 +101,7 @@ PHRASES: dict[str, str] = {
     + _product("at", "some|a", "later", "point|time|stage|moment")
     + "|"
     + _product(
-        "your|the|and your|and the",
+        "your|the|and your|and the|",
         "second|third|fourth|fifth|next",
         "stop|destination|target|goal|waypoint|place|place to go|place to visit",
         "is|should be|will be|must be",
@@ -161,17 +162,22 @@ PHRASES: dict[str, str] = {
         "are flying|are on your way",
         "to|towards|toward",
     ),
-    "bound there": "to get there|to reach it|to get to it|to go there|in order to get there",
+    "bound there": "to get there|to reach it|to get to it|in order to get there",
     "on the way": "along the path|on the way|on your way|on its way|along the way|en route|"
     "on the way there|"
     "on your way there|on its way there|along your way|as you go|as you do so|while doing so|"
-    "in doing so",
+    "in doing so|while you do it|while you do so|as you do it|"
+    + _product(
+        "while|as",
+        "you are",
+        "driving there|going there|heading there|moving there|on your way|at it|doing it|doing so",
+    ),
     "around": "around|by going around|going around|by driving around|by walking around",
     "origin": "starting on|start on|beginning on|begin on|starting off at|start off at|"
     "starting from|starting at|starting in|starting out from|start from|start at|"
     "start in|start out from|beginning at|beginning in|beginning from|begin at|begin in",
     "opener": _product(
-        "your|the",
+        "your|the|",
         "first",
         "stop|destination|target|goal|waypoint|place|place to go|place to visit",
         "is|should be|will be|must be",
@@ -192,7 +198,8 @@ PHRASES: dict[str, str] = {
     "once": "once",
     "times n": "twice|thrice",
     "number": "zero|one|two|three|four|five|six|seven|eight|nine|ten|single|a single|one single",
-    "times": "time|times|instances|separate instances|distinct times|separate times|occasion|"
+    "times": "trip|trips|trip to|trips to|"
+    "time|times|instances|separate instances|distinct times|separate times|occasion|"
     "occasions|separate occasions|different times|different occasions|times in total|"
     "distinct visit|separate visit|separate instance|different instances|times overall|"
     "separate visits|visits|visits to|visit to|separate visits to|in total|distinct visits|"
@@ -361,7 +368,7 @@ VERB_PHRASES += (
     "drop in at|swing by|stop by|stopping by|stop off|set foot|setting foot|gain access|"
 )
 VERB_PHRASES += _product(
-    "your|the",
+    "your|the|",
     "final destination|destination|last stop|last place|last place to go|last place to visit|"
     "final stop|final place",
     "is|will be|should be|must be",
@@ -472,7 +479,7 @@ LONGEST = max(map(len, TABLE))
 
 CONTRACTIONS = {
     "can't": "can not",
-    "untill": "until", "anytime": "any time",
+    "ur": "your", "untill": "until", "anytime": "any time",
     "isnt": "is not", "thru": "through", "dont": "do not", "cant": "can not", "wont": "will not",
     "cannot": "can not", "won't": "will not", "shan't": "shall not",
     "let's": "let us", "it's": "it is", "that's": "that is", "i'd": "i would",

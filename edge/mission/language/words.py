@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NoReturn
 
 from edge.errors import UserError
@@ -27,6 +27,7 @@ REASONS = {
 }
 """Why tokens of these kinds are never understood."""
 
+_ACTS = ("must", "can", "verb", "not", "do")
 _HESITATIONS = ("uh", "um", "er", "erm", "hmm")
 _SHOWN = 60
 _PUNCTUATION = {",": "comma", ";": "stop", ".": "stop", "!": "stop", "?": "stop", ":": "comma"}
@@ -89,6 +90,8 @@ def tokenise(text: str) -> list[Token]:
     i = 0
     while i < len(words):
         word = words[i]
+        if word.text == "u" and i + 1 < len(words) and TABLE.get((words[i + 1].text,)) in _ACTS:
+            words[i] = word = replace(word, text="you")
         length = _phrase_at(words, i) if word.kind == "word" else 0
         if length:
             phrase = tuple(w.text for w in words[i : i + length])
