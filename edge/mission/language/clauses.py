@@ -101,7 +101,10 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     gerund = starts and reader.sees("verb") and reader.peek().text.endswith("ing")
     gerund = gerund and reader.peek().text != "bring"
     take_mood(reader, clause)
-    if reader.tokens[reader.at - 1].text in ("do", "does", "did") and reader.sees("pronoun"):
+    before = reader.tokens[reader.at - 1]
+    if reader.at > begin and before.kind == "ensure" and before.text.endswith(" is"):
+        bare = "yes"  # "the goal is the bed"
+    if before.text in ("do", "does", "did") and reader.sees("pronoun"):
         reader.refuse("say what to visit", reader.peek())  # "do that again"
     if reader.peek().text in _PERFORM and _counts(reader, 1):
         reader.at += 1
@@ -443,6 +446,10 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     if reader.sees("do") and reader.sees("not", ahead=1) and reader.sees("happen", ahead=2):
         reader.at += 2
         says.negated = True
+    said_before = [token.text for token in reader.tokens[begin : reader.at]]
+    done = "been" in said_before and not {"must", "should", "shall"} & set(said_before)
+    if done and not clause.conditions:
+        reader.refuse("what has happened asks for nothing", start)  # "the hall has been mopped"
     barred = any(token.kind == "banned" for token in reader.tokens[begin : reader.at])
     avoid = reader.take("avoid")
     verb = avoid or reader.take("verb", "happen")
@@ -476,7 +483,7 @@ def _take_consequence(
 ) -> bool:
     """Takes `any visit to a must be followed by a visit to b`."""
     begin = reader.at
-    reader.skip("must", "be", "always")
+    reader.skip("must", "to", "be", "always")
     clause.next_step = bool(reader.take("immediately"))
     if reader.peek().text != "followed by":
         reader.at, clause.next_step = begin, False

@@ -324,8 +324,11 @@ class _Discourse:
             return
         options = tuple(sequence_goal(sequence, reader) for sequence in sequences)
         goal = options[0] if len(options) == 1 else Some(options)
+        ahead_of_all = self.first and joint is not None and joint.kind == "but"  # "But first …"
         if self.goal is None:
             self.goal = goal
+        elif ahead_of_all and not after and len(sequences) == 1:
+            self.goal, self.first = steps([goal, self.goal]), False
         elif self.detour and not after and len(sequences) == 1:
             self.goal = passing_by(self.goal, goal, self.detour, reader)
         else:
@@ -392,6 +395,7 @@ class _Discourse:
         left, self.memory.left = self.memory.left, None
         again = clause.things and self.last and clause.things.groups == self.last.groups
         anew = clause.again and clause.verb and meaning.follows and not clause.returns
+        anew = anew and not clause.conditions
         separate = left or anew  # "…, and later visit it again"
         if not separate or clause.negated or not meaning.goals or not again or not sequence:
             return
@@ -441,7 +445,10 @@ class _Discourse:
         )  # "via b, go to a"
         through = clause.through and not clause.route
         beside = through and moves and not then and not self.passed and bool(sequence)
-        if beside and (ensures or (joint is not None and joint.kind == "but")):
+        over = self.reader.sees("end") or self.reader.sees("end", ahead=1)
+        if through and moves and not (then or also or sequence or self.passed) and over:
+            clause.enroute = self.goal is not None  # "go to a. Please go through b."
+        elif beside and (ensures or (joint is not None and joint.kind == "but")):
             clause.enroute = True  # "go to a, making sure to go through b"
         elif beside and self.moved:
             clause.enroute = self.reader.pick(clause.token, 2) == 0

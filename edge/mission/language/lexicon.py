@@ -24,20 +24,26 @@ PHRASES: dict[str, str] = {
     "the vehicle|the delivery robot",
     "ensure": "make sure|make sure that|making sure|making sure that|ensure|ensure that|ensuring|"
     "ensuring that|be sure|be sure that|being sure|remember|remembering|"
-    + _product("i want|i need|i would like|we want|we need", "you|the robot|the drone|the agent")
+    + _product(
+        "i want|i need|i would like|we want|we need|i like|i would love|we would like|i expect",
+        "you|the robot|the drone|the agent",
+    )
     + "|please make sure|take care|taking care|be careful|being careful|"
     "see to it that|seeing to it that|do not forget|never forget|without forgetting|do not fail|"
     "never fail|go ahead and|"
     + _product("your|the", "task|mission|goal|job|objective|aim|assignment", "is"),
     "addressed": "drone|rover|bot|quadcopter|droid",
-    "must": _product("the car", "must|should|shall|will|has to|needs to")
+    "must": _product("it is", "necessary|needed|required|mandatory|essential|important", "to")
+    + "|"
+    + _product("the car", "must|should|shall|will|has to|needs to")
     + "|must|should|shall|have|has|had|need|needs|need to|required|are required|is required|"
     "ought|will|supposed|are supposed|is supposed|obliged|are obliged",
     "can": "can|may|could|would|might|are allowed|is allowed|be allowed|allowed|are permitted|"
     "permitted|are free|are welcome|are good",
     "do": "do|does|did|let|let us",
     "be": "be|is|are|was|were|been|being",
-    "not": "not|never|not ever|no|don|don t|doesn t|isn t|can t|won t|never ever|"
+    "not": _product("it is", "forbidden|prohibited|not allowed|not permitted|banned", "to")
+    + "|not|never|not ever|no|don|don t|doesn t|isn t|can t|won t|never ever|"
     + _product("is|are|be|being|", "forbidden|banned|barred|prohibited", "from")
     + "|not welcome|are not welcome|is not welcome|"
     "prohibited from|are prohibited from|are forbidden|"
@@ -49,7 +55,8 @@ PHRASES: dict[str, str] = {
     "is banned",
     "neither": "neither",
     # Reviewed: the only words that may be left out of any sentence without changing what it asks.
-    "filler": "buddy|my dear|dear|mate|dude|pal|my friend|hey there|hi there|hello there|"
+    "filler": "whatever you do|whatever happens|so|well|listen|attention|today|"
+    "be a dear and|be a pal and|buddy|my dear|dude|my friend|hey there|hi there|hello there|"
     "good morning|me|us|for me|please|kindly|thanks|thank you|thank you very much|hi|hello|hey|ok|"
     "okay|alright|all right|robot|now|just|simply|also|too|as well|already|directly|"
     "would you mind|do you mind|if you do not mind|when you have a minute|when you have time|"
@@ -80,7 +87,8 @@ PHRASES: dict[str, str] = {
     "then": "then|and then|then finally|and finally|finally|lastly|next|and next|after that|"
     "and after that|afterwards|afterward|and afterwards|and afterward|sometime afterward|"
     "sometime afterwards|and sometime afterward|and sometime afterwards|after this|and after this|"
-    "followed by|thereafter|later|later on|some time later|and later|subsequently|move on|"
+    "followed by|thereafter|"
+    "secondly|thirdly|fourthly|later|later on|some time later|and later|subsequently|move on|"
     "and then finally|second|third|fourth|fifth|then next|and lastly|after which|then after that|"
     "move on to|from there|and from there|from there on|from here|then from there|"
     "and then from there|then followed by|and then after that|"
@@ -89,7 +97,7 @@ PHRASES: dict[str, str] = {
         "when|once|after|and when|and once|as soon as",
         "you are done|you are done there|that is done|this is done|done|done there|"
         "you are finished|you are finished there|you have done that|you have done so|"
-        "you get there|you are there|you arrive there|you have arrived there",
+        "there|you get there|you are there|you arrive there|you have arrived there",
     )
     + "|"
     + _product(
@@ -118,7 +126,7 @@ PHRASES: dict[str, str] = {
     "unless": "unless|if not|except after",
     "when": "when|as soon|as soon as|whenever|every time|each time|any time|if|if ever",
     "while": "while|whilst|during which|as long as",
-    "without": "without|without ever|"
+    "without": "without|without ever|with no|"
     + _product("with|", "no", "stops at|stop at|visits to|visit to|stopping at|detour through")
     + "|"
     + _product("without", "any|a|", "stops at|stop at|visits to|visit to|detour through")
@@ -145,7 +153,11 @@ PHRASES: dict[str, str] = {
     "while heading to|while traveling to|"
     "while travelling to|when on the way to|while on the way to|when on your way to|"
     "while on your way to|"
-    + _product("on the way|on your way|on its way|along the way", "to|into|towards|toward")
+    + _product(
+        "on the way|on your way|on its way|along the way|on your trip|on the trip|on your journey|"
+        "on the road|on the route|on your route|on the path",
+        "to|into|towards|toward",
+    )
     + "|"
     + _product(
         "when|in",
@@ -162,8 +174,10 @@ PHRASES: dict[str, str] = {
         "are flying|are on your way",
         "to|towards|toward",
     ),
-    "bound there": "to get there|to reach it|to get to it|in order to get there",
-    "on the way": "along the path|on the way|on your way|on its way|along the way|en route|"
+    "bound there": "for this|to do so|to do this|to do that|"
+    "to get there|to reach it|to get to it|in order to get there",
+    "on the way": "on the road|on the route|on your route|along the path|"
+    "on the way|on your way|on its way|along the way|en route|"
     "on the way there|"
     "on your way there|on its way there|along your way|as you go|as you do so|while doing so|"
     "in doing so|while you do it|while you do so|as you do it|"
@@ -204,7 +218,8 @@ PHRASES: dict[str, str] = {
     "distinct visit|separate visit|separate instance|different instances|times overall|"
     "separate visits|visits|visits to|visit to|separate visits to|in total|distinct visits|"
     "distinct visits to",
-    "at least": "at least|a minimum of|no less than|no fewer than|not less than|on at least|"
+    "at least": "minimum|minimum of|"
+    "at least|a minimum of|no less than|no fewer than|not less than|on at least|"
     "equal or more than|equal to or more than|greater than or equal to|more than or equal to",
     "at most": "at most|a maximum of|no more than|not more than|up to|on at most|maximum|"
     "equal or less than|equal to or less than|less than or equal to",
@@ -277,7 +292,12 @@ PHRASES: dict[str, str] = {
         "you like|you prefer|you want|you choose|suits you|is closer|is closest|is nearer|"
         "is nearest|is easier|is quicker|is faster",
     )
-    + "|your choice|the choice is yours|you choose|you decide|either is fine|either one is fine|"
+    + "|"
+    + _product(
+        "the one|any one|either one", "you like|you prefer|you want|that you prefer|you choose"
+    )
+    + "|any one|either one|or both|your pick|"
+    "your choice|the choice is yours|you choose|you decide|either is fine|either one is fine|"
     "either will do|either one will do|"
     + _product("it does not matter|i do not care|i do not mind", "which|which one"),
     "in order": "in order|in that order|in this order|in the order given|in the given order|"
@@ -335,7 +355,9 @@ _REGULAR_VERBS = """
     mop tidy polish scrub water open close lock unlock touch press use fetch grab collect watch
     observe spot locate discover charge load unload empty fill photograph scan search view greet
     feed iron attend cross navigate travel walk move head proceed drive return arrive pass step roll
-    look pop hop nip hurry rush race glide hover land ascend descend soar float march stroll cruise
+    look
+    zip tour pop hop nip hurry rush race glide hover land ascend descend soar float march stroll
+    cruise
     journey trek advance dash zoom
     turn switch stop pick plug sanitize disinfect activate start repair service contact access
     fly follow climb traverse progress
@@ -356,6 +378,7 @@ VERB_PHRASES = "make your way|making your way|made your way|go near|going near|c
 VERB_PHRASES += "continue to|continue on to|continue into|continue through|continue on into|"
 VERB_PHRASES += "keep going to|keep moving to|keep walking to|go on to|carry on to|"
 VERB_PHRASES += "make a detour|making a detour|take a detour|"
+VERB_PHRASES += "make a pass through|making a pass through|find yourself in|find yourself at|"
 VERB_PHRASES += "make it|makes it|making it|cut through|cutting through|cut across|"
 VERB_PHRASES += _product("go|come|get|going|coming", "anywhere near") + "|"
 VERB_PHRASES += "set a wheel|setting a wheel|check in|checking in|deliver to|delivering to|"

@@ -6,10 +6,10 @@ from edge.mission.language.spoken import Clause, skip_particles
 from edge.mission.language.things import Memory, Things, starts_things, take_things
 from edge.mission.language.words import Reader, Token
 
-PASSING = ("through", "past", "along", "across", "via", "by")
+PASSING = ("through", "past", "along", "across", "via", "by", "over")
 """Particles that make a verb of motion one of passing: "walk past", "drive through"."""
 
-_PARTICIPLES = ("passing", "crossing", "traversing")
+_PARTICIPLES = ("passing", "crossing", "traversing", "using", "taking")
 _RIDDEN = ("stairs", "staircase", "elevator", "lift", "escalator", "ladder", "ramp", "bridge")
 _ANYWHERE = (
     "room", "area", "place", "space", "square", "door", "way", "path", "route", "zone", "region",
@@ -44,14 +44,20 @@ def take_route(reader: Reader, memory: Memory, clause: Clause) -> bool:
     if then.kind == "then" and starts_things(reader, ahead + 1) and reader.pick(then, 2) == 1:
         reader.at += ahead + 1  # "via the sofa and then the bed": both on the way
         pass_by(reader, clause, take_things(reader, memory), then)
+    while then.kind == "then" and _way_length(reader, ahead + 1)[0]:
+        reader.at += ahead + 1
+        reader.at += _way_length(reader)[0]  # "through the sofa and then through the bed"
+        pass_by(reader, clause, take_things(reader, memory), then)
+        ahead = 1 if reader.sees("comma") else 0
+        then = reader.peek(ahead)
     clause.only_way = clause.only_way or only or bool(reader.take("only"))
     return True
 
 
-def _way_length(reader: Reader) -> tuple[int, bool]:
+def _way_length(reader: Reader, begin: int = 0) -> tuple[int, bool]:
     """Tokens that introduce what is passed, 0 when none do; whether "only" is among them."""
-    ahead = 1 if reader.sees("comma") else 0
-    aside = ahead > 0
+    ahead = begin + (1 if reader.sees("comma", ahead=begin) else 0)
+    aside = ahead > begin
     if reader.sees("but", ahead=ahead) and reader.sees("only", ahead=ahead + 1):
         ahead += 1
     only = reader.sees("only", ahead=ahead)

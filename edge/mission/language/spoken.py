@@ -257,6 +257,17 @@ def names_one_robot(reader: Reader) -> bool:
     return letter and reader.peek().text in ("robot", "the robot")
 
 
+def _acts(reader: Reader) -> bool:
+    """Whether "it" is the robot here: it goes, must go, never goes."""
+    ahead = 1
+    while reader.sees("must", "can", "not", "filler", "to", ahead=ahead):
+        ahead += 1
+    verb = reader.peek(ahead).text.split(" ")[0]
+    goes = verb.endswith("s") and not verb.endswith("ss")
+    does = reader.sees("verb", "avoid", ahead=ahead) and (ahead > 1 or goes)
+    return does and not reader.sees("comma", "stop", "end", ahead=ahead + 1)  # "before it closes"
+
+
 def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> set[str]:
     """Passes "you must never", "please make sure to", and so on; which kinds there were."""
     seen: set[str] = set()
@@ -268,6 +279,10 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
             reader.refuse("what need not be done asks for nothing; leave it out", token)
         if names_one_robot(reader):
             reader.refuse("only one robot is spoken to", token)
+        if token.text == "it" and _acts(reader):
+            seen.add("you")
+            reader.at += 1  # "the robot goes to a, then it goes to b"
+            continue
         if token.kind == "to" and reader.sees("verb", "not", "avoid", "be", "happen", ahead=1):
             reader.at += 1
             continue

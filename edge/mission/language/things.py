@@ -494,7 +494,11 @@ def _place_follows(reader: Reader) -> bool:
 
 def _hardly_a_name(reader: Reader) -> bool:
     """Whether `a` more likely begins "a walk" than names a thing: no other letter names one."""
-    if reader.peek().text != "a" or not reader.sees("verb", "times", "immediately", ahead=1):
+    if reader.peek().text != "a":
+        return False
+    if reader.peek(-1).text == "be":  # "be a dear"
+        return True
+    if not reader.sees("verb", "times", "immediately", ahead=1):
         return False
     return not any(_is_letter(token) and token.text != "a" for token in reader.tokens)
 

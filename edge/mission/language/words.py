@@ -97,6 +97,9 @@ def tokenise(text: str) -> list[Token]:
             phrase = tuple(w.text for w in words[i : i + length])
             end = words[i + length - 1].end
             kind = "word" if length == 1 and _numbers(words, i) else TABLE[phrase]
+            robot = tokens[-1] if tokens else None
+            if phrase == ("visits",) and robot and (robot.kind == "you" or robot.text == "it"):
+                kind = "verb"  # "the robot visits the bed", and no count
             tokens.append(Token(kind, " ".join(phrase), word.start, end))
         elif word.text.isdecimal():
             tokens.append(Token("number", word.text, word.start, word.end))
