@@ -21,6 +21,7 @@ from edge.mission.language.adjuncts import (
     take_condition,
     take_happening,
 )
+from edge.mission.language.naming import is_indefinite
 from edge.mission.language.routes import PASSING, lead, pass_by, take_exception, take_origin
 from edge.mission.language.spoken import (
     AUXILIARIES,
@@ -40,7 +41,6 @@ from edge.mission.language.things import (
     LEAVE,
     Memory,
     Things,
-    is_indefinite,
     starts_things,
     take_things,
 )

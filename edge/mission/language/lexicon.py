@@ -7,422 +7,389 @@ under one kind; the longest phrase that fits wins.
 from __future__ import annotations
 
 import re
-from itertools import product
 
 from edge import names
 from edge.mission.language import nouns
 
-
-def _product(*slots: str) -> str:
-    """All phrases with one of each slot's alternatives: `by`, `going|moving`, `through`."""
-    return "|".join(map(" ".join, product(*(slot.split("|") for slot in slots))))
-
-
-PHRASES: dict[str, str] = {
+_ROWS: dict[str, str] = {
     # Who is spoken to, how strongly, and words that carry nothing.
-    "you": "you|we|i|the robot|you robot|the drone|the agent|the rover|the bot|the quadcopter|"
-    "the vehicle|the delivery robot",
-    "ensure": "make sure|make sure that|making sure|making sure that|ensure|ensure that|ensuring|"
-    "ensuring that|be sure|be sure that|being sure|remember|remembering|"
-    + _product(
-        "i want|i need|i would like|we want|we need|i like|i would love|we would like|i expect",
-        "you|the robot|the drone|the agent",
-    )
-    + "|please make sure|take care|taking care|be careful|being careful|"
-    "see to it that|seeing to it that|do not forget|never forget|without forgetting|do not fail|"
-    "never fail|go ahead and|"
-    + _product("your|the", "task|mission|goal|job|objective|aim|assignment", "is"),
-    "addressed": "drone|rover|bot|quadcopter|droid",
-    "must": _product("it is", "necessary|needed|required|mandatory|essential|important", "to")
-    + "|"
-    + _product("the car", "must|should|shall|will|has to|needs to")
-    + "|must|should|shall|have|has|had|need|needs|need to|required|are required|is required|"
-    "ought|will|supposed|are supposed|is supposed|obliged|are obliged",
-    "can": "can|may|could|would|might|are allowed|is allowed|be allowed|allowed|are permitted|"
-    "permitted|are free|are welcome|are good",
-    "do": "do|does|did|let|let us",
-    "be": "be|is|are|was|were|been|being",
-    "not": _product("it is", "forbidden|prohibited|not allowed|not permitted|banned", "to")
-    + "|not|never|not ever|no|don|don t|doesn t|isn t|can t|won t|never ever|"
-    + _product("is|are|be|being|", "forbidden|banned|barred|prohibited", "from")
-    + "|not welcome|are not welcome|is not welcome|"
-    "prohibited from|are prohibited from|are forbidden|"
-    "not allowed|are not allowed|not permitted|are not permitted|at no point|at no time|"
-    "at no stage|under no circumstances|under no circumstance|on no account|in no case|"
-    "by no means",
-    "banned": "is prohibited|is forbidden|is not allowed|is not permitted|are prohibited|"
-    "are banned|is off limits|are off limits|is out of bounds|are out of bounds|are forbidden|"
-    "is banned",
+    "you": """
+        you; we; i; the robot; you robot; the drone; the agent; the rover; the bot; the
+        quadcopter; the vehicle; the delivery robot
+    """,
+    "ensure": """
+        make sure; make sure that; making sure; making sure that; ensure; ensure that; ensuring;
+        ensuring that; be sure; be sure that; being sure; remember; remembering; please make sure;
+        take care; taking care; be careful; being careful; see to it that; seeing to it that; do
+        not forget; never forget; without forgetting; do not fail; never fail; go ahead and;
+        (i want|i need|i would like|we want|we need|i like|i would love|we would like|i expect)
+        (you|the robot|the drone|the agent);
+        (your|the) (task|mission|goal|job|objective|aim|assignment) is
+    """,
+    "addressed": "drone; rover; bot; quadcopter; droid",
+    "must": """
+        must; should; shall; have; has; had; need; needs; need to; required; are required; is
+        required; ought; will; supposed; are supposed; is supposed; obliged; are obliged;
+        it is (necessary|needed|required|mandatory|essential|important) to;
+        the car (must|should|shall|will|has to|needs to)
+    """,
+    "can": """
+        can; may; could; would; might; are allowed; is allowed; be allowed; allowed; are
+        permitted; permitted; are free; are welcome; are good
+    """,
+    "do": "do; does; did; let; let us",
+    "be": "be; is; are; was; were; been; being",
+    "not": """
+        not; never; not ever; no; don; don t; doesn t; isn t; can t; won t; never ever; not
+        welcome; are not welcome; is not welcome; prohibited from; are prohibited from; are
+        forbidden; not allowed; are not allowed; not permitted; are not permitted; at no point; at
+        no time; at no stage; under no circumstances; under no circumstance; on no account; in no
+        case; by no means;
+        it is (forbidden|prohibited|not allowed|not permitted|banned) to;
+        (is|are|be|being|) (forbidden|banned|barred|prohibited) from
+    """,
+    "banned": """
+        is prohibited; is forbidden; is not allowed; is not permitted; are prohibited; are banned;
+        is off limits; are off limits; is out of bounds; are out of bounds; are forbidden; is
+        banned
+    """,
     "neither": "neither",
     # Reviewed: the only words that may be left out of any sentence without changing what it asks.
-    "filler": "whatever you do|whatever happens|so|well|listen|attention|today|"
-    "be a dear and|be a pal and|buddy|my dear|dude|my friend|hey there|hi there|hello there|"
-    "good morning|me|us|for me|please|kindly|thanks|thank you|thank you very much|hi|hello|hey|ok|"
-    "okay|alright|all right|robot|now|just|simply|also|too|as well|already|directly|"
-    "would you mind|do you mind|if you do not mind|when you have a minute|when you have time|"
-    "when you have the chance|whenever you can|as many times as you want|on your travels|"
-    "eventually|sometime|some time|at some time|at some point|at any time|at any point|"
-    "at any point in time|at any stage|in the future|at some point in the future|"
-    "some time in the future|sometime in the future|ever|at all|at all costs|in any way|"
-    "under any circumstances|under any circumstance|no matter what|completely|totally|entirely|"
-    "under any condition|under any conditions|no matter what happens|"
-    + _product("sometime|some time|at some point|at some time|any time", "today")
-    + "|"
-    + _product("on", "your|this|the", "trip|journey|tour|round")
-    + "|"
-    + _product("there can be other", "locations|landmarks|waypoints|places|stops", "in between"),
+    "filler": """
+        whatever you do; whatever happens; so; well; listen; attention; today; be a dear and; be a
+        pal and; buddy; my dear; dude; my friend; hey there; hi there; hello there; good morning;
+        me; us; for me; please; kindly; thanks; thank you; thank you very much; hi; hello; hey;
+        ok; okay; alright; all right; robot; now; just; simply; also; too; as well; already;
+        directly; would you mind; do you mind; if you do not mind; when you have a minute; when
+        you have time; when you have the chance; whenever you can; as many times as you want; on
+        your travels; eventually; sometime; some time; at some time; at some point; at any time;
+        at any point; at any point in time; at any stage; in the future; at some point in the
+        future; some time in the future; sometime in the future; ever; at all; at all costs; in
+        any way; under any circumstances; under any circumstance; no matter what; completely;
+        totally; entirely; under any condition; under any conditions; no matter what happens;
+        (sometime|some time|at some point|at some time|any time) today;
+        on (your|this|the) (trip|journey|tour|round);
+        there can be other (locations|landmarks|waypoints|places|stops) in between
+    """,
     # Says nothing new of a ban or a condition, and too much of a goal.
-    "always": "the whole way through|the whole time|the entire time|throughout|all along|"
-    "the whole way|the entire way|"
-    + _product("for|during|throughout", "the", "whole|entire", "trip|mission|time|flight|journey")
-    + "|"
-    + _product("for|during|throughout", "the", "trip|mission|flight|journey")
-    + "|at every point|at any moment|at every step|always|at all times|all the time|"
-    "each time you do|at every moment",
-    "in the end": "in the end|at the end|at the very end|last",
+    "always": """
+        the whole way through; the whole time; the entire time; throughout; all along; the whole
+        way; the entire way; at every point; at any moment; at every step; always; at all times;
+        all the time; each time you do; at every moment;
+        (for|during|throughout) the (whole|entire) (trip|mission|time|flight|journey);
+        (for|during|throughout) the (trip|mission|flight|journey)
+    """,
+    "in the end": "in the end; at the end; at the very end; last",
     # How clauses hang together.
-    "and": "and|plus|as well as|&",
-    "or": "or|or else|or alternatively|alternatively|nor",
-    "but": "but|however|though|yet",
-    "then": "then|and then|then finally|and finally|finally|lastly|next|and next|after that|"
-    "and after that|afterwards|afterward|and afterwards|and afterward|sometime afterward|"
-    "sometime afterwards|and sometime afterward|and sometime afterwards|after this|and after this|"
-    "followed by|thereafter|"
-    "secondly|thirdly|fourthly|later|later on|some time later|and later|subsequently|move on|"
-    "and then finally|second|third|fourth|fifth|then next|and lastly|after which|then after that|"
-    "move on to|from there|and from there|from there on|from here|then from there|"
-    "and then from there|then followed by|and then after that|"
-    "and then later|and later on|next up|last of all|at last|"
-    + _product(
-        "when|once|after|and when|and once|as soon as",
-        "you are done|you are done there|that is done|this is done|done|done there|"
-        "you are finished|you are finished there|you have done that|you have done so|"
-        "there|you get there|you are there|you arrive there|you have arrived there",
-    )
-    + "|"
-    + _product(
-        "|and|then|and then",
-        "sometime|some time|at some point|at some time|soon|shortly|any time|eventually|not long",
-        "after|after that|after this|afterwards|thereafter|later on",
-    )
-    + "|"
-    + _product("at", "some|a", "later", "point|time|stage|moment")
-    + "|"
-    + _product(
-        "your|the|and your|and the|",
-        "second|third|fourth|fifth|next",
-        "stop|destination|target|goal|waypoint|place|place to go|place to visit",
-        "is|should be|will be|must be",
-    )
-    + "|"
-    "sometime later|and sometime later|then sometime later|and then sometime later|then later|"
-    "and then some time later|from then on|and from then on",
-    "only then": "only then|and only then|only after that|and only after that|only afterwards",
-    "first": "first|beforehand|first of all|to begin with|firstly|initially",
+    "and": "and; plus; as well as; &",
+    "or": "or; or else; or alternatively; alternatively; nor",
+    "but": "but; however; though; yet",
+    "then": """
+        then; and then; then finally; and finally; finally; lastly; next; and next; after that;
+        and after that; afterwards; afterward; and afterwards; and afterward; sometime afterward;
+        sometime afterwards; and sometime afterward; and sometime afterwards; after this; and
+        after this; followed by; thereafter; secondly; thirdly; fourthly; later; later on; some
+        time later; and later; subsequently; move on; and then finally; second; third; fourth;
+        fifth; then next; and lastly; after which; then after that; move on to; from there; and
+        from there; from there on; from here; then from there; and then from there; then followed
+        by; and then after that; and then later; and later on; next up; last of all; at last;
+        sometime later; and sometime later; then sometime later; and then sometime later; then
+        later; and then some time later; from then on; and from then on;
+        (when|once|after|and when|and once|as soon as) (you are done|you are done there|that is
+        done|this is done|done|done there|you are finished|you are finished there|you have done
+        that|you have done so|there|you get there|you are there|you arrive there|you have arrived
+        there);
+        (|and|then|and then) (sometime|some time|at some point|at some time|soon|shortly|any
+        time|eventually|not long) (after|after that|after this|afterwards|thereafter|later on);
+        at (some|a) later (point|time|stage|moment);
+        (your|the|and your|and the|) (second|third|fourth|fifth|next)
+        (stop|destination|target|goal|waypoint|place|place to go|place to visit) (is|should
+        be|will be|must be)
+    """,
+    "only then": "only then; and only then; only after that; and only after that; only afterwards",
+    "first": "first; beforehand; first of all; to begin with; firstly; initially",
     # Conditions.
-    "before": "before|prior to|ahead of|earlier than",
-    "after": "after|following|having",
-    "until": "until|till|up until|until after",
-    "unless": "unless|if not|except after",
-    "when": "when|as soon|as soon as|whenever|every time|each time|any time|if|if ever",
-    "while": "while|whilst|during which|as long as",
-    "without": "without|without ever|with no|"
-    + _product("with|", "no", "stops at|stop at|visits to|visit to|stopping at|detour through")
-    + "|"
-    + _product("without", "any|a|", "stops at|stop at|visits to|visit to|detour through")
-    + "|"
-    + _product("not|but not", "through|via|past|near|over|across|along|by way of"),
-    "via": "via|by way of|"
-    + _product(
-        "by|by first|while|while first|when",
-        "going|moving|passing|walking|driving|flying|traveling|travelling|heading",
-        "through|via|past|along|by|across",
-    )
-    + "|"
-    + _product(
-        "by|by first",
-        "entering|visiting|crossing|using|going to|taking|following|"
-        "traversing|stopping at|stopping by|passing",
-    )
-    + "|"
-    + _product("while", "passing|crossing|traversing")
-    + "|"
-    + _product("that|which", "goes|leads|passes|runs|takes you", "through|via|past")
-    + "|that crosses|which crosses",
-    "bound": "en route to|on way to|on route to|while moving to|while going to|"
-    "while heading to|while traveling to|"
-    "while travelling to|when on the way to|while on the way to|when on your way to|"
-    "while on your way to|"
-    + _product(
-        "on the way|on your way|on its way|along the way|on your trip|on the trip|on your journey|"
-        "on the road|on the route|on your route|on the path",
-        "to|into|towards|toward",
-    )
-    + "|"
-    + _product(
-        "when|in",
-        "going|moving|walking|driving|flying|heading|traveling|proceeding",
-        "to|towards|toward",
-    )
-    + "|"
-    + _product("in order to|so as to", "reach|get to|go to|enter|get into")
-    + "|"
-    + _product(
-        "while|as",
-        "you",
-        "go|head|move|drive|fly|walk|travel|make your way|are going|are heading|are moving|"
-        "are flying|are on your way",
-        "to|towards|toward",
-    ),
-    "bound there": "for this|to do so|to do this|to do that|"
-    "to get there|to reach it|to get to it|in order to get there",
-    "on the way": "on the road|on the route|on your route|along the path|"
-    "on the way|on your way|on its way|along the way|en route|"
-    "on the way there|"
-    "on your way there|on its way there|along your way|as you go|as you do so|while doing so|"
-    "in doing so|while you do it|while you do so|as you do it|"
-    + _product(
-        "while|as",
-        "you are",
-        "driving there|going there|heading there|moving there|on your way|at it|doing it|doing so",
-    ),
-    "around": "around|by going around|going around|by driving around|by walking around",
-    "origin": "starting on|start on|beginning on|begin on|starting off at|start off at|"
-    "starting from|starting at|starting in|starting out from|start from|start at|"
-    "start in|start out from|beginning at|beginning in|beginning from|begin at|begin in",
-    "opener": _product(
-        "your|the|",
-        "first",
-        "stop|destination|target|goal|waypoint|place|place to go|place to visit",
-        "is|should be|will be|must be",
-    )
-    + "|start by|begin by|start off by|starting by|beginning by|start with|begin with|"
-    "starting with|beginning with",
-    "halt": _product("stay|stop|wait|remain|rest|be", "there")
-    + "|stay put|you are done|you can stop|you can stop there",
-    "onward": _product(
-        "keep going|keep moving|keep walking|keep driving|keep flying|continue|"
-        "proceed|go on|carry on|go|move|drive|walk|fly|continue on|move on|do not stop|never stop",
-        "until|till",
-    ),
-    "immediately": "immediately|right|straight|straight away|right away|"
-    + _product("at|in", "the next|the very next", "step|instant|time step|time instant|instance")
-    + "|immediately in the next time step",
+    "before": "before; prior to; ahead of; earlier than",
+    "after": "after; following; having",
+    "until": "until; till; up until; until after",
+    "unless": "unless; if not; except after",
+    "when": "when; as soon; as soon as; whenever; every time; each time; any time; if; if ever",
+    "while": "while; whilst; during which; as long as",
+    "without": """
+        without; without ever; with no;
+        (with|) no (stops at|stop at|visits to|visit to|stopping at|detour through);
+        without (any|a|) (stops at|stop at|visits to|visit to|detour through);
+        (not|but not) (through|via|past|near|over|across|along|by way of)
+    """,
+    "via": """
+        via; by way of; that crosses; which crosses;
+        (by|by first|while|while first|when)
+        (going|moving|passing|walking|driving|flying|traveling|travelling|heading)
+        (through|via|past|along|by|across);
+        (by|by first) (entering|visiting|crossing|using|going
+        to|taking|following|traversing|stopping at|stopping by|passing);
+        while (passing|crossing|traversing);
+        (that|which) (goes|leads|passes|runs|takes you) (through|via|past)
+    """,
+    "bound": """
+        en route to; on way to; on route to; while moving to; while going to; while heading to;
+        while traveling to; while travelling to; when on the way to; while on the way to; when on
+        your way to; while on your way to;
+        (on the way|on your way|on its way|along the way|on your trip|on the trip|on your
+        journey|on the road|on the route|on your route|on the path) (to|into|towards|toward);
+        (when|in) (going|moving|walking|driving|flying|heading|traveling|proceeding)
+        (to|towards|toward);
+        (in order to|so as to) (reach|get to|go to|enter|get into);
+        (while|as) you (go|head|move|drive|fly|walk|travel|make your way|are going|are heading|are
+        moving|are flying|are on your way) (to|towards|toward)
+    """,
+    "bound there": """
+        for this; to do so; to do this; to do that; to get there; to reach it; to get to it; in
+        order to get there
+    """,
+    "on the way": """
+        on the road; on the route; on your route; along the path; on the way; on your way; on its
+        way; along the way; en route; on the way there; on your way there; on its way there; along
+        your way; as you go; as you do so; while doing so; in doing so; while you do it; while you
+        do so; as you do it;
+        (while|as) you are (driving there|going there|heading there|moving there|on your way|at
+        it|doing it|doing so)
+    """,
+    "around": "around; by going around; going around; by driving around; by walking around",
+    "origin": """
+        starting on; start on; beginning on; begin on; starting off at; start off at; starting
+        from; starting at; starting in; starting out from; start from; start at; start in; start
+        out from; beginning at; beginning in; beginning from; begin at; begin in
+    """,
+    "opener": """
+        start by; begin by; start off by; starting by; beginning by; start with; begin with;
+        starting with; beginning with;
+        (your|the|) first (stop|destination|target|goal|waypoint|place|place to go|place to visit)
+        (is|should be|will be|must be)
+    """,
+    "halt": """
+        stay put; you are done; you can stop; you can stop there;
+        (stay|stop|wait|remain|rest|be) there
+    """,
+    "onward": """
+        (keep going|keep moving|keep walking|keep driving|keep flying|continue|proceed|go on|carry
+        on|go|move|drive|walk|fly|continue on|move on|do not stop|never stop) (until|till)
+    """,
+    "immediately": """
+        immediately; right; straight; straight away; right away; immediately in the next time step;
+        (at|in) (the next|the very next) (step|instant|time step|time instant|instance)
+    """,
     # Counting.
     "once": "once",
-    "times n": "twice|thrice",
-    "number": "zero|one|two|three|four|five|six|seven|eight|nine|ten|single|a single|one single",
-    "times": "trip|trips|trip to|trips to|"
-    "time|times|instances|separate instances|distinct times|separate times|occasion|"
-    "occasions|separate occasions|different times|different occasions|times in total|"
-    "distinct visit|separate visit|separate instance|different instances|times overall|"
-    "separate visits|visits|visits to|visit to|separate visits to|in total|distinct visits|"
-    "distinct visits to",
-    "at least": "minimum|minimum of|"
-    "at least|a minimum of|no less than|no fewer than|not less than|on at least|"
-    "equal or more than|equal to or more than|greater than or equal to|more than or equal to",
-    "at most": "at most|a maximum of|no more than|not more than|up to|on at most|maximum|"
-    "equal or less than|equal to or less than|less than or equal to",
-    "quota": _product(
-        "the maximum|the minimum|the required|maximum|minimum",
-        "number of|allowable|allowed|allowable number of|allowed number of|permitted",
-        "visits to|separate visits to|distinct visits to|passes through|separate passes through|"
-        "times you can visit|times you can reach|times you may visit|times you must visit|"
-        "times you must reach|times you visit|times you should visit|times to visit",
-    ),
-    "exactly": "exactly|precisely|on exactly|just exactly|no more no less|no more and no less",
-    "more than": "more than|greater than|any more than|more often than",
-    "less than": "less than|fewer than|any less than|any fewer than",
-    "more or less": "more or less than|any more or less than|any more or fewer than|"
-    "no fewer or greater than|any greater or fewer than|greater or fewer than|"
-    "any more or any fewer than|any more or any less than",
-    "or more": "or more|or more than|or more often|and more",
-    "or less": "or less|or fewer|or less often|or fewer times",
-    "only": "only|solely",
-    "out of turn": "out of turn|out of order|out of sequence",
-    "no return": _product(
-        "no|without any|without",
-        "repetition|repetitions|repeats|repeated visits",
-    )
-    + "|"
-    + _product(
-        "no",
-        "revisiting|revisits|returning|going back|turning back|repeated visits|repetitions",
-        "is allowed|are allowed|allowed|is permitted|are permitted|permitted",
-    )
-    + "|no revisiting|no revisits|no going back|no turning back|"
-    "repeated visits are not permitted|repeated visits are not allowed",
-    "to the next": _product("while|when", "heading|going|moving|on your way", "to the next")
-    + "|on the way to the next|on your way to the next|while heading to the next one|"
-    "on the way to the next one",
-    "repeat": "repeat|repeat this|repeat that|repeat it|do this|do that|do it",
-    "apart": _product(
-        "while leaving|leaving",
-        "it|its region|the region|the area|the room",
-        "in between|each time",
-    )
-    + "|while leaving in between|leaving in between|leaving each time|leaving in between visits|"
-    "each time you must leave before coming back|leave it in between|leave in between",
-    "again": "again|anymore|any more|any longer|a second time|another time|once again|once more",
+    "times n": "twice; thrice",
+    "number": """
+        zero; one; two; three; four; five; six; seven; eight; nine; ten; single; a single; one
+        single
+    """,
+    "times": """
+        trip; trips; trip to; trips to; time; times; instances; separate instances; distinct
+        times; separate times; occasion; occasions; separate occasions; different times; different
+        occasions; times in total; distinct visit; separate visit; separate instance; different
+        instances; times overall; separate visits; visits; visits to; visit to; separate visits
+        to; in total; distinct visits; distinct visits to
+    """,
+    "at least": """
+        minimum; minimum of; at least; a minimum of; no less than; no fewer than; not less than;
+        on at least; equal or more than; equal to or more than; greater than or equal to; more
+        than or equal to
+    """,
+    "at most": """
+        at most; a maximum of; no more than; not more than; up to; on at most; maximum; equal or
+        less than; equal to or less than; less than or equal to
+    """,
+    "quota": """
+        (the maximum|the minimum|the required|maximum|minimum) (number
+        of|allowable|allowed|allowable number of|allowed number of|permitted) (visits to|separate
+        visits to|distinct visits to|passes through|separate passes through|times you can
+        visit|times you can reach|times you may visit|times you must visit|times you must
+        reach|times you visit|times you should visit|times to visit)
+    """,
+    "exactly": "exactly; precisely; on exactly; just exactly; no more no less; no more and no less",
+    "more than": "more than; greater than; any more than; more often than",
+    "less than": "less than; fewer than; any less than; any fewer than",
+    "more or less": """
+        more or less than; any more or less than; any more or fewer than; no fewer or greater
+        than; any greater or fewer than; greater or fewer than; any more or any fewer than; any
+        more or any less than
+    """,
+    "or more": "or more; or more than; or more often; and more",
+    "or less": "or less; or fewer; or less often; or fewer times",
+    "only": "only; solely",
+    "out of turn": "out of turn; out of order; out of sequence",
+    "no return": """
+        no revisiting; no revisits; no going back; no turning back; repeated visits are not
+        permitted; repeated visits are not allowed;
+        (no|without any|without) (repetition|repetitions|repeats|repeated visits);
+        no (revisiting|revisits|returning|going back|turning back|repeated visits|repetitions) (is
+        allowed|are allowed|allowed|is permitted|are permitted|permitted)
+    """,
+    "to the next": """
+        on the way to the next; on your way to the next; while heading to the next one; on the way
+        to the next one;
+        (while|when) (heading|going|moving|on your way) to the next
+    """,
+    "repeat": "repeat; repeat this; repeat that; repeat it; do this; do that; do it",
+    "apart": """
+        while leaving in between; leaving in between; leaving each time; leaving in between
+        visits; each time you must leave before coming back; leave it in between; leave in between;
+        (while leaving|leaving) (it|its region|the region|the area|the room) (in between|each
+        time)
+    """,
+    "again": """
+        again; anymore; any more; any longer; a second time; another time; once again; once more
+    """,
     # Order.
-    "any order": "in any order|in any order you like|in no particular order|in no specific order|"
-    "in arbitrary order|in an arbitrary order|in whatever order|any order|"
-    "the order is not important|the order does not matter|order does not matter|"
-    "it can be done in any order|regardless of order|in whichever order|in a random order|"
-    "in whichever order you like|in any order you want|in whatever order you like|in either order|"
-    "in any order required|"
-    "the order is up to you|the order is arbitrary|order is not important|"
-    "whatever order you like|whichever order you like|order is up to you|order is arbitrary|"
-    + _product(
-        "in whatever|in whichever", "order", "is|seems", "quickest|easiest|fastest|shortest|best"
-    )
-    + "|"
-    "in whatever order suits you|in whichever order suits you|in no set order|in no fixed order|"
-    "either one can be first|either can be first|either one may come first|either may come first|"
-    "either one can come first|either can come first|"
-    + _product(
-        "it does not matter|it makes no difference|i do not care|i do not mind",
-        "in which order|in what order|which order|what order|which one you visit first|"
-        "which you visit first|which one is first|which is first|which one comes first|"
-        "which comes first|which one you do first|which you do first|which one you go to first|"
-        "which you go to first",
-    ),
-    "whichever": _product(
-        "whichever|whichever one",
-        "you like|you prefer|you want|you choose|suits you|is closer|is closest|is nearer|"
-        "is nearest|is easier|is quicker|is faster",
-    )
-    + "|"
-    + _product(
-        "the one|any one|either one", "you like|you prefer|you want|that you prefer|you choose"
-    )
-    + "|any one|either one|or both|your pick|"
-    "your choice|the choice is yours|you choose|you decide|either is fine|either one is fine|"
-    "either will do|either one will do|"
-    + _product("it does not matter|i do not care|i do not mind", "which|which one"),
-    "in order": "in order|in that order|in this order|in the order given|in the given order|"
-    "in turn|in sequence|sequentially|"
-    "consecutively|one after another|one after the other|in this sequence|"
-    "in that sequence|one by one",
-    "strict order": "in strict order|in strictly this order|in this strict order|"
-    "in that strict order|in this exact order|in that exact order|in exact order|"
-    "in this specific order|in that specific order|in exactly this order|in exactly that order|"
-    "strictly in order|strictly in this order|in the exact order|in the strict order|"
-    "in that exact sequence|in this exact sequence",
+    "any order": """
+        in any order; in any order you like; in no particular order; in no specific order; in
+        arbitrary order; in an arbitrary order; in whatever order; any order; the order is not
+        important; the order does not matter; order does not matter; it can be done in any order;
+        regardless of order; in whichever order; in a random order; in whichever order you like;
+        in any order you want; in whatever order you like; in either order; in any order required;
+        the order is up to you; the order is arbitrary; order is not important; whatever order you
+        like; whichever order you like; order is up to you; order is arbitrary; in whatever order
+        suits you; in whichever order suits you; in no set order; in no fixed order; either one
+        can be first; either can be first; either one may come first; either may come first;
+        either one can come first; either can come first;
+        (in whatever|in whichever) order (is|seems) (quickest|easiest|fastest|shortest|best);
+        (it does not matter|it makes no difference|i do not care|i do not mind) (in which order|in
+        what order|which order|what order|which one you visit first|which you visit first|which
+        one is first|which is first|which one comes first|which comes first|which one you do
+        first|which you do first|which one you go to first|which you go to first)
+    """,
+    "whichever": """
+        any one; either one; or both; your pick; your choice; the choice is yours; you choose; you
+        decide; either is fine; either one is fine; either will do; either one will do;
+        (whichever|whichever one) (you like|you prefer|you want|you choose|suits you|is closer|is
+        closest|is nearer|is nearest|is easier|is quicker|is faster);
+        (the one|any one|either one) (you like|you prefer|you want|that you prefer|you choose);
+        (it does not matter|i do not care|i do not mind) (which|which one)
+    """,
+    "in order": """
+        in order; in that order; in this order; in the order given; in the given order; in turn;
+        in sequence; sequentially; consecutively; one after another; one after the other; in this
+        sequence; in that sequence; one by one
+    """,
+    "strict order": """
+        in strict order; in strictly this order; in this strict order; in that strict order; in
+        this exact order; in that exact order; in exact order; in this specific order; in that
+        specific order; in exactly this order; in exactly that order; strictly in order; strictly
+        in this order; in the exact order; in the strict order; in that exact sequence; in this
+        exact sequence
+    """,
     # Naming.
-    "article": "the|an|some|any|my|our|your|his|her|their|any visit to|any visits to|"
-    "a visit to|every visit to",
-    "pronoun": "it|that|there|them|this|those|these|that one|this one|the same",
-    "either": "either|one of|either one of|either of|any of|any one of|at least one of",
-    "all of": "both|both of|all of|each of|all|all the following|the following|"
-    "every one of|each|every",
-    "group": "locations|location|place|places|landmarks|landmark|waypoints|objects|targets|rooms|"
-    "things",
-    "place": "near|next to|beside|in|inside|on|under|below|above|behind|in front of|close to|"
-    "opposite|against|of",
-    "to": "to|towards|toward|over to|through|into|onto|in to|inside of",
-    "happen": _product(
-        "is|should be|will be|must be",
-        "your|the",
-        "goal|target|destination|final destination|final goal|objective|final target",
-    )
-    + "|"
-    + _product(
-        "is where you",
-        "finish|end|end up|need to be|have to be|should be|must be|must go|need to go|have to go|"
-        "are going|should go|should finish|should end up",
-    )
-    + "|happen|happens|happened|happening|occur|occurs|occurred|occured|occurring|hold|"
-    "holds|hold true|holds true|become true|becomes true|be true|is true",
+    "article": """
+        the; an; some; any; my; our; your; his; her; their; any visit to; any visits to; a visit
+        to; every visit to
+    """,
+    "pronoun": "it; that; there; them; this; those; these; that one; this one; the same",
+    "either": "either; one of; either one of; either of; any of; any one of; at least one of",
+    "all of": """
+        both; both of; all of; each of; all; all the following; the following; every one of; each;
+        every
+    """,
+    "group": """
+        locations; location; place; places; landmarks; landmark; waypoints; objects; targets;
+        rooms; things
+    """,
+    "place": """
+        near; next to; beside; in; inside; on; under; below; above; behind; in front of; close to;
+        opposite; against; of
+    """,
+    "to": "to; towards; toward; over to; through; into; onto; in to; inside of",
+    "happen": """
+        happen; happens; happened; happening; occur; occurs; occurred; occured; occurring; hold;
+        holds; hold true; holds true; become true; becomes true; be true; is true;
+        (is|should be|will be|must be) (your|the) (goal|target|destination|final destination|final
+        goal|objective|final target);
+        is where you (finish|end|end up|need to be|have to be|should be|must be|must go|need to
+        go|have to go|are going|should go|should finish|should end up)
+    """,
     # Known only to be refused with a reason: see `words.REASONS`.
-    "endless": "keep visiting|continuously|repeatedly|"
-    "infinitely|endlessly|perpetually|again and again|over and over again|over and over|patrol|"
-    "cycle through|back and forth|infinite|an infinite number of|do not stop visiting|"
-    "do not stop going|never stop visiting|never stop going|do not ever stop|can not stop|"
-    "not stop visiting|not stop going",
-    "going on": "continue|keep going|keep moving|keep on|go on|carry on",
-    "stay": "stay|stays|staying|wait|waits|waiting|remain|remains|remaining|leave|leaving",
+    "endless": """
+        keep visiting; continuously; repeatedly; infinitely; endlessly; perpetually; again and
+        again; over and over again; over and over; patrol; cycle through; back and forth;
+        infinite; an infinite number of; do not stop visiting; do not stop going; never stop
+        visiting; never stop going; do not ever stop; can not stop; not stop visiting; not stop
+        going
+    """,
+    "going on": "continue; keep going; keep moving; keep on; go on; carry on",
+    "stay": """
+        stay; stays; staying; wait; waits; waiting; remain; remains; remaining; leave; leaving
+    """,
     "stray": "got it",
-    "goal": _product("your|the", "destination|goal|target|final destination|next stop|last stop"),
-    "picture": _product("take|taking|took", "a|some", "picture|pictures|photo|photos"),
+    "goal": "(your|the) (destination|goal|target|final destination|next stop|last stop)",
+    "picture": "(take|taking|took) (a|some) (picture|pictures|photo|photos)",
     # Says nothing new of a ban, and too much of a goal.
-    "forever": "forever|indefinitely|for ever",
+    "forever": "forever; indefinitely; for ever",
+    # Beside the single words below.
+    "verb": """
+        make your way; making your way; made your way; go near; going near; come near; get near;
+        continue to; continue on to; continue into; continue through; continue on into; keep going
+        to; keep moving to; keep walking to; go on to; carry on to; make a detour; making a
+        detour; take a detour; make a pass through; making a pass through; find yourself in; find
+        yourself at; make it; makes it; making it; cut through; cutting through; cut across; set a
+        wheel; setting a wheel; check in; checking in; deliver to; delivering to; make a delivery;
+        making a delivery; make a round of; do a round of; do the rounds of; find your way; get
+        yourself; bring yourself; take yourself; pay a visit; drop by; drop in at; swing by; stop
+        by; stopping by; stop off; set foot; setting foot; gain access; end up; ends up; ending up;
+        (go|come|get|going|coming) anywhere near;
+        deliver (this|the|a|my) (package|parcel|letter|order) (to|at);
+        (your|the|) (final destination|destination|last stop|last place|last place to go|last
+        place to visit|final stop|final place) (is|will be|should be|must be);
+        (move|drive|send|steer|guide|fly|navigate|take|bring|get|direct|moving|driving|taking)
+        (the robot|the drone|the agent|yourself|itself);
+        (take|use|follow|choose) (a|any|the) (road|path|route|way)
+        (through|past|along|across|via);
+        (take|taking|have|having) a (look|peek|glance);
+        your (path|route|way|tour|trip|journey) (ends|should end|must end|will end)
+        (at|in|on|with);
+        (make|making) (a|any|any single) (stop|visit);
+        (take|find|follow|choose|use) (a|any|the|some|the shortest|the quickest|the fastest)
+        (path|route|road|way);
+        (end|ends|ending|finish|finishes|finishing|stop) (up at|up in|up on|at|in|on|up
+        by|by|with|up with)
+    """,
+    "avoid": """
+        avoid; avoids; avoiding; avoided; bypass; bypassing; stay away from; staying away from;
+        keep away from; keeping away from; keep avoiding; stay clear of; staying clear of; steer
+        clear of; steering clear of; keep off; stay off; keep out of; stay out of; skip; skipping;
+        keep clear of; go anywhere but; visit anywhere but; go anywhere except; go anywhere other
+        than; by avoiding; by bypassing; refrain from; ignore; leave out; leaving out; staying out
+        of; keeping out of; keeping off; keep well away from; stay well away from; keeping clear
+        of; getting around;
+        (that|which) (avoids|bypasses|skips);
+        (taking|by taking|using|by using|following) (a|any|the) (path|route|road|way) (that
+        avoids|which avoids|that does not go through|that does not pass through);
+        (by|on|along|via|using|only on|only along|only by) (a|any) (road|path|route|way) (that
+        avoids|which avoids|that bypasses|that does not go through|that does not pass through);
+        (that|which) (does not|never) (go through|pass through|goes through|passes
+        through|enter|enters|cross|crosses|pass|touch|use|uses|lead through|take you through)
+    """,
 }
-"""Kind → its phrases, separated by `|`."""
+"""Kind → its phrases, separated by `;`; "(a|b) c" is both "a c" and "b c"."""
 
 _REGULAR_VERBS = """
-    visit reach approach enter explore check inspect examine clean wipe wash dust vacuum
-    mop tidy polish scrub water open close lock unlock touch press use fetch grab collect watch
-    observe spot locate discover charge load unload empty fill photograph scan search view greet
-    feed iron attend cross navigate travel walk move head proceed drive return arrive pass step roll
-    look
-    zip tour pop hop nip hurry rush race glide hover land ascend descend soar float march stroll
-    cruise
-    journey trek advance dash zoom
-    turn switch stop pick plug sanitize disinfect activate start repair service contact access
-    fly follow climb traverse progress
-    """
+    visit reach approach enter explore check inspect examine clean wipe wash dust vacuum mop tidy
+    polish scrub water open close lock unlock touch press use fetch grab collect watch observe spot
+    locate discover charge load unload empty fill photograph scan search view greet feed iron
+    attend cross navigate travel walk move head proceed drive return arrive pass step roll look zip
+    tour pop hop nip hurry rush race glide hover land ascend descend soar float march stroll cruise
+    journey trek advance dash zoom turn switch stop pick plug sanitize disinfect activate start
+    repair service contact access fly follow climb traverse progress
+"""
 
 _IRREGULAR_VERBS = """
     go goes going went gone find finds finding found see sees seeing saw seen get gets getting got
     gotten take takes taking took taken bring brings bringing brought sweep sweeps sweeping swept
-    meet meets meeting met run runs running ran come comes coming came make makes making made
-    sit sits sitting sat shut shuts shutting hit hits hitting
-    revisit revisits revisiting revisited
-    """
-
-_IRREGULAR_VERBS += """
-    fly flies flying flew flown ride rides riding rode
-    """
-VERB_PHRASES = "make your way|making your way|made your way|go near|going near|come near|get near|"
-VERB_PHRASES += "continue to|continue on to|continue into|continue through|continue on into|"
-VERB_PHRASES += "keep going to|keep moving to|keep walking to|go on to|carry on to|"
-VERB_PHRASES += "make a detour|making a detour|take a detour|"
-VERB_PHRASES += "make a pass through|making a pass through|find yourself in|find yourself at|"
-VERB_PHRASES += "make it|makes it|making it|cut through|cutting through|cut across|"
-VERB_PHRASES += _product("go|come|get|going|coming", "anywhere near") + "|"
-VERB_PHRASES += "set a wheel|setting a wheel|check in|checking in|deliver to|delivering to|"
-VERB_PHRASES += "make a delivery|making a delivery|make a round of|do a round of|do the rounds of|"
-VERB_PHRASES += _product(
-    "deliver", "this|the|a|my", "package|parcel|letter|order", "to|at"
-)  # it is carried already
-VERB_PHRASES += "|find your way|get yourself|bring yourself|take yourself|pay a visit|drop by|"
-VERB_PHRASES += (
-    "drop in at|swing by|stop by|stopping by|stop off|set foot|setting foot|gain access|"
-)
-VERB_PHRASES += _product(
-    "your|the|",
-    "final destination|destination|last stop|last place|last place to go|last place to visit|"
-    "final stop|final place",
-    "is|will be|should be|must be",
-)
-VERB_PHRASES += "|" + _product(
-    "move|drive|send|steer|guide|fly|navigate|take|bring|get|direct|moving|driving|taking",
-    "the robot|the drone|the agent|yourself|itself",
-)
-VERB_PHRASES += "|" + _product(
-    "take|use|follow|choose", "a|any|the", "road|path|route|way", "through|past|along|across|via"
-)
-VERB_PHRASES += "|" + _product("take|taking|have|having", "a", "look|peek|glance")
-VERB_PHRASES += "|" + _product(
-    "your", "path|route|way|tour|trip|journey", "ends|should end|must end|will end", "at|in|on|with"
-)
-VERB_PHRASES += "|" + _product("make|making", "a|any|any single", "stop|visit") + "|"
-VERB_PHRASES += (
-    _product(
-        "take|find|follow|choose|use",
-        "a|any|the|some|the shortest|the quickest|the fastest",
-        "path|route|road|way",
-    )
-    + "|"
-)
-VERB_PHRASES += (
-    _product(
-        "end|ends|ending|finish|finishes|finishing|stop",
-        "up at|up in|up on|at|in|on|up by|by|with|up with",
-    )
-    + "|end up|ends up|ending up"
-)
+    meet meets meeting met run runs running ran come comes coming came make makes making made sit
+    sits sitting sat shut shuts shutting hit hits hitting revisit revisits revisiting revisited fly
+    flies flying flew flown ride rides riding rode
+"""
 
 _PARTICLES = """
     to on off at by up in over for out through from into inside with back down toward towards past
@@ -431,37 +398,24 @@ _PARTICLES = """
 AFTER_VERB = tuple(_PARTICLES.split())
 """Particles that belong to the verb before them: "turn on", "look for", "stop at"."""
 
-AVOID_PHRASES = (
-    "avoid|avoids|avoiding|avoided|bypass|bypassing|stay away from|staying away from|"
-    "keep away from|keeping away from|keep avoiding|stay clear of|staying clear of|"
-    "steer clear of|steering clear of|keep off|stay off|keep out of|stay out of|skip|skipping|"
-    "keep clear of|go anywhere but|visit anywhere but|go anywhere except|go anywhere other than|"
-    "by avoiding|by bypassing|refrain from|ignore|"
-    "leave out|leaving out|staying out of|"
-    "keeping out of|keeping off|keep well away from|stay well away from|keeping clear of|"
-    "getting around|"
-)
-AVOID_PHRASES += _product("that|which", "avoids|bypasses|skips")
-AVOID_PHRASES += "|" + _product(
-    "taking|by taking|using|by using|following",
-    "a|any|the",
-    "path|route|road|way",
-    "that avoids|which avoids|that does not go through|that does not pass through",
-)
-AVOID_PHRASES += "|" + _product(
-    "by|on|along|via|using|only on|only along|only by",
-    "a|any",
-    "road|path|route|way",
-    "that avoids|which avoids|that bypasses|that does not go through|that does not pass through",
-)
-AVOID_PHRASES += "|" + _product(
-    "that|which",
-    "does not|never",
-    "go through|pass through|goes through|passes through|enter|"
-    "enters|cross|crosses|pass|touch|use|uses|lead through|take you through",
-)
 
-AVOIDING = frozenset(AVOID_PHRASES.split("|"))
+def _spelled_out(phrases: str) -> list[str]:
+    """All phrases of a row: "(a|b) c" is two."""
+    todo, done = [phrase for phrase in phrases.split(";") if phrase.strip()], []
+    for phrase in todo:
+        if choice := _CHOICE.search(phrase):
+            before, after = phrase[: choice.start()], phrase[choice.end() :]
+            todo += [f"{before}{option}{after}" for option in choice[1].split("|")]
+        else:
+            done.append(" ".join(phrase.split()))
+    return done
+
+
+_CHOICE = re.compile(r"\(([^()]*)\)")
+PHRASES = {kind: tuple(_spelled_out(row)) for kind, row in _ROWS.items()}
+"""Kind → its phrases."""
+AVOIDING = frozenset(PHRASES["avoid"])
+"""Ways to say that something is to be shunned."""
 
 
 def _forms(verb: str) -> list[str]:
@@ -477,13 +431,13 @@ def _table() -> dict[tuple[str, ...], str]:
     phrases = {
         tuple(phrase.split()): kind
         for kind, listed in PHRASES.items()
-        for phrase in listed.split("|")
+        for phrase in listed
+        if kind not in ("verb", "avoid")
     }
     verbs = [form for verb in _REGULAR_VERBS.split() for form in _forms(verb)]
-    verbs += [*_IRREGULAR_VERBS.split(), *VERB_PHRASES.split("|")]
-    for verb in verbs:
+    for verb in (*verbs, *_IRREGULAR_VERBS.split(), *PHRASES["verb"]):
         phrases.setdefault(tuple(verb.split()), "verb")
-    for phrase in AVOID_PHRASES.split("|"):
+    for phrase in AVOIDING:
         phrases[tuple(phrase.split())] = "avoid"
     known = {word for phrase in phrases for word in phrase}
     listed = [name for entry in names.ALIASES.items() for name in (entry[0], *entry[1])]

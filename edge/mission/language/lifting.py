@@ -20,7 +20,7 @@ MOST_PIECES = 250
 LONGEST_NAME = 6  # words
 ARTICLES = frozenset(["the", "a", "an", "my", "our", "your", "his", "her", "its", "their"])
 _SINGLING = ARTICLES | {"this", "that", "each", "every", "any", "some", "another"}
-_PLACES = tuple(sorted(PHRASES["place"].split("|"), key=len, reverse=True))
+_PLACES = tuple(sorted(PHRASES["place"], key=len, reverse=True))
 _OF_NO_NAME = {"of", "between", "against"}
 _STORIES = {"floor", "floors", "story", "level", "room", "landmark", "door", "street", "building"}
 _AFTER_LETTER = {*AFTER_VERB, ",", ".", "and", "or", "then", "before", "after", "until"}

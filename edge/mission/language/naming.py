@@ -1,0 +1,235 @@
+"""One name in an instruction: which words it has, and what it is called.
+
+    name = [article] word { word } [place [article] word { word }] | letter | '"' text '"'
+
+`a` is an article wherever a longer word follows. Of which words a name may consist is in `nouns`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from edge import names
+from edge.mission.language import nouns
+from edge.mission.language.lexicon import AFTER_VERB
+from edge.mission.language.words import Reader, Token
+from edge.text import one_line
+
+_NOT_NAMES = """
+    anywhere nowhere everywhere somewhere none nothing everything more less most leave leaving
+    among exit mean means if than which who whose whom what how why where about because not very
+    again here else anything something anyone someone everyone nobody otherwise except unlike
+    soon fast quickly slowly carefully today tomorrow tonight exactly really maybe perhaps
+    instead spot spots position point
+    """
+_NEVER_IN_NAMES = frozenset(_NOT_NAMES.split())
+
+
+def take_name(reader: Reader) -> str:
+    """One thing's canonical name."""
+    start = reader.peek()
+    said = reader.take("article")
+    article = said is not None
+    if said and said.text.endswith(" to"):  # "any visit to the sofa"
+        reader.take("article")
+    if is_indefinite(reader):
+        reader.take("word")
+        article = True
+    if token := reader.take("quoted"):
+        return _canonical(reader, token.text, token)
+    if is_letter(reader.peek()):
+        if _hardly_a_name(reader):
+            reader.refuse("no thing that is known", start)
+        return reader.tokens[_advance(reader)].text
+    words = _words(reader, article)
+    if words and (head := _head_ahead(reader, words)):
+        return _canonical(reader, " ".join(token.text for token in (*words, *head)), words[0])
+    if start.kind == "number":
+        reader.refuse("how many of a kind cannot be told; say 'the …'", start)
+    if not words:
+        reader.refuse("expected the name of a thing here", start)
+    _check(reader, words)
+    if reader.sees("article"):
+        reader.refuse("no word that is known", words[0])
+    text = _spelled(reader, words)
+    if reader.sees("place") and _place_follows(reader):
+        place = reader.take("place")
+        assert place is not None
+        reader.skip("article")
+        if reader.peek().text in ("a", "an"):
+            reader.take("word")
+        where = _words(reader, article=True)
+        if not where:
+            reader.refuse("expected the name of a thing here")
+        _check(reader, where)
+        text = f"{text} {place.text} {' '.join(token.text for token in where)}"
+    return _canonical(reader, text, words[0])
+
+
+def _words(reader: Reader, article: bool) -> list[Token]:
+    """The run of words that a name consists of; after an article a verb may begin it."""
+    words: list[Token] = []
+    if reader.peek().text in nouns.ORDINALS and reader.sees("word", "group", "and", "or", ahead=1):
+        words.append(reader.tokens[_advance(reader)])
+    if reader.sees("verb") and article:
+        words.append(reader.tokens[_advance(reader)])
+    while reader.sees("word", "group") and not is_letter(reader.peek()):
+        if reader.peek().text in AFTER_VERB:
+            break
+        words.append(reader.tokens[_advance(reader)])
+    if words and is_number(reader):
+        words.append(reader.tokens[_advance(reader)])
+    return words
+
+
+def _head_ahead(reader: Reader, words: list[Token]) -> list[Token]:
+    """The noun that a quality shares with the next element: "the red or the blue room"."""
+    adjectives = nouns.QUALITIES | nouns.ORDINALS
+    if not all(token.text in adjectives for token in words):
+        return []
+    if nouns.is_noun(" ".join(token.text for token in words)):
+        return []
+    ahead, said = 0, {"comma"}
+    while reader.sees("comma", "and", "or", "to", "article", ahead=ahead) or (
+        ahead and reader.peek(ahead).text in adjectives
+    ):
+        said.add(reader.peek(ahead).kind)
+        ahead += 1
+    head: list[Token] = []
+    while ahead and reader.sees("word", "group", ahead=ahead):
+        head.append(reader.peek(ahead))
+        ahead += 1
+    texts = [token.text for token in head]
+    if not texts or nouns.unknown_in(texts) is not None:
+        return []
+    several = "article" in said or texts[-1] != names.singular(texts[-1])
+    # "a tall, white chair" and "the red and blue chair" are one chair
+    return head if "or" in said or ("and" in said and several) else []
+
+
+def _spelled(reader: Reader, words: list[Token]) -> str:
+    """The words of a name; its number spelled out, for `edge.names` takes digits for a model's."""
+    texts = [token.text for token in words]
+    if texts[-1].isdecimal():
+        if len(texts[-1]) > 2 or int(texts[-1]) >= len(nouns.CARDINALS):
+            reader.refuse("names are numbered up to ten", words[0])
+        texts[-1] = nouns.CARDINALS[int(texts[-1])]
+    if len(texts) > 1 and texts[-1] in nouns.CARDINALS:
+        head = " ".join([*texts[:-2], names.singular(texts[-2])])  # "landmarks one and two"
+        return _numbered(head, texts[-1])
+    return " ".join(texts)
+
+
+def _advance(reader: Reader) -> int:
+    reader.at += 1
+    return reader.at - 1
+
+
+def is_indefinite(reader: Reader) -> bool:
+    """Whether an `a` or `an` comes that is an article."""
+    return reader.sees("word") and reader.peek().text in ("a", "an") and _goes_on(reader)
+
+
+def _goes_on(reader: Reader) -> bool:
+    """Whether `a` is an article: a longer word follows it, or a verb that is also a thing."""
+    follower = reader.peek(1)
+    if follower.kind == "verb":
+        return nouns.is_noun(follower.text)
+    return follower.kind == "quoted" or (
+        follower.kind == "word" and len(follower.text) > 1 and follower.text not in AFTER_VERB
+    )
+
+
+def _place_follows(reader: Reader) -> bool:
+    follower = reader.peek(1)
+    return (
+        follower.kind == "article"
+        or (follower.kind == "word" and follower.text not in AFTER_VERB and not is_letter(follower))
+        or (follower.text in ("a", "an") and reader.sees("word", ahead=2))
+    )
+
+
+def _hardly_a_name(reader: Reader) -> bool:
+    """Whether `a` more likely begins "a walk" than names a thing: no other letter names one."""
+    if reader.peek().text != "a":
+        return False
+    if reader.peek(-1).text == "be":  # "be a dear"
+        return True
+    if not reader.sees("verb", "times", "immediately", ahead=1):
+        return False
+    return not any(is_letter(token) and token.text != "a" for token in reader.tokens)
+
+
+def is_letter(token: Token) -> bool:
+    return token.kind == "word" and len(token.text) == 1 and token.text.isalpha()
+
+
+def _check(reader: Reader, words: list[Token]) -> None:
+    """Refuses a run of words that is no name made of known words."""
+    texts = [token.text for token in words]
+    odd = next((i for i, text in enumerate(texts) if text in _NEVER_IN_NAMES), None)
+    if odd is not None:
+        reader.refuse("no name of a thing, and no known word", words[odd])
+    odd = nouns.unknown_in(texts)
+    if odd is None:
+        return
+    close = nouns.meant(texts[odd])
+    if close and not nouns.is_noun(texts[odd]):
+        reader.refuse(f"{one_line(texts[odd], 40)}: {close}?", words[odd])
+    whole = one_line(" ".join(texts), 40)
+    if odd:
+        last = one_line(texts[odd - 1], 20)
+        hint = f'unknown after {last!r}; if it is one thing, write "{whole}"'
+        reader.refuse(f"{hint} in double quotes", words[odd])
+    reader.refuse(f'no known thing; if it is one, write "{whole}" in double quotes', words[0])
+
+
+def _canonical(reader: Reader, text: str, token: Token) -> str:
+    try:
+        return names.canonical(text)
+    except names.NotANameError as error:
+        reader.refuse(f"no name: {str(error).rpartition(' is no name: ')[2]}", token)
+
+
+def number_ahead(reader: Reader, last: Sequence[Sequence[str]]) -> Token | None:
+    """What joins "1" and "2" in "landmarks 1 and 2"; None where no such list goes on."""
+    head = _numbered_head(last[-1][-1])
+    ahead = 1 if reader.sees("comma") else 0
+    if reader.sees("and", "or", ahead=ahead):
+        ahead += 1
+    goes_on = head and len(last) == 1 and ahead
+    return reader.peek(ahead - 1) if goes_on and is_number(reader, ahead) else None
+
+
+def next_numbered(reader: Reader, last: Sequence[Sequence[str]]) -> str:
+    """`2`, after "landmark 1": landmark two."""
+    reader.skip("comma", "and", "or")
+    token = reader.tokens[_advance(reader)]
+    head = _numbered_head(last[-1][-1])
+    number = token.text
+    if number.isdecimal():
+        if len(number) > 2 or int(number) >= len(nouns.CARDINALS):
+            reader.refuse("names are numbered up to ten", token)
+        number = nouns.CARDINALS[int(number)]
+    return _canonical(reader, _numbered(head, number), token)
+
+
+def _numbered_head(name: str) -> str:
+    """`landmark` of "landmark one", `floor` of "first floor"; "" of others."""
+    first, _, last = name.rpartition(" ")
+    if first in nouns.ORDINALS and last in nouns.STOREYS:
+        return last
+    return first if last in nouns.CARDINALS else ""
+
+
+def _numbered(head: str, number: str) -> str:
+    """`landmark two`, and `second floor`, which "floor two" is."""
+    n = nouns.CARDINALS.index(number)
+    return f"{nouns.NUMERALS[n - 1]} {head}" if head in nouns.STOREYS and n else f"{head} {number}"
+
+
+def is_number(reader: Reader, ahead: int = 0) -> bool:
+    """Whether that token is a number that counts no visits."""
+    if not reader.sees("number", ahead=ahead) or reader.sees("times", "or more", ahead=ahead + 1):
+        return False
+    return not reader.sees("group", ahead=ahead + 1)
