@@ -1,0 +1,435 @@
+"""What an instruction asks for, clause after clause and sentence after sentence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from edge.mission.language.adjuncts import starts_leaving, take_leaving, take_repetition
+from edge.mission.language.clauses import Bare, starts_clause, take_clause
+from edge.mission.language.flow import JOINTS, THEN, Flow
+from edge.mission.language.goals import Every, Goal, Some, formula_of, letters, steps, visits
+from edge.mission.language.lexicon import AVOIDING
+from edge.mission.language.meaning import Meaning, meaning_of, permission_of
+from edge.mission.language.sequences import (
+    anchored,
+    chained,
+    each_at_most,
+    in_strict_order,
+    only_then,
+    passing_by,
+    put_first,
+    put_in_order,
+    sequence_goal,
+    single_visits,
+    split_return,
+    visit_often,
+)
+from edge.mission.language.spoken import Clause, Condition, Count, take_count
+from edge.mission.language.things import Memory, Things
+from edge.mission.language.words import (
+    REASONS,
+    Reader,
+    Token,
+)
+from edge.mission.ltl import TRUE, Formula, postorder
+
+MAX_NODES = 20_000
+"""A formula's largest size; "a and b, then c and d, then …" doubles it with every step."""
+
+
+def _size(formula: Formula) -> int:
+    """Nodes of the formula as a tree; parts that it shares count each time, as in its text."""
+    sizes: dict[int, int] = {}
+    for f in postorder(formula):
+        sizes[id(f)] = 1 + sum(sizes[id(arg)] for arg in f.args)
+    return sizes[id(formula)]
+
+
+def _both(first: Meaning | None, second: Meaning) -> Meaning:
+    if first is None:
+        return second
+    first.add(second)
+    return first
+
+
+@dataclass(slots=True)
+class Discourse:
+    """A cursor on the instruction, and what was said so far.
+
+    Attributes:
+        goal: what is to be achieved.
+        rules: what holds throughout, whichever alternative is taken.
+        ordered: something was asked for without an upper limit.
+        times: how often each name was asked for.
+        last: what the last clause asked for.
+        first: the last goal was said to come first, so what follows comes after it.
+        clauses: how many there were.
+        denied: the last clause forbade something, so a bare "then the bed" could mean either.
+        flow: what the last clause did.
+        elsewhere: where only what is left out was named ("go anywhere but to a").
+        halted: where it was said to stop.
+        waits: what is not to be reached before what.
+        detour: where this sentence was said to be on the way to the one before.
+        settled: one thing comes last.
+        shuns: something was to be avoided, not only to wait for something else.
+        permitted: what the last clause allowed, if it asked for nothing.
+        each: how often at most each place may be visited, and where that was said.
+        strictly: where it was said that nothing comes out of turn.
+    """
+
+    reader: Reader
+    memory: Memory = field(default_factory=Memory)
+    goal: Goal | None = None
+    rules: list[Meaning] = field(default_factory=list)
+    ordered: bool = False
+    times: dict[str, int] = field(default_factory=dict)
+    last: Things | None = None
+    first: bool = False
+    clauses: int = 0
+    permitted: Things | None = None
+    denied: bool = False
+    flow: Flow = field(default_factory=Flow)
+    elsewhere: Token | None = None
+    halted: Token | None = None
+    detour: Token | None = None
+    settled: bool = False
+    shuns: bool = False
+    waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
+    each: tuple[int, Token] | None = None
+    strictly: Token | None = None
+
+    def formula(self) -> Formula:
+        """Sentence after sentence; "then" at the start of one goes on from the one before."""
+        reader = self.reader
+        reader.skip("comma", "stop")
+        while not reader.sees("end"):
+            aside = reader.sees("filler") and reader.sees("comma", "stop", "end", ahead=1)
+            if aside or reader.sees("addressed"):  # "Drone, find …", "robot! find …", "thanks."
+                reader.at += 1
+                reader.skip("comma", "stop")
+                continue
+            if self.clauses and reader.sees("any order") and reader.sees("stop", "end", ahead=1):
+                reader.take("any order")  # "…; the order does not matter": as it is anyway
+            elif self.clauses and self._halts():
+                pass
+            else:
+                joint = reader.take(*THEN, "and", "but")
+                reader.skip("comma")
+                self._sentence(joint)
+            reader.skip("comma", "stop")
+        if self.first and self.clauses > 1:
+            said = [token for token in reader.tokens if token.kind in ("first", "opener")]
+            reader.refuse("say in one sentence what comes after it", said[-1] if said else None)
+        parts = [] if self.goal is None else [self.goal]
+        parts += [sequence_goal([rule], reader) for rule in self.rules]
+        if self.goal is None and self.elsewhere:
+            reader.refuse("say what is to be reached", self.elsewhere)
+        if not self.ordered:
+            parts += self._asked_after_all()
+        parts += self._of_all(Every(tuple(part for part in parts if letters(part))))
+        formula = formula_of(Every(tuple(parts)))
+        if _size(formula) > MAX_NODES:
+            reader.refuse("its formula would be too large; ask for less at once", reader.tokens[0])
+        if formula == TRUE:
+            hint = "nothing is asked for; say for example 'visit the bed, then the chair'"
+            reader.refuse(hint, reader.tokens[0])
+        return formula
+
+    def _asked_after_all(self) -> list[Goal]:
+        """`do not go to b until a` and only rules beside: a, or both, may be asked for as well."""
+        if not self.waits:
+            return []
+        if self.goal is None and not self.shuns and (chain := chained(self.waits)):
+            return [chain]
+        way = self.reader.pick(self.reader.tokens[0], 2 if self.shuns else 3)
+        asked = [until for _, until in self.waits] if way else []
+        if way == 2:
+            asked += [Things(tuple((n,) for n in names)) for names, _ in self.waits]
+        return [visits(things) for things in asked]
+
+    def _of_all(self, goal: Every) -> list[Goal]:
+        """What was said of all that is asked for, whichever clause said it."""
+        rules: list[Formula] = []
+        said = self.strictly or (self.each and self.each[1])
+        if said and not goal.goals:
+            self.reader.refuse("say first what to visit", said)
+        if self.strictly:
+            rules += in_strict_order(goal, self.strictly, self.reader)
+        if self.each:
+            rules += each_at_most(goal, *self.each, self.reader)
+        return [Every((), tuple(rules))] if rules else []
+
+    def _ends(self, clause: Clause) -> None:
+        """What comes in the end comes after all that was asked for, and nothing after it."""
+        if clause.negated:
+            self.reader.refuse("say it in one sentence, with 'then'", clause.token)
+        self.halted = clause.token
+
+    def _halts(self) -> bool:
+        """Takes "and stay there" at the end: a mission ends where its last goal is reached."""
+        reader = self.reader
+        bare = reader.peek().text in ("stop", "halt")
+        if not (bare or reader.sees("halt")) or not reader.sees("stop", "end", ahead=1):
+            return False
+        self.halted = reader.peek()
+        if self.denied or self.permitted or not (bare or self.settled):
+            reader.refuse("say where to stop, and what comes last", self.halted)
+        reader.at += 1
+        return True
+
+    def _sentence(self, joint: Token | None) -> None:
+        """Sequences with "or" between them."""
+        reader = self.reader
+        either = reader.peek()
+        self.detour = None
+        if reader.sees("either") and reader.sees("verb", "you", "first", ahead=1):
+            reader.take("either")
+        after = self.first or (joint is not None and joint.kind in THEN)
+        start = reader.peek()
+        before = self.last
+        sequence, loose = self._sequence(joint)
+        after = after or (bool(sequence) and sequence[0].follows)
+        if after and before and sequence and sequence[0].loose:
+            sequence[0].ban_after(before)  # "… . Afterwards never go to the bed."
+        sequences = [sequence]
+        while (ahead := self._alternative_ahead()) is not None:
+            reader.at += ahead
+            if loose:
+                sequences[-1].append(loose)
+            sequence, loose = self._sequence(Token("or", "or", 0, 0))
+            sequences.append(sequence)
+        said = reader.tokens[reader.tokens.index(either) : reader.at]
+        if either.text == "either" and not any(token.kind == "or" for token in said):
+            reader.refuse("either that, or what?", either)
+        if loose:
+            self.rules.append(loose)
+        if len(sequences) > 1 and not all(
+            any(step.goals for step in sequence) for sequence in sequences
+        ):
+            reader.refuse("each alternative needs something to reach", start)
+        if not sequence:
+            return
+        options = tuple(sequence_goal(sequence, reader) for sequence in sequences)
+        goal = options[0] if len(options) == 1 else Some(options)
+        ahead_of_all = self.first and joint is not None and joint.kind == "but"  # "But first …"
+        if self.goal is None:
+            self.goal = goal
+        elif ahead_of_all and not after and len(sequences) == 1:
+            self.goal, self.first = steps([goal, self.goal]), False
+        elif self.detour and not after and len(sequences) == 1:
+            self.goal = passing_by(self.goal, goal, self.detour, reader)
+        else:
+            self.goal = steps([self.goal, goal]) if after else Every((self.goal, goal))
+
+    def _alternative_ahead(self) -> int | None:
+        """Tokens up to the next alternative ("; or reach …"); None when there is none."""
+        ahead = 1 if self.reader.sees("comma", "stop") else 0
+        if not self.reader.sees("or", ahead=ahead):
+            return None
+        ahead += 1
+        if self.reader.sees("either", ahead=ahead) and self.reader.sees("verb", ahead=ahead + 1):
+            ahead += 1
+        return ahead if starts_clause(self.reader, ahead) else None
+
+    def _sequence(self, joint: Token | None) -> tuple[list[Meaning], Meaning | None]:
+        """Steps with "then" between them, and the rules that end them."""
+        sequence: list[Meaning] = []
+        loose: Meaning | None = None
+        ordered: Token | None = None
+        while True:
+            if sequence and starts_leaving(self.reader):
+                self._leaves(sequence)
+                if self._joint() is None:
+                    return self._all_left(sequence), loose
+                joint = Token("then", "then", self.reader.peek().start, 0)
+            clause, meaning = self._clause(joint, sequence)
+            kind = joint.kind if joint else ""
+            if meaning.loose and kind != "but" and not meaning.follows:
+                loose = _both(loose, meaning)
+            else:
+                if loose is not None:
+                    forbidden = {name for names in loose.bans for name in names}
+                    if not sequence and kind == "and" and forbidden & set(meaning.things.names):
+                        hint = "the same is forbidden and asked for"
+                        self.reader.refuse(hint, clause.token)
+                    if not sequence:
+                        loose.limit_for_good()
+                    (sequence[-1] if sequence else meaning).add(loose)
+                    loose = None
+                self._place(clause, meaning, kind, sequence)
+            said = clause.order if clause.order in ("in order", "strict order") else ""
+            if said and clause.things and len(clause.things.groups) + len(clause.route) < 2:
+                ordered = clause.token
+            joint = self._joint()
+            if joint is None:
+                if ordered:
+                    put_in_order(ordered, sequence, self.reader)
+                return self._all_left(sequence), loose
+
+    def _leaves(self, sequence: list[Meaning]) -> None:
+        """Takes "leave it", maybe "and repeat this twice more": visits are separate ones anyway."""
+        reader, token = self.reader, self.reader.peek()
+        left = take_leaving(reader, self.memory)
+        if self.last is None or (left and left.groups != self.last.groups) or self.memory.left:
+            reader.refuse(REASONS["stay"], token)
+        if count := take_count(reader, negated=False) or take_repetition(reader):
+            visit_often(sequence[-1], self.last, count, token, reader)
+        else:
+            self.memory.left = token
+
+    def _returned(self, clause: Clause, meaning: Meaning, sequence: list[Meaning]) -> None:
+        """What comes after "leave it": another visit, or something else, which is leaving too."""
+        left, self.memory.left = self.memory.left, None
+        again = clause.things and self.last and clause.things.groups == self.last.groups
+        anew = clause.again and clause.verb and meaning.follows and not clause.returns
+        anew = anew and not clause.conditions
+        separate = left or anew  # "…, and later visit it again"
+        if not separate or clause.negated or not meaning.goals or not again or not sequence:
+            return
+        count = clause.count or Count(1)
+        most = None if count.most is None else count.most + 1
+        visit_often(
+            sequence[-1], self.last, Count(count.least + 1, most), clause.token, self.reader
+        )
+        meaning.repeats = True
+
+    def _all_left(self, sequence: list[Meaning]) -> list[Meaning]:
+        if self.memory.left:
+            self.reader.refuse(REASONS["stay"], self.memory.left)
+        return sequence
+
+    def _clause(self, joint: Token | None, sequence: list[Meaning]) -> tuple[Clause, Meaning]:
+        """The next clause, and what it means after those before it."""
+        bare: Bare = "known" if not self.clauses else "no"
+        if self.clauses and joint and joint.kind and not self.denied:
+            bare = "yes"
+        if self.halted:
+            self.reader.refuse("it ends where it is said to stop; say so last", self.halted)
+        clause = take_clause(self.reader, self.memory, bare)
+        if self.permitted and not clause.conditions and clause.mood == "must":
+            goes_on = joint is not None and joint.kind in THEN
+            clause.trails = clause.trails or clause.next_step or goes_on
+        if clause.trails:
+            self._after_permission(clause, bool(sequence))
+        asked = self.goal is not None
+        then = self.flow.comes_after(clause, joint, sequence, asked, self.reader)
+        if clause.elsewhere:
+            self.elsewhere = clause.token
+        if clause.ends:
+            self._ends(clause)
+            then = then or bool(sequence) or asked
+        plain = clause.verb == "" and not (clause.negated or clause.first or clause.conditions)
+        if joint is not None and joint.kind == "but" and plain and not clause.count:
+            self.reader.refuse("all but that, or that too? say 'visit …'", clause.token)
+        one = clause.things is not None and len(clause.things.groups) + len(clause.route) == 1
+        if one and sequence and clause.order == "strict order" and not clause.negated:
+            clause.order, self.strictly = "", clause.token  # "a, then b in this exact order"
+        if clause.bound_by and joint is not None and joint.kind == "or":
+            self.reader.refuse("on the way with which of them? say it of each", clause.bound_by)
+        meaning = meaning_of(clause, self.reader, self.times, then)
+        meaning.follows = then
+        if meaning.each:
+            self.each = (meaning.each, clause.token)
+        self.strictly = clause.token if meaning.strictly else self.strictly
+        if meaning.anchors and not then and self.times.keys() & set(meaning.things.names):
+            hint = "it was asked for before; say in one sentence what comes after what"
+            self.reader.refuse(hint, clause.token)
+        anchored(meaning, sequence, self.times, then)
+        if meaning.goals and clause.things:
+            self.settled = len(clause.things.groups) == 1 and (then or not self.times)
+        limited = clause.count is not None and clause.count.most is not None
+        self.ordered = self.ordered or (bool(meaning.goals) and not limited)
+        plain = not (clause.count or clause.again or clause.conditions or clause.avoiding)
+        meaning.repeats = then and plain and bool(meaning.goals) and clause.things == self.last
+        if meaning.repeats:  # "a, then b, then b and c": is b meant twice?
+            meaning.repeats = self.reader.pick(clause.token, 2) == 1
+        self._returned(clause, meaning, sequence)
+        self.last = clause.things if meaning.goals else self.last
+        self.waits += meaning.waits
+        self.shuns = self.shuns or clause.verb in AVOIDING
+        self.permitted = permission_of(clause)
+        self.denied = clause.negated
+        self.clauses += 1
+        self._count(meaning)
+        return clause, meaning
+
+    def _place(self, clause: Clause, meaning: Meaning, joint: str, sequence: list[Meaning]) -> None:
+        """Makes a clause a step of its own, or a part of the last one."""
+        if clause.returns and len(sequence) == 1:
+            split_return(meaning, sequence)
+        if joint == "only then" and sequence:
+            meaning.rules += only_then(sequence[-1], meaning)
+        if clause.enroute and not sequence:
+            if self.goal is None:
+                self.reader.refuse("on the way to what? say 'on the way to …'", clause.token)
+            self.detour = clause.token  # "go to a. on the way, go to b"
+        ends = len(sequence) == 1 and not meaning.follows and self.reader.sees("stop", "end")
+        first = clause.first and (joint == "but" or ends)  # "visit a, visit b first"
+        if (first or clause.enroute) and sequence and meaning.goals:
+            put_first(meaning, sequence)  # "…, but first go to the sofa"
+            clause.first = False
+        elif meaning.repeats and sequence:
+            pass
+        elif not sequence or meaning.follows or (self.first and not meaning.loose):
+            sequence.append(meaning)
+        else:
+            sequence[-1].add(meaning, joint)
+        self.first = clause.first and not meaning.loose
+
+    def _after_permission(self, clause: Clause, started: bool) -> None:
+        """`you can visit a, but you must visit b after that`: after a, if ever."""
+        if not self.permitted and clause.negated and not started:
+            self.permitted = self.memory.asked
+        if clause.conditions:
+            clause.trails = False  # "once you visit a, you must visit b after that"
+        elif self.permitted:
+            clause.conditions.append(Condition("after", clause.token, self.permitted))
+            clause.trails = False
+        elif not self.clauses:
+            self.reader.refuse("it comes after nothing", clause.token)
+
+    def _joint(self) -> Token | None:
+        """Passes what joins this clause to the next; None at the end of the sequence."""
+        reader = self.reader
+        if reader.sees("comma") and reader.sees("or", ahead=1):
+            return None
+        begin, joint = reader.at, reader.peek()
+        while token := reader.take(*JOINTS):
+            if JOINTS.index(token.kind) >= JOINTS.index(joint.kind):
+                joint = token
+        last = reader.sees("filler", "addressed") or (self.clauses and reader.sees("any order"))
+        if last and reader.sees("stop", "end", ahead=1):
+            reader.at += 1  # "…, please.", "…, but the order is up to you."
+            return None
+        if (
+            reader.sees("can", "must")
+            and reader.sees("you", ahead=1)
+            and (reader.sees("stop", "end", ahead=2))
+        ):
+            reader.at += 2  # "…, would you?"
+            return None
+        if self.clauses and self._halts():
+            return None
+        if reader.at > begin:
+            if not starts_clause(reader) and not starts_leaving(reader):
+                reader.refuse("expected a clause here")
+            return joint
+        if reader.sees("end", "stop", "or"):
+            return None
+        verb = reader.peek().text.split()[0] if reader.sees("verb") else ""
+        no_order = verb.endswith(("ing", "s")) and not verb.endswith("ss")  # "…, it goes to b"
+        starts = starts_clause(reader) and self._begins_well() and not no_order
+        if not (starts_leaving(reader) or starts):
+            reader.refuse("no word that is known here")
+        return Token("", "", joint.start, joint.start)
+
+    def _begins_well(self) -> bool:
+        """Whether a clause without a joint before it has a verb of its own."""
+        return not self.reader.sees("word", "quoted", "to") or len(self.reader.peek().text) == 1
+
+    def _count(self, meaning: Meaning) -> None:
+        """Notes how often things were asked for."""
+        for goal in meaning.goals:
+            for visit in single_visits(goal):
+                self.times |= dict.fromkeys(visit.options, visit.times)
+                self.memory.note([visit.options])
