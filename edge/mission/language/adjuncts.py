@@ -177,6 +177,8 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     elif token.kind == "bound there":
         clause.enroute = clause.enroute or not clause.negated
         reader.at += 1
+    elif token.kind == "comma" and reader.sees("always", ahead=1) and _ends_sentence(reader, 2):
+        reader.at += 1  # "keep away from it, always"
     elif token.kind in ("whichever", "comma") and _whichever(reader):
         pass
     elif token.kind == "either" and clause.negated and _ends_sentence(reader, 1):

@@ -61,7 +61,8 @@ def starts_clause(reader: Reader, ahead: int = 0) -> bool:
         return True
     if reader.peek(ahead).text in ("at", "in") and starts_things(reader, ahead + 1):
         return True
-    if reader.peek(ahead).text == "on" and reader.sees("to", ahead=ahead + 1):
+    goes_on = reader.peek(ahead).text == "on" or reader.sees("again", ahead=ahead)
+    if goes_on and reader.sees("to", ahead=ahead + 1):
         return True
     if reader.peek(ahead).text == "from" or reader.sees("while", "without", ahead=ahead):
         return True
@@ -117,7 +118,7 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         _take_action(reader, memory, clause)
     elif _is_there(reader):
         clause.verb = "be"
-        reader.skip("place", "word")
+        reader.at += 2 if reader.peek().text == "over" else 1
         clause.things = take_things(reader, memory, banned=clause.negated)
     elif reader.take("no return"):
         clause.each, clause.negated, clause.things = 1, True, Things(memory.every, every="places")
@@ -125,6 +126,10 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         take_quota(reader, memory, clause)
     elif reader.sees("onward"):
         _take_until(reader, memory, clause)
+    elif reader.sees("neither") and starts_things(reader, 1):
+        reader.at += 1
+        clause.negated = not clause.negated
+        _take_passive(reader, memory, clause, bare)
     elif starts_things(reader):
         _take_passive(reader, memory, clause, bare)
     elif bare == "yes" and reader.peek().text in ("at", "in") and starts_things(reader, 1):
@@ -133,6 +138,9 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     elif bare == "yes" and reader.peek().text in ("back", *_UP) and starts_clause(reader):
         skip_particles(reader, clause)
         clause.things = take_things(reader, memory)
+    elif bare == "yes" and reader.sees("again") and reader.sees("to", ahead=1):
+        reader.at += 2  # "…, then once more to the library"
+        clause.again, clause.things = True, take_things(reader, memory)
     elif (bare != "no" or clause.negated) and _is_passing(reader):
         reader.at += 1
         _take_passed(reader, memory, clause)
@@ -175,6 +183,10 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
 
 
 _PLACED = ("in", "inside", "at", "on", "near")
+
+
+def _is_over(reader: Reader) -> bool:
+    return reader.sees("comma", "stop", "end", "and", "but", "then")
 
 
 def _goes_on_to(reader: Reader) -> bool:
@@ -280,6 +292,7 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.returns = clause.returns or token.text.startswith("return")
         skip_particles(reader, clause)
         _take_leaving(reader, clause)
+        _take_times(reader, clause)
     if reader.sees("in order", "strict order") and reader.peek(1).text == ":":
         clause.order = reader.peek().kind  # "visit in this order: a, b, c"
         reader.at += 2
@@ -315,6 +328,17 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         reader.refuse("expected the name of a thing here", reader.peek())
     if clause.verb.startswith(_ANYWHERE) and not clause.verb.endswith("near"):
         clause.elsewhere = clause.mood != "can"
+
+
+def _take_times(reader: Reader, clause: Clause) -> None:
+    """`go twice to a`, `go 2 times in a`."""
+    begin, token = reader.at, reader.peek()
+    count = take_count(reader, clause.negated)
+    if count is not None and reader.peek().text in ("to", "into", "in", "inside"):
+        clause.count = narrower(reader, clause.count, count, token)
+        reader.at += 1
+    else:
+        reader.at = begin
 
 
 def _take_leaving(reader: Reader, clause: Clause) -> None:
@@ -447,6 +471,10 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         reader.at += 2
         says.negated = True
     said_before = [token.text for token in reader.tokens[begin : reader.at]]
+    if says.first and _is_over(reader):  # "the bank must be first"
+        clause.first, clause.negated = True, clause.negated != says.negated
+        clause.verb, clause.things = "be", things
+        return
     done = "been" in said_before and not {"must", "should", "shall"} & set(said_before)
     if done and not clause.conditions:
         reader.refuse("what has happened asks for nothing", start)  # "the hall has been mopped"
@@ -475,7 +503,9 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         reader.refuse("say what to do, as in 'visit the bed'", start)  # "the path goes through b"
 
 
-_ANY_VISIT = ("any visit to", "any visits to", "a visit to", "every visit to", "each visit to")
+_ANY_VISIT = tuple(
+    f"{every} {visit} to" for every in ("any", "every", "each", "a") for visit in ("visit", "trip")
+)
 
 
 def _take_consequence(

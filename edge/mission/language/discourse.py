@@ -397,6 +397,9 @@ class Discourse:
         while token := reader.take(*JOINTS):
             if JOINTS.index(token.kind) >= JOINTS.index(joint.kind):
                 joint = token
+        if reader.sees("immediately") and reader.sees("then", ahead=1):
+            reader.at += 1
+            joint = reader.take(*THEN) or joint  # "…, and right after that go to b"
         last = reader.sees("filler", "addressed") or (self.clauses and reader.sees("any order"))
         if last and reader.sees("stop", "end", ahead=1):
             reader.at += 1  # "…, please.", "…, but the order is up to you."

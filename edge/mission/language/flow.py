@@ -20,9 +20,9 @@ _MOVES = (
 )  # fmt: skip
 _WAYS = ("take the ", "use the ", "take a ", "use a ", "follow the ", "choose the ")
 _ARRIVES = ("arrive", "reach", "get")
-_ENDING = ("end ", "ends ", "ending ", "finish", "your ", "the ")
+_ENDING = ("conclude ", "end ", "ends ", "ending ", "finish", "your ", "the ")
 _ONWARD = ("proceed", "continue", "keep ", "go on", "carry on", *_ENDING)
-_ALSO = ("also", "too", "as well")
+_ALSO = ("also", "too", "as well", "at some point")
 
 
 @dataclass(slots=True)
@@ -83,6 +83,8 @@ class Flow:
             clause.enroute = True  # "go to a, making sure to go through b"
         elif beside and sequence and self.moved:
             clause.enroute = reader.pick(clause.token, 2) == 0
+        elif any(token.kind == "any order" for token in reader.tokens):
+            pass
         elif moves and self.moved and not (after or also) and joint and kind == "and":
             after = reader.pick(joint, 2) == 1  # "go to a and go to b" may be in order
         self.moved, self.passed = moves, through and not clause.negated

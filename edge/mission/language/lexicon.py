@@ -23,7 +23,7 @@ _ROWS: dict[str, str] = {
         take care; taking care; be careful; being careful; see to it that; seeing to it that; do
         not forget; never forget; without forgetting; do not fail; never fail; go ahead and;
         (i want|i need|i would like|we want|we need|i like|i would love|we would like|i expect)
-        (you|the robot|the drone|the agent);
+        (you|the robot|the drone|the agent|the car|the vehicle);
         (your|the) (task|mission|goal|job|objective|aim|assignment) is
     """,
     "addressed": "drone; rover; bot; quadcopter; droid",
@@ -40,6 +40,7 @@ _ROWS: dict[str, str] = {
     "do": "do; does; did; let; let us",
     "be": "be; is; are; was; were; been; being",
     "not": """
+        not you dare; not dare; not even think about; (i|we) do not want (you|the robot|the drone);
         not; never; not ever; no; don; don t; doesn t; isn t; can t; won t; never ever; not
         welcome; are not welcome; is not welcome; prohibited from; are prohibited from; are
         forbidden; not allowed; are not allowed; not permitted; are not permitted; at no point; at
@@ -56,6 +57,7 @@ _ROWS: dict[str, str] = {
     "neither": "neither",
     # Reviewed: the only words that may be left out of any sentence without changing what it asks.
     "filler": """
+        at any point of time;
         whatever you do; whatever happens; so; well; listen; attention; today; be a dear and; be a
         pal and; buddy; my dear; dude; my friend; hey there; hi there; hello there; good morning;
         me; us; for me; please; kindly; thanks; thank you; thank you very much; hi; hello; hey;
@@ -85,6 +87,7 @@ _ROWS: dict[str, str] = {
     "or": "or; or else; or alternatively; alternatively; nor",
     "but": "but; however; though; yet",
     "then": """
+        (and|) (that|this) done;
         then; and then; then finally; and finally; finally; lastly; next; and next; after that;
         and after that; afterwards; afterward; and afterwards; and afterward; sometime afterward;
         sometime afterwards; and sometime afterward; and sometime afterwards; after this; and
@@ -116,6 +119,7 @@ _ROWS: dict[str, str] = {
     "when": "when; as soon; as soon as; whenever; every time; each time; any time; if; if ever",
     "while": "while; whilst; during which; as long as",
     "without": """
+        nowhere near; but nowhere near;
         without; without ever; with no;
         (with|) no (stops at|stop at|visits to|visit to|stopping at|detour through);
         without (any|a|) (stops at|stop at|visits to|visit to|detour through);
@@ -132,6 +136,7 @@ _ROWS: dict[str, str] = {
         (that|which) (goes|leads|passes|runs|takes you) (through|via|past)
     """,
     "bound": """
+        (while|when) (heading|bound) for;
         en route to; on way to; on route to; while moving to; while going to; while heading to;
         while traveling to; while travelling to; when on the way to; while on the way to; when on
         your way to; while on your way to;
@@ -148,6 +153,7 @@ _ROWS: dict[str, str] = {
         order to get there
     """,
     "on the way": """
+        (while|as) you are getting there;
         on the road; on the route; on your route; along the path; on the way; on your way; on its
         way; along the way; en route; on the way there; on your way there; on its way there; along
         your way; as you go; as you do so; while doing so; in doing so; while you do it; while you
@@ -245,6 +251,7 @@ _ROWS: dict[str, str] = {
     """,
     # Order.
     "any order": """
+        either one first; either first;
         in any order; in any order you like; in no particular order; in no specific order; in
         arbitrary order; in an arbitrary order; in whatever order; any order; the order is not
         important; the order does not matter; order does not matter; it can be done in any order;
@@ -283,6 +290,7 @@ _ROWS: dict[str, str] = {
     """,
     # Naming.
     "article": """
+        (any|each|every|a) trip to; each visit to;
         the; an; some; any; my; our; your; his; her; their; any visit to; any visits to; a visit
         to; every visit to
     """,
@@ -328,6 +336,8 @@ _ROWS: dict[str, str] = {
     "forever": "forever; indefinitely; for ever",
     # Beside the single words below.
     "verb": """
+        show up; turn up; (swing|swinging) (past|through|into|over to);
+        (end|finish|conclude) (your|the|this) (trip|journey|tour|route|way) (at|in|on|with|by);
         make your way; making your way; made your way; go near; going near; come near; get near;
         continue to; continue on to; continue into; continue through; continue on into; keep going
         to; keep moving to; keep walking to; go on to; carry on to; make a detour; making a
@@ -367,13 +377,14 @@ _ROWS: dict[str, str] = {
         avoids|which avoids|that does not go through|that does not pass through);
         (by|on|along|via|using|only on|only along|only by) (a|any) (road|path|route|way) (that
         avoids|which avoids|that bypasses|that does not go through|that does not pass through);
-        (that|which) (does not|never) (go through|pass through|goes through|passes
+        (that|which) (does not|never) (go past|go over|go through|pass through|goes through|passes
         through|enter|enters|cross|crosses|pass|touch|use|uses|lead through|take you through)
     """,
 }
 """Kind → its phrases, separated by `;`; "(a|b) c" is both "a c" and "b c"."""
 
 _REGULAR_VERBS = """
+    peek
     visit reach approach enter explore check inspect examine clean wipe wash dust vacuum mop tidy
     polish scrub water open close lock unlock touch press use fetch grab collect watch observe spot
     locate discover charge load unload empty fill photograph scan search view greet feed iron
@@ -456,7 +467,8 @@ LONGEST = max(map(len, TABLE))
 
 CONTRACTIONS = {
     "can't": "can not",
-    "ur": "your", "untill": "until", "anytime": "any time",
+    "ur": "your", "pls": "please", "plz": "please", "gotta": "have to",
+    "untill": "until", "anytime": "any time",
     "isnt": "is not", "thru": "through", "dont": "do not", "cant": "can not", "wont": "will not",
     "cannot": "can not", "won't": "will not", "shan't": "shall not",
     "let's": "let us", "it's": "it is", "that's": "that is", "i'd": "i would",

@@ -202,8 +202,8 @@ def _joint_length(reader: Reader) -> int | None:
     aside = (*COUNTING, "without", "while")
     if reader.sees("all of", ahead=ahead) and reader.sees(*aside, ahead=ahead + 1):
         return None  # "a and b, each only once", "all without passing c"
-    if reader.peek(ahead).text in LEAVE:
-        return None
+    if reader.peek(ahead).text in ("it", *LEAVE):
+        return None  # "go to a and it must go to b"
     return ahead if ahead and starts_things(reader, ahead) else None
 
 
@@ -305,6 +305,7 @@ def _choice(reader: Reader, every: bool) -> tuple[str, ...]:
         reader.skip("group")
     if reader.peek().text == ":":
         reader.at += 1
+    reader.take("to")
     options = [take_name(reader)]
     decided = False
     while (ahead := _joint_length(reader)) is not None:
