@@ -73,6 +73,10 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         if not starts_things(reader):
             reader.refuse("expected the name of a thing here")
         condition.things = take_things(reader, memory)
+        while participle and _another_participle(reader):
+            skip_particles(reader, says)
+            more = take_things(reader, memory)
+            condition.things = Things(condition.things.groups + more.groups)
         reader.take("happen")
     elif reader.sees("all of") and reader.sees(*AUXILIARIES, "pronoun", ahead=1):
         everything = reader.take("all of")
@@ -101,6 +105,15 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
     condition.count = take_count(reader, negated=False)
 
 
+def _another_participle(reader: Reader) -> bool:
+    """Takes "and passing", as "after crossing a and passing b" goes on."""
+    verb = reader.peek(1)
+    goes_on = reader.sees("and") and verb.kind == "verb" and verb.text.split()[0].endswith("ing")
+    if goes_on:
+        reader.at += 2
+    return goes_on
+
+
 def _ends(reader: Reader) -> bool:
     """Whether a phrase is over here."""
     return reader.sees("comma", "stop", "end", "and", "or", "but", "then", "filler", "first")
@@ -120,7 +133,7 @@ def _take_predicate(reader: Reader, says: Clause) -> bool:
     if reader.take("happen"):
         return True
     if said & AUXILIARIES and reader.sees("verb"):
-        if said <= {"be", "not"} and reader.peek().text in _STATES:
+        if said <= {"be", "not"} and reader.peek().text in STATES:
             reader.refuse("how a thing is cannot be told, only that it is reached")
         reader.take("verb")
         return True
@@ -130,7 +143,11 @@ def _take_predicate(reader: Reader, says: Clause) -> bool:
     return False
 
 
-_STATES = ("open", "closed", "close", "locked", "empty", "clean", "shut", "unlocked")
+STATES = (
+    "open", "closed", "close", "locked", "empty", "clean", "shut", "unlocked", "blocked", "broken",
+    "mopped",
+)  # fmt: skip
+"""Verb forms that also say how a thing is."""
 
 
 def _another_subject(reader: Reader) -> bool:
@@ -456,7 +473,9 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     if not starts_things(reader):
         reader.refuse("expected the name of a thing here")
     things = take_things(reader, memory, banned=True)
-    reader.skip("first")  # "do not go to a without visiting b first"
+    if reader.take("first") and not clause.negated:  # "go to a without visiting b first"
+        clause.not_first.append(things)
+        return
     if not denied and things.every:
         count = take_count(reader, negated=False)
         if count is None:

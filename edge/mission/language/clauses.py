@@ -15,6 +15,7 @@ from typing import Literal
 
 from edge.mission.language import nouns
 from edge.mission.language.adjuncts import (
+    STATES,
     narrower,
     take_adjunct,
     take_avoiding,
@@ -274,7 +275,9 @@ def _counts(reader: Reader, ahead: int) -> bool:
 
 
 def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
+    doubly = False
     if avoid := reader.take("avoid"):
+        doubly = clause.negated  # "do not skip a or b"
         clause.negated = not clause.negated
         clause.verb = avoid.text
         if reader.sees("you"):  # "go anywhere but you finish at the bed"
@@ -308,7 +311,7 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         reader.at += 2  # "go only through a"
         clause.only = passes = True
     elif way := reader.take("via", "around"):
-        passes = way.kind == "via"
+        passes = clause.by_way = way.kind == "via"
         clause.around = way.kind == "around" and not clause.negated
         clause.negated = clause.negated or clause.around
     if (other := take_exception(reader, memory)) is not None:
@@ -321,6 +324,8 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
             lead(reader, memory, clause, take_things(reader, memory), token)
     elif starts_things(reader):
         _take_passed(reader, memory, clause, passes, last)
+        if doubly and clause.things:
+            clause.things = _each(clause.things)
         _take_more_bans(reader, memory, clause)
     elif clause.returns and memory.asked and (clause.negated or memory.left):
         clause.things = memory.asked  # "leave it and come back", "never go back"
@@ -480,6 +485,8 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         reader.refuse("what has happened asks for nothing", start)  # "the hall has been mopped"
     barred = any(token.kind == "banned" for token in reader.tokens[begin : reader.at])
     avoid = reader.take("avoid")
+    if says.mood == "do" and "be" in said and reader.peek().text in STATES:
+        reader.refuse("how a thing is cannot be told, only that it is reached", start)
     verb = avoid or reader.take("verb", "happen")
     if barred and verb is None:  # "the hallway is off limits"
         clause.negated = clause.negated != says.negated

@@ -340,8 +340,8 @@ class Discourse:
         limited = clause.count is not None and clause.count.most is not None
         self.ordered = self.ordered or (bool(meaning.goals) and not limited)
         plain = not (clause.count or clause.again or clause.conditions or clause.avoiding)
-        meaning.repeats = then and plain and bool(meaning.goals) and clause.things == self.last
-        if meaning.repeats:  # "a, then b, then b and c": is b meant twice?
+        meaning.repeats = plain and bool(meaning.goals) and clause.things == self.last
+        if meaning.repeats and then:  # "a, then b, then b and c": is b meant twice?
             meaning.repeats = self.reader.pick(clause.token, 2) == 1
         self._returned(clause, meaning, sequence)
         self.last = clause.things if meaning.goals else self.last

@@ -79,7 +79,7 @@ class Flow:
         beside = through and moves and not after and not self.passed
         if beside and not sequence and not also and last:
             clause.enroute = asked  # "go to a. Please go through b."
-        elif beside and sequence and (ensures or kind == "but"):
+        elif beside and sequence and (ensures or kind == "but" or clause.by_way):
             clause.enroute = True  # "go to a, making sure to go through b"
         elif beside and sequence and self.moved:
             clause.enroute = reader.pick(clause.token, 2) == 0

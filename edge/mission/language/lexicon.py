@@ -31,7 +31,6 @@ _ROWS: dict[str, str] = {
         must; should; shall; have; has; had; need; needs; need to; required; are required; is
         required; ought; will; supposed; are supposed; is supposed; obliged; are obliged;
         it is (necessary|needed|required|mandatory|essential|important) to;
-        the car (must|should|shall|will|has to|needs to)
     """,
     "can": """
         can; may; could; would; might; are allowed; is allowed; be allowed; allowed; are

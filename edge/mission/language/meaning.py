@@ -169,7 +169,7 @@ def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[st
     if clause.count:
         _counted(clause, things, clause.count, meaning, times)
         _no_conditions(clause, reader)
-    elif (clause.again or (clause.returns and things.names[0] in times)) and all(
+    elif _anew(clause, things, times) and all(
         c.things.names == things.names for c in clause.conditions
     ):
         for name in things.names:
@@ -185,6 +185,13 @@ def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[st
     elif not clause.avoiding:
         meaning.bans.append(things.names)
     return meaning
+
+
+def _anew(clause: Clause, things: Things, times: Mapping[str, int]) -> bool:
+    """Whether a second visit is forbidden: "never go back to it", once it was asked for."""
+    if clause.returns:
+        return all(name in times for name in things.names)
+    return clause.again
 
 
 def _forbidden_when(
@@ -271,6 +278,8 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
             meaning.rules += never(others)  # nothing comes after: the safer reading costs nothing
         else:
             meaning.withouts.append((tuple(others), things, clause.token))
+    for avoided in clause.not_first:
+        meaning.rules += held_until(avoided.names, things)
     for avoided in (*clause.not_again, *clause.avoiding):
         again = [n for n in avoided.names if n in times or avoided in clause.not_again]
         meaning.rules += [

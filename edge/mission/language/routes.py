@@ -14,6 +14,7 @@ _RIDDEN = ("stairs", "staircase", "elevator", "lift", "escalator", "ladder", "ra
 _ANYWHERE = (
     "room", "area", "place", "space", "square", "door", "way", "path", "route", "zone", "region",
 )  # fmt: skip
+_SETS_OUT = ("go", "move", "head", "travel", "walk", "drive", "fly")
 _ANY = ("any", "only", "a", "the", "some")
 
 
@@ -93,11 +94,12 @@ def pass_by(reader: Reader, clause: Clause, passed: Things, token: Token) -> Non
 
 def bound_ahead(reader: Reader, clause: Clause) -> bool:
     """Whether where one is bound for comes here: "on the way to x", "to reach x"."""
-    if clause.negated and reader.peek().text in ("when", "while"):
+    if reader.peek().text in ("when", "while"):
         if reader.sees("verb", ahead=1):
-            return reader.peek(1).text.endswith("ing")
-        if reader.sees("you", ahead=1):  # "do not pass a when you go to b"
-            return reader.peek(2).text in ("go", "move", "head", "travel", "walk", "drive", "fly")
+            return clause.negated and reader.peek(1).text.endswith("ing")
+        if reader.sees("you", ahead=1):  # "pass a when you go to b"
+            goes = reader.peek(2).text in _SETS_OUT and reader.sees("to", ahead=3)
+            return goes and (clause.negated or clause.mood != "must")
     return reader.sees("bound") or (reader.sees("to") and reader.sees("verb", ahead=1))
 
 

@@ -188,6 +188,7 @@ class Clause:
         avoiding: things to be avoided on the way ("while avoiding", "without").
         during: that is said with "while", so that it lasts no longer.
         never: things to be avoided for good ("while always avoiding").
+        not_first: things that are avoided only until then ("without visiting x first").
         not_again: things not to be visited once more on the way ("without returning to x").
         next_step: "right after", "immediately".
         instant: where it was said to be exactly the next step.
@@ -199,6 +200,7 @@ class Clause:
         bound: where it leads, said first: "to reach x, go through y".
         bound_by: where that was said behind it: "go through y to reach x".
         through: the things are on the way to something.
+        by_way: and that is all they can be ("go by way of x").
         route: what is reached before the things, one after the other.
         several_ways: the route took "a and b" at once.
         only_way: nothing but the route leads there.
@@ -223,6 +225,7 @@ class Clause:
     avoiding: list[Things] = field(default_factory=list)
     during: bool = False
     never: list[Things] = field(default_factory=list)
+    not_first: list[Things] = field(default_factory=list)
     not_again: list[Things] = field(default_factory=list)
     order: str = ""
     count: Count | None = None
@@ -236,6 +239,7 @@ class Clause:
     bound: Things | None = None
     bound_by: Token | None = None
     through: bool = False
+    by_way: bool = False
     route: list[Things] = field(default_factory=list)
     several_ways: bool = False
     only_way: bool = False

@@ -27,6 +27,7 @@ REASONS = {
 }
 """Why tokens of these kinds are never understood."""
 
+_DRIVEN = ("car", "vehicle")
 _ACTS = ("must", "can", "verb", "not", "do")
 _HESITATIONS = ("uh", "um", "er", "erm", "hmm")
 _SHOWN = 60
@@ -92,6 +93,10 @@ def tokenise(text: str) -> list[Token]:
         word = words[i]
         if word.text == "u" and i + 1 < len(words) and TABLE.get((words[i + 1].text,)) in _ACTS:
             words[i] = word = replace(word, text="you")
+        if _drives(words, i):  # "the car must go to a", and nothing to be reached
+            tokens.append(Token("you", f"the {words[i + 1].text}", word.start, words[i + 1].end))
+            i += 2
+            continue
         length = _phrase_at(words, i) if word.kind == "word" else 0
         if length:
             phrase = tuple(w.text for w in words[i : i + length])
@@ -125,6 +130,16 @@ def _words(text: str) -> list[Token]:
         else:
             words.append(Token(_PUNCTUATION.get(found, "mark"), found, start, end))
     return words
+
+
+def _drives(words: Sequence[Token], i: int) -> bool:
+    """Whether "the car" is what is spoken to here: it goes, must go, never goes."""
+    if words[i].text != "the" or len(words) < i + 4 or words[i + 1].text not in _DRIVEN:
+        return False
+    kind, verb = TABLE.get((words[i + 2].text,)), words[i + 2].text
+    if kind in ("must", "can", "not"):
+        return words[i + 3].text != "be"
+    return kind == "verb" and verb.endswith("s") and not verb.endswith("ss")
 
 
 def _numbers(words: Sequence[Token], i: int) -> bool:
