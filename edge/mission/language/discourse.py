@@ -7,7 +7,16 @@ from dataclasses import dataclass, field
 from edge.mission.language.adjuncts import starts_leaving, take_leaving, take_repetition
 from edge.mission.language.clauses import Bare, starts_clause, take_clause
 from edge.mission.language.flow import JOINTS, THEN, Flow
-from edge.mission.language.goals import Every, Goal, Some, formula_of, letters, steps, visits
+from edge.mission.language.goals import (
+    Every,
+    Goal,
+    Some,
+    formula_of,
+    held_until,
+    letters,
+    steps,
+    visits,
+)
 from edge.mission.language.lexicon import AVOIDING
 from edge.mission.language.meaning import Meaning, meaning_of, permission_of
 from edge.mission.language.sequences import (
@@ -189,6 +198,8 @@ class Discourse:
         before = self.last
         sequence, loose = self._sequence(joint)
         after = after or (bool(sequence) and sequence[0].follows)
+        if joint is not None and joint.kind == "only then" and before and sequence:
+            sequence[0].rules += held_until(sequence[0].things.names, before)
         if after and before and sequence and sequence[0].loose:
             sequence[0].ban_after(before)  # "… . Afterwards never go to the bed."
         sequences = [sequence]

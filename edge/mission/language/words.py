@@ -28,7 +28,7 @@ REASONS = {
 """Why tokens of these kinds are never understood."""
 
 _DRIVEN = ("car", "vehicle")
-_ACTS = ("must", "can", "verb", "not", "do")
+_ACTS = ("must", "can", "verb", "not", "do", "always")
 _HESITATIONS = ("uh", "um", "er", "erm", "hmm")
 _SHOWN = 60
 _PUNCTUATION = {",": "comma", ";": "stop", ".": "stop", "!": "stop", "?": "stop", ":": "comma"}
