@@ -101,6 +101,12 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
     else:
         reader.refuse("expected what must have happened here", condition.token)
     condition.denied = condition.denied or says.negated
+    if reader.sees("verb") and _is_third_person(reader.peek()):
+        hint = "only what the robot reaches can be told"  # "if the dog enters the hall"
+        reader.refuse(hint, condition.token)
+    first = bool(reader.take("first")) or says.first
+    if first and reader.sees("then") and not reader.sees("end", ahead=1):
+        reader.refuse("say it in two sentences", condition.token)
     reader.skip("filler", "first")
     condition.count = take_count(reader, negated=False)
 
@@ -108,10 +114,16 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
 def _another_participle(reader: Reader) -> bool:
     """Takes "and passing", as "after crossing a and passing b" goes on."""
     verb = reader.peek(1)
-    goes_on = reader.sees("and") and verb.kind == "verb" and verb.text.split()[0].endswith("ing")
+    participle = verb.kind == "verb" and verb.text.split()[0].endswith("ing")
+    goes_on = reader.sees("and", "or") and participle
     if goes_on:
         reader.at += 2
     return goes_on
+
+
+def _is_third_person(verb: Token) -> bool:
+    first = verb.text.split()[0]
+    return first.endswith("s") and not first.endswith("ss")
 
 
 def _ends(reader: Reader) -> bool:
@@ -179,6 +191,8 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     elif token.text == "directly" and reader.sees("after", "when", "once", ahead=1):
         clause.next_step = True
         reader.at += 1
+    elif token.text == "now" and clause.negated:
+        reader.refuse("say until when", token)
     elif token.kind in ("filler", "happen") or (token.kind == "forever" and clause.negated):
         reader.at += 1
     elif take_route(reader, memory, clause):
@@ -201,6 +215,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     elif token.kind == "either" and clause.negated and _ends_sentence(reader, 1):
         reader.at += 1  # "do not visit b either"
     elif token.kind == "goal" and clause.verb == "make":
+        clause.ends = "last" in token.text
         reader.at += 1  # "make the hotel your destination"
     elif token.text in ("though", "however") and _ends_sentence(reader, 1):
         reader.at += 1
@@ -337,6 +352,7 @@ def _count_ahead(reader: Reader, clause: Clause) -> bool:
         reader.at = begin
         return False
     clause.count = narrower(reader, clause.count, count, token)
+    clause.count_aside = token.kind == "comma"
     return True
 
 
@@ -375,6 +391,8 @@ def _condition_ahead(reader: Reader, clause: Clause) -> bool:
         return False
     if joined and not limited:
         return False  # ", and before that …" begins a clause of its own
+    if limited and reader.sees("and", ahead=ahead - 2) and reader.peek(ahead).text == "if":
+        return False  # "…, and only if you see b, go to c"
     if not limited and _leads(reader, clause):
         return False
     reader.at += ahead - (1 if limited else 0)
@@ -465,6 +483,7 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     if skips and reader.sees("or") and reader.sees("verb", ahead=1):
         reader.at += 1
     while verb := reader.take("verb"):
+        says.verb = verb.text
         says.again = says.again or verb.text.startswith(("revisit", "return"))
         skip_particles(reader, says)
     if says.again and not starts_things(reader):  # "without going back"
@@ -472,7 +491,17 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
         return
     if not starts_things(reader):
         reader.refuse("expected the name of a thing here")
-    things = take_things(reader, memory, banned=True)
+    if token.kind == "without" and reader.peek().text in ("both", "both of"):
+        reader.refuse("none of them, or not both? say it of each", reader.peek())
+    if token.text == "with no" and not says.verb:
+        reader.refuse("say 'without …'", token)  # "the room with no window"
+    things = take_things(reader, memory, banned=not clause.negated, way=True)
+    while denied and reader.sees("or", "and") and _another_participle(reader):
+        skip_particles(reader, says)
+        more = take_things(reader, memory, banned=True)
+        things = Things(things.groups + more.groups)  # "without entering a or touching b"
+    if denied and not things.every and take_count(reader, negated=False) is not None:
+        reader.refuse("how often? say it in a sentence of its own", token)
     if reader.take("first") and not clause.negated:  # "go to a without visiting b first"
         clause.not_first.append(things)
         return

@@ -22,7 +22,9 @@ from edge.mission.language.adjuncts import (
     take_condition,
     take_happening,
 )
+from edge.mission.language.lexicon import AVOIDING
 from edge.mission.language.naming import is_indefinite
+from edge.mission.language.orders import refuse_unclear, refuse_what_is_done
 from edge.mission.language.routes import PASSING, lead, pass_by, take_exception, take_origin
 from edge.mission.language.spoken import (
     AUXILIARIES,
@@ -108,6 +110,11 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         bare = "yes"  # "the goal is the bed"
     if before.text in ("do", "does", "did") and reader.sees("pronoun"):
         reader.refuse("say what to visit", reader.peek())  # "do that again"
+    main: Token | None = reader.peek()
+    clause.subject = any(t.kind in ("you", "ensure") for t in reader.tokens[begin : reader.at])
+    said = reader.tokens[begin : reader.at]
+    if said and said[-1].kind == "must" and starts_things(reader):
+        reader.refuse("say what to do, as in 'visit the bed'", clause.token)  # "I have a sofa"
     if reader.peek().text in _PERFORM and _counts(reader, 1):
         reader.at += 1
     count_at = reader.peek()
@@ -150,6 +157,10 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         clause.things = take_things(reader, memory, banned=clause.negated)
     else:
         reader.refuse("expected something to do or to avoid here")
+    if said and said[-1].text == "been":
+        refuse_what_is_done(reader, begin, said[-1], clause)
+    if main is not None and main.kind == "verb":
+        refuse_what_is_done(reader, begin, main, clause)
     if clause.things:
         memory.named = clause.things
         if not clause.negated and clause.mood != "can":
@@ -159,6 +170,8 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         lead(reader, memory, clause, clause.bound, clause.token)
     while take_adjunct(reader, memory, clause):
         pass
+    if any(word in clause.verb.split() for word in ("last", "final")):
+        clause.ends = True  # "your last stop is the bed"
     if clause.leaves and not clause.count:
         reader.refuse("say how often", clause.leaves)
     if clause.always:
@@ -175,10 +188,14 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         reader.refuse(hint, clause.token)
     if clause.origin and (clause.negated or clause.count):
         reader.refuse("where it starts goes with where to go", clause.token)
+    refuse_unclear(clause, reader)
     if clause.negated and clause.first and not clause.conditions and not clause.count:
-        if asked is None:
+        own = clause.things.names if clause.things else ()
+        others = [name for name in asked.names if name not in own] if asked else []
+        if not others:
             reader.refuse("say before what it is not to be reached", clause.token)
-        clause.conditions.append(Condition("before", clause.token, asked))  # "not b first"
+        one = Things((tuple(others),))
+        clause.conditions.append(Condition("before", clause.token, one))  # "not b first"
         clause.first = False
     return clause
 
@@ -202,7 +219,8 @@ def _is_there(reader: Reader) -> bool:
         return starts_things(reader)
     over = 1 if token.text == "over" else 0
     placed = reader.peek(over).text in _PLACED and starts_things(reader, over + 1)
-    asked = before.text in ("be", "been") or before.kind in ("ensure", "not", "can")
+    wanted = before.kind == "ensure" and "careful" not in before.text and "care" not in before.text
+    asked = before.text in ("be", "been") or wanted or before.kind in ("not", "can")
     asked = asked or (before.kind == "banned" and "ed" in before.text)
     return bool(reader.at) and placed and asked  # "the robot is in the hall" asks for nothing
 
@@ -237,6 +255,8 @@ def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
             reader.at += 1
         elif token.kind in ("while", "without") and not clause.conditions:
             take_avoiding(reader, memory, clause)
+            if token.kind == "while":  # of all that follows
+                clause.never, clause.avoiding = [*clause.never, *clause.avoiding], []
         elif token.kind in ("always", "in the end"):
             clause.always = token if token.kind == "always" else clause.always
             clause.ends = clause.ends or token.kind == "in the end"
@@ -268,6 +288,7 @@ def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
         reader.skip("comma")
         if clause.conditions and reader.peek().text == "then":
             reader.at += 1  # "if …, then …"
+            clause.leads = True
 
 
 def _counts(reader: Reader, ahead: int) -> bool:
@@ -276,6 +297,8 @@ def _counts(reader: Reader, ahead: int) -> bool:
 
 def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     doubly = False
+    if clause.negated and reader.sees("avoid") and "anywhere" in reader.peek().text:
+        reader.refuse("say what to visit, and what to avoid")  # "don't go anywhere but to a"
     if avoid := reader.take("avoid"):
         doubly = clause.negated  # "do not skip a or b"
         clause.negated = not clause.negated
@@ -304,6 +327,9 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     elif reader.tokens[reader.at - 1].text in _MOTION and not _plainly_named(reader):
         reader.refuse("no thing that is known; if it is one, say 'to the …'")
     last = reader.tokens[reader.at - 1]
+    warns = clause.verb in ("watch", "look") and reader.tokens[reader.at - 2].text == "out"
+    if warns or clause.verb == "starts":  # "watch out for a", "the robot starts in a"
+        reader.refuse("only reaching things can be asked for", last)
     if last.text in ("off", "out", "with") and clause.verb in _LEAVES:
         reader.refuse("only reaching things can be asked for", last)
     passes = last.text.split(" ")[-1] in PASSING or clause.verb.startswith(_PASSES)
@@ -365,6 +391,9 @@ _RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
 _ANYWHERE = ("go anywhere", "visit anywhere")
 
 
+_ALL_OF = ("both", "both of", "all of", "all", "every")
+
+
 def _take_passed(
     reader: Reader,
     memory: Memory,
@@ -378,6 +407,10 @@ def _take_passed(
         passes: they lie on the way.
         verb: the last word before them.
     """
+    if clause.negated and clause.verb not in AVOIDING and reader.peek().text in _ALL_OF:
+        reader.refuse("none of them, or not all? say it of each", reader.peek())
+    if clause.negated and verb and verb.text == "from":
+        reader.refuse("which of them not to reach?", verb)
     things = take_things(reader, memory, banned=clause.negated, way=passes)
     rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, things.names))
     clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
@@ -440,7 +473,8 @@ def _take_until(reader: Reader, memory: Memory, clause: Clause) -> None:
 
 def _take_more_bans(reader: Reader, memory: Memory, clause: Clause) -> None:
     """`do not visit a or touch b or revisit c`: "not" goes with each verb."""
-    while clause.negated and reader.sees("or") and reader.sees("verb", ahead=1):
+    barred = clause.negated and clause.verb not in AVOIDING
+    while barred and reader.sees("or") and reader.sees("verb", ahead=1):
         reader.take("or")
         again = False
         while verb := reader.take("verb"):
@@ -457,6 +491,8 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     """`a and b must be visited`; or just names."""
     start = reader.peek()
     begin = reader.at
+    if clause.negated and start.kind == "all of":
+        reader.refuse("none of them, or not all? say it of each", start)
     things = take_things(reader, memory, subject=True, banned=clause.negated)
     if start.text in _ANY_VISIT and _take_consequence(reader, memory, clause, start, things):
         return
@@ -485,13 +521,17 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         reader.refuse("what has happened asks for nothing", start)  # "the hall has been mopped"
     barred = any(token.kind == "banned" for token in reader.tokens[begin : reader.at])
     avoid = reader.take("avoid")
+    if start.kind == "either" and (avoid or says.negated):
+        reader.refuse("say which to avoid", start)
     if says.mood == "do" and "be" in said and reader.peek().text in STATES:
         reader.refuse("how a thing is cannot be told, only that it is reached", start)
     verb = avoid or reader.take("verb", "happen")
     if barred and verb is None:  # "the hallway is off limits"
-        clause.negated = clause.negated != says.negated
+        clause.negated, clause.verb = clause.negated != says.negated, "be"
         clause.things = _each(things)
         return
+    if avoid and says.mood == "can" and not says.negated:
+        reader.refuse("what may be left out asks for nothing", start)
     if verb is not None and (said & AUXILIARIES or verb.kind == "happen"):
         clause.mood = says.mood if says.mood != "do" else clause.mood
         clause.negated = clause.negated != (says.negated != bool(avoid))

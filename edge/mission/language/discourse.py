@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from edge.mission.language import nouns
 from edge.mission.language.adjuncts import starts_leaving, take_leaving, take_repetition
 from edge.mission.language.clauses import Bare, starts_clause, take_clause
-from edge.mission.language.flow import JOINTS, THEN, Flow
+from edge.mission.language.flow import ENDING, JOINTS, THEN, Flow
 from edge.mission.language.goals import (
     Every,
     Goal,
@@ -19,6 +20,7 @@ from edge.mission.language.goals import (
 )
 from edge.mission.language.lexicon import AVOIDING
 from edge.mission.language.meaning import Meaning, meaning_of, permission_of
+from edge.mission.language.orders import refuse_questions
 from edge.mission.language.sequences import (
     anchored,
     chained,
@@ -28,10 +30,12 @@ from edge.mission.language.sequences import (
     passing_by,
     put_first,
     put_in_order,
+    put_last,
     sequence_goal,
     single_visits,
     split_return,
     visit_often,
+    without_last,
 )
 from edge.mission.language.spoken import Clause, Condition, Count, take_count
 from edge.mission.language.things import Memory, Things
@@ -52,6 +56,26 @@ def _size(formula: Formula) -> int:
     for f in postorder(formula):
         sizes[id(f)] = 1 + sum(sizes[id(arg)] for arg in f.args)
     return sizes[id(formula)]
+
+
+def _hanging(clause: Clause) -> Token | None:
+    """Where a duty with a condition, or a permission, begins."""
+    answers = any(
+        (c.kind == "when" and not c.only) or (c.kind == "before" and c.token is clause.token)
+        for c in clause.conditions
+    )
+    allows = clause.mood == "can" and not (clause.negated or clause.count)
+    return clause.token if answers or allows else None
+
+
+def _listed(clause: Clause) -> bool:
+    return clause.things is not None and clause.things.listed
+
+
+def _until(clause: Clause) -> Things | None:
+    """What a ban was said to last until, if it is one thing."""
+    ends = [c for c in clause.conditions if c.kind == "until" and not c.denied]
+    return ends[0].things if clause.negated and len(ends) == 1 else None
 
 
 def _both(first: Meaning | None, second: Meaning) -> Meaning:
@@ -82,6 +106,12 @@ class Discourse:
         settled: one thing comes last.
         shuns: something was to be avoided, not only to wait for something else.
         permitted: what the last clause allowed, if it asked for nothing.
+        hanging: where the last clause was one of "if …" or "you may …": what is joined to it may
+            belong to it or not.
+        until: what the last clause, a ban, lasted until.
+        barred: the last clause was a plain "do not visit a".
+        number: of the last step that had one ("second, …").
+        listed: an order stood right behind "do not …" and a comma.
         each: how often at most each place may be visited, and where that was said.
         strictly: where it was said that nothing comes out of turn.
     """
@@ -104,6 +134,11 @@ class Discourse:
     settled: bool = False
     shuns: bool = False
     waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
+    hanging: Token | None = None
+    until: Things | None = None
+    barred: bool = False
+    number: int = 1
+    listed: bool = False
     each: tuple[int, Token] | None = None
     strictly: Token | None = None
 
@@ -124,6 +159,8 @@ class Discourse:
             else:
                 joint = reader.take(*THEN, "and", "but")
                 reader.skip("comma")
+                if joint is None:
+                    refuse_questions(reader)
                 self._sentence(joint)
             reader.skip("comma", "stop")
         if self.first and self.clauses > 1:
@@ -190,7 +227,7 @@ class Discourse:
         """Sequences with "or" between them."""
         reader = self.reader
         either = reader.peek()
-        self.detour = None
+        self.detour, self.listed = None, False
         if reader.sees("either") and reader.sees("verb", "you", "first", ahead=1):
             reader.take("either")
         after = self.first or (joint is not None and joint.kind in THEN)
@@ -203,7 +240,9 @@ class Discourse:
         if after and before and sequence and sequence[0].loose:
             sequence[0].ban_after(before)  # "… . Afterwards never go to the bed."
         sequences = [sequence]
+        tight = False
         while (ahead := self._alternative_ahead()) is not None:
+            tight = tight or not reader.sees("comma", "stop")
             reader.at += ahead
             if loose:
                 sequences[-1].append(loose)
@@ -214,6 +253,13 @@ class Discourse:
             reader.refuse("either that, or what?", either)
         if loose:
             self.rules.append(loose)
+        single = all(len(sequence) == 1 for sequence in sequences[:-1])
+        if tight and single and len(sequences[-1]) > 1 and either.text != "either":
+            reader.refuse("what comes after which of them? say it in two sentences", start)
+        if len(sequences) > 1 and any(step.commas for step in sequences[0]):
+            reader.refuse("one of them, or some and then one? say 'either … or …'", start)
+        if len(sequences) > 1 and (self.listed or any(step.bans for step in sequences[-1])):
+            reader.refuse("how far does the ban reach? say it in a sentence of its own", start)
         if len(sequences) > 1 and not all(
             any(step.goals for step in sequence) for sequence in sequences
         ):
@@ -253,6 +299,7 @@ class Discourse:
                 if self._joint() is None:
                     return self._all_left(sequence), loose
                 joint = Token("then", "then", self.reader.peek().start, 0)
+            self._numbered(joint)
             clause, meaning = self._clause(joint, sequence)
             kind = joint.kind if joint else ""
             if meaning.loose and kind != "but" and not meaning.follows:
@@ -276,6 +323,22 @@ class Discourse:
                 if ordered:
                     put_in_order(ordered, sequence, self.reader)
                 return self._all_left(sequence), loose
+
+    def _named_before(self, clause: Clause) -> bool:
+        """Whether all that a clause names was asked for before it."""
+        known = set(self.times) | set(self.last.names if self.last else ())
+        return clause.things is not None and set(clause.things.names) <= known
+
+    def _numbered(self, joint: Token | None) -> None:
+        """Notes that this step is the second or third, which has to be its turn."""
+        said = joint.text.split() if joint else []
+        number = next((i for i, word in enumerate(nouns.NUMERALS[:-1], 1) if word in said), None)
+        if number is None or joint is None:
+            return
+        bare = self.reader.sees("word") and len(self.reader.peek().text) > 1
+        if number <= self.number or (bare and joint.text in nouns.ORDINALS):
+            self.reader.refuse("which step is that? say 'then the …'", joint)
+        self.number = number
 
     def _leaves(self, sequence: list[Meaning]) -> None:
         """Takes "leave it", maybe "and repeat this twice more": visits are separate ones anyway."""
@@ -317,6 +380,15 @@ class Discourse:
         if self.halted:
             self.reader.refuse("it ends where it is said to stop; say so last", self.halted)
         clause = take_clause(self.reader, self.memory, bare)
+        goes_on = joint is not None and joint.kind not in ("but", "or")
+        leads = self.hanging is not None and self.hanging.kind == "before"
+        goes_on = goes_on and not (leads and joint is not None and joint.kind not in THEN)
+        if self.hanging and goes_on and not (clause.subject or clause.conditions):
+            hint = "is that part of it as well? say it in a sentence of its own"
+            self.reader.refuse(hint, self.hanging)
+        self.hanging = _hanging(clause)
+        comma = joint is not None and joint.kind == "comma"
+        self.listed = self.listed or (comma and self.denied and not clause.negated)
         if self.permitted and not clause.conditions and clause.mood == "must":
             goes_on = joint is not None and joint.kind in THEN
             clause.trails = clause.trails or clause.next_step or goes_on
@@ -324,11 +396,19 @@ class Discourse:
             self._after_permission(clause, bool(sequence))
         asked = self.goal is not None
         then = self.flow.comes_after(clause, joint, sequence, asked, self.reader)
+        if clause.again and clause.things and not (clause.negated or clause.count):
+            then = then or bool(self.times.keys() & set(clause.things.names))
         if clause.elsewhere:
             self.elsewhere = clause.token
         if clause.ends:
             self._ends(clause)
             then = then or bool(sequence) or asked
+        contrasts = clause.verb == "" and clause.negated and not (clause.conditions or clause.count)
+        if contrasts and (self.denied or not self.clauses or _listed(clause)):
+            self.reader.refuse("avoid it, or visit it? say which", clause.token)  # "not a, b"
+        stays = clause.returns and then and not (self.memory.left or clause.negated)
+        if stays and clause.things == self.last:
+            self.reader.refuse("that is where the robot is then; say where to", clause.token)
         plain = clause.verb == "" and not (clause.negated or clause.first or clause.conditions)
         if joint is not None and joint.kind == "but" and plain and not clause.count:
             self.reader.refuse("all but that, or that too? say 'visit …'", clause.token)
@@ -337,8 +417,32 @@ class Discourse:
             clause.order, self.strictly = "", clause.token  # "a, then b in this exact order"
         if clause.bound_by and joint is not None and joint.kind == "or":
             self.reader.refuse("on the way with which of them? say it of each", clause.bound_by)
+        kind = joint.kind if joint else ""
+        if clause.count_aside and sequence:
+            self.reader.refuse("all so often, or the last? say it in two sentences", clause.token)
+        limits = kind == "but" and clause.verb == "" and bool(clause.conditions)
+        if limits and all(c.only for c in clause.conditions) and self._named_before(clause):
+            clause.mood = "can"  # "visit a or b, but b only after c"
         meaning = meaning_of(clause, self.reader, self.times, then)
         meaning.follows = then
+        if then and meaning.bans and not meaning.goals and not clause.things.every:
+            if self.last is None:
+                self.reader.refuse("say first what it comes after", clause.token)
+            meaning.ban_after(self.last)  # "…. After that, avoid b and go to c"
+        after_ban = joint is not None and joint.kind == "then" and self.denied and not self.until
+        if after_ban and meaning.goals and self.barred and not sequence:
+            self.reader.refuse("never one after the other? say it in two sentences", clause.token)
+        self.barred = bool(meaning.bans) and not (clause.verb in AVOIDING or clause.elsewhere)
+        if then and clause.negated and clause.conditions:
+            self.reader.refuse("say it in a sentence of its own, without 'then'", clause.token)
+        ends = clause.ends or (clause.verb.startswith(ENDING) and not clause.negated)
+        if ends and meaning.goals and sequence:
+            put_last(meaning, sequence)
+        elif ends and meaning.goals and self.goal is not None:
+            self.goal = without_last(self.goal, meaning)
+        if then and meaning.goals and self.until and not sequence:
+            meaning.goals = [steps([visits(self.until), *meaning.goals])]
+        self.until = _until(clause)
         if meaning.each:
             self.each = (meaning.each, clause.token)
         self.strictly = clause.token if meaning.strictly else self.strictly
@@ -377,7 +481,7 @@ class Discourse:
         ends = len(sequence) == 1 and not meaning.follows and self.reader.sees("stop", "end")
         first = clause.first and (joint == "but" or ends)  # "visit a, visit b first"
         if (first or clause.enroute) and sequence and meaning.goals:
-            put_first(meaning, sequence)  # "…, but first go to the sofa"
+            put_first(meaning, sequence, clause.first)  # "…, but first go to the sofa"
             clause.first = False
         elif meaning.repeats and sequence:
             pass

@@ -20,7 +20,8 @@ _MOVES = (
 )  # fmt: skip
 _WAYS = ("take the ", "use the ", "take a ", "use a ", "follow the ", "choose the ")
 _ARRIVES = ("arrive", "reach", "get")
-_ENDING = ("conclude ", "end ", "ends ", "ending ", "finish", "your ", "the ")
+ENDING = ("conclude ", "end ", "ends ", "ending ", "finish")
+_ENDING = (*ENDING, "your ", "the ")
 _ONWARD = ("proceed", "continue", "keep ", "go on", "carry on", *_ENDING)
 _ALSO = ("also", "too", "as well", "at some point")
 
@@ -65,7 +66,7 @@ class Flow:
             (
                 clause.trails,
                 kind in THEN,
-                clause.returns and sequence and not clause.negated,
+                clause.returns and (sequence or asked) and not clause.negated,
                 onward and sequence and not sequence[-1].loose,
                 onward and asked and clause.verb.startswith(_ENDING),
                 moves and self.moved and kind == "" and not ensures,
@@ -87,7 +88,8 @@ class Flow:
             pass
         elif moves and self.moved and not (after or also) and joint and kind == "and":
             after = reader.pick(joint, 2) == 1  # "go to a and go to b" may be in order
-        self.moved, self.passed = moves, through and not clause.negated
+        on = bool(clause.things) and bare and self.passed  # "through a, then b, to c"
+        self.moved, self.passed = moves, (through or on) and not clause.negated
         self.verb = clause.verb
         return after
 

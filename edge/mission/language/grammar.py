@@ -37,10 +37,14 @@ Whatever fits none of this is refused by name, never skipped or guessed.
 
 from __future__ import annotations
 
+import re
+
 from edge.mission.language.discourse import Discourse
 from edge.mission.language.nouns import is_foreign
 from edge.mission.language.words import Reader, TranslationError, not_understood, tokenise
 from edge.mission.ltl import Formula
+
+_GROUPED = re.compile(r"\d,\d{3}\b")
 
 __all__ = ["TranslationError", "readings"]
 
@@ -57,6 +61,9 @@ def readings(text: str) -> tuple[Formula, ...]:
         TranslationError: it has a part that is not understood, which the message names, or can be
             read in more than `MAX_READINGS` ways.
     """
+    if grouped := _GROUPED.search(text):
+        hint = "write numbers without commas"
+        raise not_understood(grouped[0], grouped.start() + 1, hint)
     tokens = tokenise(text)
     found: list[Formula] = []
     todo: list[dict[int, int]] = [{}]

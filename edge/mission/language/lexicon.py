@@ -437,6 +437,15 @@ def _forms(verb: str) -> list[str]:
     return [verb, third, f"{stem}ing", past, f"{doubled}ing", f"{doubled}ed"]
 
 
+_IRREGULAR_PAST = (
+    "went gone found saw seen took taken brought swept met ran came made sat flew flown rode"
+)
+PAST = frozenset(_forms(verb)[3] for verb in _REGULAR_VERBS.split()) | frozenset(
+    [*(_forms(verb)[5] for verb in _REGULAR_VERBS.split()), *_IRREGULAR_PAST.split()]
+)
+"""Verb forms that say what was done."""
+
+
 def _table() -> dict[tuple[str, ...], str]:
     phrases = {
         tuple(phrase.split()): kind

@@ -43,6 +43,7 @@ class Meaning:
         listed: its goals stand side by side with no "and" between them.
         follows: said to come after the step before it.
         repeats: the same visit as the last one.
+        commas: orders in it are joined by nothing but commas.
         anchors: what the goals are said to come after.
         each: how often at most each place of the whole instruction may be visited.
         strictly: the whole instruction's order is a strict one.
@@ -58,6 +59,7 @@ class Meaning:
     listed: bool = True
     follows: bool = False
     repeats: bool = False
+    commas: bool = False
     anchors: list[Things] = field(default_factory=list)
     each: int | None = None
     strictly: bool = False
@@ -81,6 +83,7 @@ class Meaning:
         """Both at once."""
         if self.goals and other.goals:
             self.listed = self.listed and joint in ("", "comma")
+            self.commas = joint == "comma"
         elif other.goals:
             self.listed = other.listed
         self.goals += other.goals
@@ -169,6 +172,10 @@ def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[st
     if clause.count:
         _counted(clause, things, clause.count, meaning, times)
         _no_conditions(clause, reader)
+    elif _anew(clause, things, times) and not (
+        clause.conditions or set(things.names) <= set(times)
+    ):
+        reader.refuse("it was not asked for before; say 'never …'", clause.token)
     elif _anew(clause, things, times) and all(
         c.things.names == things.names for c in clause.conditions
     ):
@@ -270,6 +277,9 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
         meaning.rules += held_until(things.names, Things(clause.route[-1].groups))
     last = reader.sees("end") or reader.sees("end", ahead=1)
     alone = last and (clause.during or not times)
+    for avoided in (*clause.avoiding, *clause.not_first):
+        if set(avoided.names) & set(things.names) and not clause.route:
+            reader.refuse("the same is asked for and to be avoided", clause.token)
     for avoided in clause.avoiding:
         others = [n for n in avoided.names if n not in times]
         if (clause.during and not alone) or set(others) & set(things.names):
@@ -308,9 +318,12 @@ def _counted_until(
     """`reach x at most twice until y is reached`"""
     meaning = Meaning()
     most = count.most
+    asked = all(times.get(name, 0) >= count.least for name in things.names)
+    if clause.conditions[0].kind == "before" and not asked:
+        reader.refuse("say it in two sentences", clause.token)
     if len(clause.conditions) != 1 or most is None:
         reader.refuse("only an upper limit can last until something", clause.token)
-    if not all(times.get(name, 0) >= count.least for name in things.names):
+    if not asked:
         _counted(clause, things, Count(count.least), meaning, times)
     meaning.rules += [
         at_most_before(group, most, end)
@@ -338,7 +351,7 @@ def _conditioned(
         reader.refuse("what comes right before cannot be told", condition.token)
     if clause.next_step and not answers:
         reader.refuse("say 'whenever …, you must … right after that'", condition.token)
-    if kind == "when" and condition.denied and not condition.only:
+    if kind == "when" and condition.denied:
         reader.refuse("what never happens is known at the end only", condition.token)
     if set(when.names) & set(things.names) and not answers:
         reader.refuse("nothing comes before or after itself", condition.token)

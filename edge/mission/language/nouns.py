@@ -149,6 +149,11 @@ NOUNS = _listed(_PLACES) | _listed(_OBJECTS) | _listed(_PEOPLE)
 QUALITIES = _listed(_QUALITIES) | _listed(_MATERIALS)
 NUMBERED = _listed("floor level storey story landmark room door waypoint gate street")
 """Kinds whose members are told apart by number: "second floor" is no second step."""
+ROOMS = _listed(
+    """apartment attic balcony basement bathroom bedroom cellar classroom conservatory corridor
+    garage garden hall hallway kitchen laundry library lobby lounge nursery office pantry patio
+    restroom terrace gym"""
+)
 STOREYS = ("floor", "level", "storey", "story")
 NUMERALS = tuple(_ORDINALS.split())  # the last one is "last"
 ORDINALS = frozenset(NUMERALS)
@@ -196,7 +201,11 @@ def unknown_in(words: list[str]) -> int | None:
             (i for i in range(start, begin, -1) if " ".join(words[begin:i]) in _LEADING), None
         )
         if place is not None:
+            if words[place - 1] in ROOMS and words[end - 1] in ROOMS:
+                return place  # "kitchen bedroom": two rooms in a row
             begin = place
+        elif word in ORDINALS and begin and words[begin - 1] in _LEADING:
+            return begin  # "first floor third floor"
         elif word in QUALITIES or word in ORDINALS or (word.endswith("'s") and is_noun(word[:-2])):
             begin += 1
         else:

@@ -69,21 +69,41 @@ def anchored(
         meaning.goals = [steps([*before, _together(meaning.goals)])]
 
 
-def put_first(meaning: Meaning, sequence: list[Meaning]) -> None:
-    """Makes a clause the step before the last one, which it may repeat a part of.
+def put_first(meaning: Meaning, sequence: list[Meaning], of_all: bool) -> None:
+    """Makes a clause the first step, or the one before the last, which it may repeat a part of.
 
     "Visit the sofa and the desk, but the desk first": that is one visit to the desk.
     """
+    place = 0 if of_all else len(sequence) - 1
+    _leave_out(meaning, sequence[place])
+    sequence.insert(place, meaning)
+
+
+def put_last(meaning: Meaning, sequence: Sequence[Meaning]) -> None:
+    """`visit a and b, but visit b last`: that is one visit to b, which the last step leaves out."""
+    _leave_out(meaning, sequence[-1])
+
+
+def _leave_out(meaning: Meaning, step: Meaning) -> None:
+    """Takes what a clause says again out of a step, if more is left of it."""
     said = frozenset(meaning.things.names)
-    last = sequence[-1]
     parts = [
         part
-        for goal in last.goals
+        for goal in step.goals
         for part in (goal.goals if isinstance(goal, Every) and not goal.rules else (goal,))
     ]
-    rest = [part for part in parts if not letters(part) <= said]
-    last.goals = rest or last.goals
-    sequence.insert(-1, meaning)
+    step.goals = [part for part in parts if not letters(part) <= said] or step.goals
+
+
+def without_last(goal: Goal, meaning: Meaning) -> Goal:
+    """The same of what sentences before asked for in any order."""
+    said = frozenset(meaning.things.names)
+    while isinstance(goal, Every) and len(goal.goals) == 1 and not goal.rules:
+        goal = goal.goals[0]
+    if not isinstance(goal, Every):
+        return goal
+    rest = tuple(part for part in goal.goals if not letters(part) <= said)
+    return Every(rest, goal.rules) if rest else goal
 
 
 def put_in_order(said: Token, sequence: list[Meaning], reader: Reader) -> None:

@@ -145,7 +145,15 @@ MOOD = (
     "in the end",
 )  # fmt: skip
 AUXILIARIES = frozenset({"be", "must", "can"})
-_NEEDS = ("have", "need", "needs", "need to", "required", "has")
+_LIMITING = (
+    "just", "simply", "always", "also", "now", "only", "directly", "already", "straight",
+    "immediately", "right", "solely",
+)  # fmt: skip
+_NEEDS = (
+    "have", "has", "had", "need", "needs", "need to", "required", "are required", "is required",
+    "obliged", "are obliged",
+)  # fmt: skip
+_NOT_NEEDED = "what need not be done asks for nothing; leave it out"
 PREDICATE = ("must", "can", "not", "filler", "only", "first", "be")
 
 
@@ -190,6 +198,7 @@ class Clause:
         never: things to be avoided for good ("while always avoiding").
         not_first: things that are avoided only until then ("without visiting x first").
         not_again: things not to be visited once more on the way ("without returning to x").
+        count_aside: the count stood behind a comma.
         next_step: "right after", "immediately".
         instant: where it was said to be exactly the next step.
         soon: "as soon as", which says so of a duty only.
@@ -213,6 +222,9 @@ class Clause:
         each: how often at most each place that is asked for may be visited ("no revisiting").
         out_of_turn: said of a ban: it forbids another order than the one asked for.
         leaves: where it was said to leave the things between two visits.
+        subject: it says who is to do it ("you must …").
+        leads: "then" stands between its conditions and the rest.
+        done: its verb looks back: "you must have visited a (before b)".
         verb: the word that named the action, "" in a bare clause.
     """
 
@@ -229,6 +241,7 @@ class Clause:
     not_again: list[Things] = field(default_factory=list)
     order: str = ""
     count: Count | None = None
+    count_aside: bool = False
     next_step: bool = False
     instant: Token | None = None
     soon: bool = False
@@ -252,6 +265,9 @@ class Clause:
     each: int | None = None
     out_of_turn: bool = False
     leaves: Token | None = None
+    done: bool = False
+    leads: bool = False
+    subject: bool = False
     verb: str = ""
 
 
@@ -259,6 +275,17 @@ def names_one_robot(reader: Reader) -> bool:
     """Whether "robot c" comes."""
     letter = reader.sees("word", ahead=1) and len(reader.peek(1).text) == 1
     return letter and reader.peek().text in ("robot", "the robot")
+
+
+def _refuse_scope(reader: Reader, said: Token) -> None:
+    """`do not just go to a`, `you don't always have to visit a`: how much of it is denied?"""
+    ahead = 0
+    while reader.sees("filler", "always", "only", "immediately", ahead=ahead):
+        if set(_LIMITING) & set(reader.peek(ahead).text.split()):
+            reader.refuse("say plainly what not to do", said)
+        ahead += 1
+    if reader.sees("must", ahead=ahead) and reader.peek(ahead).text in _NEEDS:
+        reader.refuse(_NOT_NEEDED, said)
 
 
 def _acts(reader: Reader) -> bool:
@@ -277,12 +304,18 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
     seen: set[str] = set()
     while True:
         token = reader.peek()
-        if token.kind == "not" and reader.peek(1).text in _NEEDS:
-            reader.refuse("what need not be done asks for nothing; leave it out", token)
         if token.text == "need" and reader.sees("not", ahead=1):
-            reader.refuse("what need not be done asks for nothing; leave it out", token)
+            reader.refuse(_NOT_NEEDED, token)
         if names_one_robot(reader):
             reader.refuse("only one robot is spoken to", token)
+        if token.text in ("ok", "okay", "alright") and reader.sees("to", ahead=1):
+            reader.refuse("what may be done asks for nothing; leave it out", token)
+        if token.text == "no" and reader.sees("article", ahead=1):
+            reader.refuse("say again all that is to be done", token)  # "…, no, the bed"
+        if token.text == "did" and reader.sees("not", ahead=1):
+            reader.refuse("what was done asks for nothing", token)
+        if token.text == "let" and reader.sees("article", ahead=1) and reader.sees("verb", ahead=3):
+            reader.refuse("only one robot is spoken to", token)  # "let the dog go there"
         if token.text == "it" and _acts(reader):
             seen.add("you")
             reader.at += 1  # "the robot goes to a, then it goes to b"
@@ -315,6 +348,7 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
         if token.kind in ("first", "filler"):
             reader.skip("comma")
         if token.kind == "not":
+            _refuse_scope(reader, token)
             clause.negated = not clause.negated
         elif token.kind == "only":
             clause.only = True
@@ -325,6 +359,8 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
         elif token.kind == "in the end":
             clause.ends = True
         elif token.kind in ("must", "can"):
+            if clause.negated and "not" in seen and token.text in _NEEDS:
+                reader.refuse(_NOT_NEEDED, token)
             clause.mood = token.kind
             if token.kind == "can" and reader.take("you"):  # "can you go to …": a request
                 clause.mood = "do"
@@ -339,6 +375,8 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
                 reader.refuse("say where to go back to", token)
             clause.again = clause.returns = True
             reader.at += 1
+        elif clause.negated and token.text in _LIMITING:
+            reader.refuse("say plainly what not to do", token)  # "do not go straight to a"
         elif token.text in AFTER_VERB and token.kind in ("word", "place", "to"):
             reader.at += 1
         elif token.text == "up to" and starts_things(reader, 1):

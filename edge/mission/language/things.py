@@ -128,6 +128,11 @@ def take_things(
         aside = reader.sees("comma") and reader.sees("or", ahead=1)
         if aside and not banned and "comma" not in commas:
             break  # "the bed, or the sofa": an alternative to all before it
+        joined = any(reader.sees("and", "or", ahead=i) for i in range(ahead))
+        if not joined and reader.sees("to", ahead=ahead - 1):
+            break  # "not the elevator, to the second floor"
+        if not banned and joined and _has_its_own_time(reader, ahead):
+            break  # "…, and the bathroom after the hallway"
         commas |= {reader.peek(i).kind for i in range(ahead)}
         if not subject and _is_subject(reader, ahead):
             break
@@ -140,6 +145,8 @@ def take_things(
     joints = {token.kind for token in between} & {"and", "or"}
     if len(set(groups)) < len(groups):
         reader.refuse("the same thing is named twice", start)
+    if banned and (start.text in _ONE_OF or (start.text == "either" and "and" in joints)):
+        reader.refuse("say which to avoid", start)
     if start.kind == "all of" and len(groups) == 1 and not banned:
         reader.refuse("only one of a kind can be asked for; say 'the …'", start)
     if banned:
@@ -207,6 +214,16 @@ def _joint_length(reader: Reader) -> int | None:
     return ahead if ahead and starts_things(reader, ahead) else None
 
 
+def _has_its_own_time(reader: Reader, ahead: int) -> bool:
+    """Whether the element there has an "after" or "before" of its own ("… and b after c")."""
+    while reader.sees("word", "quoted", "article", "place", "group", ahead=ahead):
+        ahead += 1
+    if reader.peek(ahead).text in ("after that", "afterwards", "later"):
+        return reader.sees("comma", "stop", "end", ahead=ahead + 1)
+    own = reader.sees("after", "before", ahead=ahead)
+    return own and not reader.sees("comma", "stop", "end", "and", ahead=ahead + 1)
+
+
 def _is_subject(reader: Reader, ahead: int) -> bool:
     """Whether the element there is the subject of a clause of its own ("… and b is visited")."""
     while reader.sees("word", "quoted", "article", "place", "all of", "group", ahead=ahead):
@@ -214,6 +231,7 @@ def _is_subject(reader: Reader, ahead: int) -> bool:
     return reader.sees(*_STARTS_PREDICATE, ahead=ahead)
 
 
+_ONE_OF = ("one of", "either of", "either one of", "at least one of")
 _EARLIER = ("previous", "previously", "visited", "earlier", "one", "already", "other")
 _BEEN = (
     ("you", "have", "visited"), ("you", "have", "been", "to"), ("you", "have", "been"),
@@ -232,6 +250,7 @@ def _take_collective(reader: Reader, memory: Memory) -> str:
         ahead += 1
     first, last = reader.peek(), reader.peek(ahead)
     of_them = last.text in PLURALS and ahead > 0 and first.kind in ("all of", "either")
+    of_them = of_them and first.text not in _ONE_OF
     follows = ("must", "be", "can", "comma", "stop", "end")
     both = first.text in ("both", "all") and not reader.sees("not", ahead=-1)  # "but not both"
     if ahead == 1 and both and reader.sees(*follows, ahead=1):
@@ -257,11 +276,14 @@ def _says(reader: Reader, words: Sequence[str]) -> bool:
 
 
 PLURALS = ("them", "these", "those")
+SINGULARS = ("it", "this", "that", "that one", "this one")
 
 
 def _meant_by(token: Token, reader: Reader, memory: Memory) -> Things:
     """What a pronoun stands for; "them" after one thing is all that was asked for."""
     meant = (token.text == "there" and memory.asked) or memory.named
+    if token.text in SINGULARS and meant and len(meant.groups) > 1:
+        reader.refuse("which of them?", token)
     if token.text in PLURALS and meant and len(meant.groups) == 1 and len(memory.every) > 1:
         meant = Things(memory.every)
     if meant is None:
