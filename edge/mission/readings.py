@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from edge.mission.automaton import Automaton, CompileError, compile_formula, implies
 from edge.mission.language.words import TranslationError
-from edge.mission.ltl import Formula
+from edge.mission.ltl import Formula, postorder
 from edge.text import one_line
 
 _MAX_STATES, _MAX_STEPS = 2_000, 3_000_000  # of each reading; larger ones are not compared
@@ -50,6 +50,26 @@ class AmbiguousError(TranslationError):
         }
         self.implied = implied
         self.doubts = tuple(doubts)
+
+
+class ContradictionError(TranslationError):
+    """An instruction that asks for what it forbids."""
+
+
+def refuse_contradiction(formulas: Sequence[Formula]) -> None:
+    """Looks at the one reading of an instruction; of several, `distinct` leaves such ones out.
+
+    Raises:
+        ContradictionError: nothing fulfils it.
+    """
+    if len(formulas) != 1 or not any(f.op in ("!", "G", "W") for f in postorder(formulas[0])):
+        return
+    try:
+        automaton = compile_formula(formulas[0], _MAX_STATES, _MAX_STEPS)
+    except CompileError:
+        return  # the mission says so
+    if automaton.steps_left[0] < 0:
+        raise ContradictionError("instruction: it forbids what it asks for, so nothing fulfils it")
 
 
 def same(a: Formula, b: Formula) -> bool:

@@ -15,7 +15,14 @@ from edge.mission.language import grammar
 from edge.mission.language.english import describe
 from edge.mission.language.words import TranslationError
 from edge.mission.ltl import Formula
-from edge.mission.readings import AmbiguousError, Reading, distinct, same
+from edge.mission.readings import (
+    AmbiguousError,
+    ContradictionError,
+    Reading,
+    distinct,
+    refuse_contradiction,
+    same,
+)
 from edge.text import one_line
 
 if TYPE_CHECKING:
@@ -167,7 +174,9 @@ def make_translator(config: TranslatorConfig) -> Translator:
 
 
 def _by_grammar(instruction: str) -> Read:
-    return Read(grammar.readings(instruction), "grammar")
+    formulas = grammar.readings(instruction)
+    refuse_contradiction(formulas)
+    return Read(formulas, "grammar")
 
 
 def _by_llm(config: TranslatorLlm) -> Backend:
@@ -201,6 +210,8 @@ def by_all(small: Backend, large: Backend | None) -> Backend:
     def read(instruction: str) -> Read:
         try:
             return _by_grammar(instruction)
+        except ContradictionError:
+            raise  # it was understood
         except TranslationError as refusal:
             return _unread(instruction, refusal, small, large)
 

@@ -235,6 +235,9 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         reader.at += 1  # "the sofa, the bed, the desk. In that order please."
     elif (count := take_count(reader, clause.negated, _of_every(clause))) is not None:
         clause.count = narrower(reader, clause.count, count, token)
+        several = clause.things is not None and len(clause.things.groups) > 1
+        if several and reader.tokens[reader.at - 1].text.endswith(("in total", "overall")):
+            reader.refuse("each so often, or all of them together?", token)
     elif token.kind == "first" and not (reader.sees("verb", ahead=1) or starts_things(reader, 1)):
         clause.first = True
         reader.at += 1

@@ -157,7 +157,7 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         clause.things = take_things(reader, memory, banned=clause.negated)
     else:
         reader.refuse("expected something to do or to avoid here")
-    if said and said[-1].text == "been":
+    if said and any(t.text == "been" for t in said[-2:]):
         refuse_what_is_done(reader, begin, said[-1], clause)
     if main is not None and main.kind == "verb":
         refuse_what_is_done(reader, begin, main, clause)

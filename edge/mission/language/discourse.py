@@ -23,6 +23,7 @@ from edge.mission.language.meaning import Meaning, meaning_of, permission_of
 from edge.mission.language.orders import refuse_questions
 from edge.mission.language.sequences import (
     anchored,
+    begun_with,
     chained,
     each_at_most,
     in_strict_order,
@@ -276,6 +277,8 @@ class Discourse:
         elif self.detour and not after and len(sequences) == 1:
             self.goal = passing_by(self.goal, goal, self.detour, reader)
         else:
+            if after and sequence[0].returns:
+                self.goal = begun_with(self.goal, sequence[0])
             self.goal = steps([self.goal, goal]) if after else Every((self.goal, goal))
 
     def _alternative_ahead(self) -> int | None:
@@ -420,11 +423,14 @@ class Discourse:
         kind = joint.kind if joint else ""
         if clause.count_aside and sequence:
             self.reader.refuse("all so often, or the last? say it in two sentences", clause.token)
+        allowed = then and clause.mood == "can" and not clause.negated
+        if allowed and (kind == "only then" or self.reader.pick(clause.token, 2) == 0):
+            clause.mood = "do"  # "visit a, then you can go to b" may ask for b
         limits = kind == "but" and clause.verb == "" and bool(clause.conditions)
         if limits and all(c.only for c in clause.conditions) and self._named_before(clause):
             clause.mood = "can"  # "visit a or b, but b only after c"
-        meaning = meaning_of(clause, self.reader, self.times, then)
-        meaning.follows = then
+        meaning = meaning_of(clause, self.reader, self.times)
+        meaning.follows, meaning.returns = then, clause.returns
         if then and meaning.bans and not meaning.goals and not clause.things.every:
             if self.last is None:
                 self.reader.refuse("say first what it comes after", clause.token)

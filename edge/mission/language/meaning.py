@@ -44,6 +44,7 @@ class Meaning:
         follows: said to come after the step before it.
         repeats: the same visit as the last one.
         commas: orders in it are joined by nothing but commas.
+        returns: said to go back to what was asked for before.
         anchors: what the goals are said to come after.
         each: how often at most each place of the whole instruction may be visited.
         strictly: the whole instruction's order is a strict one.
@@ -60,6 +61,7 @@ class Meaning:
     follows: bool = False
     repeats: bool = False
     commas: bool = False
+    returns: bool = False
     anchors: list[Things] = field(default_factory=list)
     each: int | None = None
     strictly: bool = False
@@ -94,12 +96,11 @@ class Meaning:
         self.limits += other.limits
 
 
-def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int], then: bool) -> Meaning:
+def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int]) -> Meaning:
     """The meaning of a clause.
 
     Args:
         times: how often each name was asked for so far, for "do not visit it again".
-        then: it follows another one in time, so that "you can go to x" asks for x.
 
     Raises:
         TranslationError: parts that do not go together.
@@ -123,8 +124,6 @@ def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int], then: b
         reader.refuse("an order goes with a list: 'visit a, b and c in this order'", clause.token)
     if clause.out_of_turn:
         reader.refuse("say of which places", clause.token)
-    if then and clause.mood == "can" and not clause.negated:
-        clause.mood = "do"
     said = _forbidden if clause.negated else _asked
     meaning = said(clause, clause.things, reader, times)
     meaning.each = clause.each or meaning.each

@@ -34,7 +34,7 @@ def refuse_what_is_done(reader: Reader, begin: int, verb: Token, clause: Clause)
     at = next(i for i, token in enumerate(reader.tokens) if token is verb)
     before = reader.tokens[begin:at]
     texts = [token.text for token in before]
-    past = verb.text.split()[0] in PAST or texts[-1:] == ["been"]
+    past = verb.text.split()[0] in PAST or verb.text == "been" or texts[-1:] == ["been"]
     clause.done = past and bool(set(_HAVING) & set(texts[-3:]))
     if past and not clause.done and not any(token.kind == "be" for token in before):
         reader.refuse("what was done asks for nothing", before[0] if before else verb)

@@ -95,6 +95,18 @@ def _leave_out(meaning: Meaning, step: Meaning) -> None:
     step.goals = [part for part in parts if not letters(part) <= said] or step.goals
 
 
+def begun_with(goal: Goal, meaning: Meaning) -> Goal:
+    """`go to a. go to b. return to a.`: a, then b, before the return."""
+    said = frozenset(meaning.things.names)
+    while isinstance(goal, Every) and len(goal.goals) == 1 and not goal.rules:
+        goal = goal.goals[0]
+    if not isinstance(goal, Every):
+        return goal
+    start = tuple(part for part in goal.goals if letters(part) & said)
+    rest = tuple(part for part in goal.goals if not letters(part) & said)
+    return Every((steps([Every(start), Every(rest)]),), goal.rules) if start and rest else goal
+
+
 def without_last(goal: Goal, meaning: Meaning) -> Goal:
     """The same of what sentences before asked for in any order."""
     said = frozenset(meaning.things.names)
