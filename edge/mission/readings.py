@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from edge.mission.automaton import Automaton, CompileError, compile_formula, implies
-from edge.mission.language.words import TranslationError
+from edge.mission.language.words import TranslationError, UnclearError
 from edge.mission.ltl import Formula, postorder
 from edge.text import one_line
 
@@ -52,15 +52,11 @@ class AmbiguousError(TranslationError):
         self.doubts = tuple(doubts)
 
 
-class ContradictionError(TranslationError):
-    """An instruction that asks for what it forbids."""
-
-
 def refuse_contradiction(formulas: Sequence[Formula]) -> None:
     """Looks at the one reading of an instruction; of several, `distinct` leaves such ones out.
 
     Raises:
-        ContradictionError: nothing fulfils it.
+        UnclearError: nothing fulfils it.
     """
     if len(formulas) != 1 or not any(f.op in ("!", "G", "W") for f in postorder(formulas[0])):
         return
@@ -69,7 +65,7 @@ def refuse_contradiction(formulas: Sequence[Formula]) -> None:
     except CompileError:
         return  # the mission says so
     if automaton.steps_left[0] < 0:
-        raise ContradictionError("instruction: it forbids what it asks for, so nothing fulfils it")
+        raise UnclearError("instruction: it forbids what it asks for, so nothing fulfils it")
 
 
 def same(a: Formula, b: Formula) -> bool:

@@ -13,11 +13,10 @@ from edge.config import TranslatorLlm
 from edge.mission import ltl
 from edge.mission.language import grammar
 from edge.mission.language.english import describe
-from edge.mission.language.words import TranslationError
+from edge.mission.language.words import TranslationError, UnclearError
 from edge.mission.ltl import Formula
 from edge.mission.readings import (
     AmbiguousError,
-    ContradictionError,
     Reading,
     distinct,
     refuse_contradiction,
@@ -205,13 +204,16 @@ def by_model(model: SmallModel) -> Backend:
 
 
 def by_all(small: Backend, large: Backend | None) -> Backend:
-    """The grammar first, then the small model, then a language model: see `TranslatorAuto`."""
+    """The grammar first, then the small model, then a language model: see `TranslatorAuto`.
+
+    What the grammar knows to be no order, or to be unclear, none of the others is asked.
+    """
 
     def read(instruction: str) -> Read:
         try:
             return _by_grammar(instruction)
-        except ContradictionError:
-            raise  # it was understood
+        except UnclearError:
+            raise
         except TranslationError as refusal:
             return _unread(instruction, refusal, small, large)
 

@@ -110,6 +110,10 @@ TOGETHER = [
     (STRANGE, _reader("F bed", sure=False), _reader("F tv"), ["F tv", "F bed"], "llm", False),
     (STRANGE, NOTHING, _reader("F bed"), ["F bed"], "stub", True),
     (STRANGE, NOTHING, NOTHING, "not the grammar's reason", "", True),
+    # Nobody is to guess at what is no order, or reaches nobody knows how far.
+    ("have you been to the bed?", _reader("F bed"), _reader("F bed"), "no order", "", True),
+    ("don't just go to the bed", _reader("G !bed"), None, "say plainly what not to do", "", True),
+    ("go to the bed, never enter the bed", _reader("F bed"), None, "nothing fulfils it", "", True),
 ]
 
 

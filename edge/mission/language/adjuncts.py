@@ -103,10 +103,10 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
     condition.denied = condition.denied or says.negated
     if reader.sees("verb") and _is_third_person(reader.peek()):
         hint = "only what the robot reaches can be told"  # "if the dog enters the hall"
-        reader.refuse(hint, condition.token)
+        reader.deny(hint, condition.token)
     first = bool(reader.take("first")) or says.first
     if first and reader.sees("then") and not reader.sees("end", ahead=1):
-        reader.refuse("say it in two sentences", condition.token)
+        reader.deny("say it in two sentences", condition.token)
     reader.skip("filler", "first")
     condition.count = take_count(reader, negated=False)
 
@@ -146,11 +146,11 @@ def _take_predicate(reader: Reader, says: Clause) -> bool:
         return True
     if said & AUXILIARIES and reader.sees("verb"):
         if said <= {"be", "not"} and reader.peek().text in STATES:
-            reader.refuse("how a thing is cannot be told, only that it is reached")
+            reader.deny("how a thing is cannot be told, only that it is reached")
         reader.take("verb")
         return True
     if "be" in said and not _ends(reader):
-        reader.refuse("how a thing is cannot be told, only that it is reached")
+        reader.deny("how a thing is cannot be told, only that it is reached")
     reader.at, says.negated = begin, negated
     return False
 
@@ -192,7 +192,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         clause.next_step = True
         reader.at += 1
     elif token.text == "now" and clause.negated:
-        reader.refuse("say until when", token)
+        reader.deny("say until when", token)
     elif token.kind in ("filler", "happen") or (token.kind == "forever" and clause.negated):
         reader.at += 1
     elif take_route(reader, memory, clause):
@@ -237,7 +237,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         clause.count = narrower(reader, clause.count, count, token)
         several = clause.things is not None and len(clause.things.groups) > 1
         if several and reader.tokens[reader.at - 1].text.endswith(("in total", "overall")):
-            reader.refuse("each so often, or all of them together?", token)
+            reader.deny("each so often, or all of them together?", token)
     elif token.kind == "first" and not (reader.sees("verb", ahead=1) or starts_things(reader, 1)):
         clause.first = True
         reader.at += 1
@@ -298,7 +298,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
             return False  # "visit a if you saw b then visit c": of the next clause
         after = condition.kind == "after" and clause.negated
         if (when or after) and reader.sees("verb", "ensure", "you", "avoid"):
-            reader.refuse("of which part is this said? put a comma", condition.token)
+            reader.deny("of which part is this said? put a comma", condition.token)
         clause.conditions.append(condition)
     elif token.text in _APART and clause.verb and not starts_things(reader, 1):
         reader.at += 1
@@ -495,16 +495,16 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     if not starts_things(reader):
         reader.refuse("expected the name of a thing here")
     if token.kind == "without" and reader.peek().text in ("both", "both of"):
-        reader.refuse("none of them, or not both? say it of each", reader.peek())
+        reader.deny("none of them, or not both? say it of each", reader.peek())
     if token.text == "with no" and not says.verb:
-        reader.refuse("say 'without …'", token)  # "the room with no window"
+        reader.deny("say 'without …'", token)  # "the room with no window"
     things = take_things(reader, memory, banned=not clause.negated, way=True)
     while denied and reader.sees("or", "and") and _another_participle(reader):
         skip_particles(reader, says)
         more = take_things(reader, memory, banned=True)
         things = Things(things.groups + more.groups)  # "without entering a or touching b"
     if denied and not things.every and take_count(reader, negated=False) is not None:
-        reader.refuse("how often? say it in a sentence of its own", token)
+        reader.deny("how often? say it in a sentence of its own", token)
     if reader.take("first") and not clause.negated:  # "go to a without visiting b first"
         clause.not_first.append(things)
         return

@@ -114,7 +114,7 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     clause.subject = any(t.kind in ("you", "ensure") for t in reader.tokens[begin : reader.at])
     said = reader.tokens[begin : reader.at]
     if said and said[-1].kind == "must" and starts_things(reader):
-        reader.refuse("say what to do, as in 'visit the bed'", clause.token)  # "I have a sofa"
+        reader.deny("say what to do, as in 'visit the bed'", clause.token)  # "I have a sofa"
     if reader.peek().text in _PERFORM and _counts(reader, 1):
         reader.at += 1
     count_at = reader.peek()
@@ -298,7 +298,7 @@ def _counts(reader: Reader, ahead: int) -> bool:
 def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     doubly = False
     if clause.negated and reader.sees("avoid") and "anywhere" in reader.peek().text:
-        reader.refuse("say what to visit, and what to avoid")  # "don't go anywhere but to a"
+        reader.deny("say what to visit, and what to avoid")  # "don't go anywhere but to a"
     if avoid := reader.take("avoid"):
         doubly = clause.negated  # "do not skip a or b"
         clause.negated = not clause.negated
@@ -408,9 +408,9 @@ def _take_passed(
         verb: the last word before them.
     """
     if clause.negated and clause.verb not in AVOIDING and reader.peek().text in _ALL_OF:
-        reader.refuse("none of them, or not all? say it of each", reader.peek())
+        reader.deny("none of them, or not all? say it of each", reader.peek())
     if clause.negated and verb and verb.text == "from":
-        reader.refuse("which of them not to reach?", verb)
+        reader.deny("which of them not to reach?", verb)
     things = take_things(reader, memory, banned=clause.negated, way=passes)
     rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, things.names))
     clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
@@ -474,6 +474,8 @@ def _take_until(reader: Reader, memory: Memory, clause: Clause) -> None:
 def _take_more_bans(reader: Reader, memory: Memory, clause: Clause) -> None:
     """`do not visit a or touch b or revisit c`: "not" goes with each verb."""
     barred = clause.negated and clause.verb not in AVOIDING
+    if clause.negated and not barred and reader.sees("or") and reader.sees("verb", ahead=1):
+        reader.deny("how far does the ban reach? say it in a sentence of its own")
     while barred and reader.sees("or") and reader.sees("verb", ahead=1):
         reader.take("or")
         again = False
@@ -492,7 +494,7 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     start = reader.peek()
     begin = reader.at
     if clause.negated and start.kind == "all of":
-        reader.refuse("none of them, or not all? say it of each", start)
+        reader.deny("none of them, or not all? say it of each", start)
     things = take_things(reader, memory, subject=True, banned=clause.negated)
     if start.text in _ANY_VISIT and _take_consequence(reader, memory, clause, start, things):
         return
@@ -518,20 +520,20 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         return
     done = "been" in said_before and not {"must", "should", "shall"} & set(said_before)
     if done and not clause.conditions:
-        reader.refuse("what has happened asks for nothing", start)  # "the hall has been mopped"
+        reader.deny("what has happened asks for nothing", start)  # "the hall has been mopped"
     barred = any(token.kind == "banned" for token in reader.tokens[begin : reader.at])
     avoid = reader.take("avoid")
     if start.kind == "either" and (avoid or says.negated):
-        reader.refuse("say which to avoid", start)
+        reader.deny("say which to avoid", start)
     if says.mood == "do" and "be" in said and reader.peek().text in STATES:
-        reader.refuse("how a thing is cannot be told, only that it is reached", start)
+        reader.deny("how a thing is cannot be told, only that it is reached", start)
     verb = avoid or reader.take("verb", "happen")
     if barred and verb is None:  # "the hallway is off limits"
         clause.negated, clause.verb = clause.negated != says.negated, "be"
         clause.things = _each(things)
         return
     if avoid and says.mood == "can" and not says.negated:
-        reader.refuse("what may be left out asks for nothing", start)
+        reader.deny("what may be left out asks for nothing", start)
     if verb is not None and (said & AUXILIARIES or verb.kind == "happen"):
         clause.mood = says.mood if says.mood != "do" else clause.mood
         clause.negated = clause.negated != (says.negated != bool(avoid))
@@ -547,7 +549,7 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         reader.refuse("no verb that is known", start)
     clause.things = take_things(reader, memory, banned=clause.negated)
     if reader.sees("verb") and reader.peek().text.split()[0].endswith("s"):
-        reader.refuse("say what to do, as in 'visit the bed'", start)  # "the path goes through b"
+        reader.deny("say what to do, as in 'visit the bed'", start)  # "the path goes through b"
 
 
 _ANY_VISIT = tuple(

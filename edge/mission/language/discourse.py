@@ -256,11 +256,11 @@ class Discourse:
             self.rules.append(loose)
         single = all(len(sequence) == 1 for sequence in sequences[:-1])
         if tight and single and len(sequences[-1]) > 1 and either.text != "either":
-            reader.refuse("what comes after which of them? say it in two sentences", start)
+            reader.deny("what comes after which of them? say it in two sentences", start)
         if len(sequences) > 1 and any(step.commas for step in sequences[0]):
-            reader.refuse("one of them, or some and then one? say 'either … or …'", start)
+            reader.deny("one of them, or some and then one? say 'either … or …'", start)
         if len(sequences) > 1 and (self.listed or any(step.bans for step in sequences[-1])):
-            reader.refuse("how far does the ban reach? say it in a sentence of its own", start)
+            reader.deny("how far does the ban reach? say it in a sentence of its own", start)
         if len(sequences) > 1 and not all(
             any(step.goals for step in sequence) for sequence in sequences
         ):
@@ -340,7 +340,7 @@ class Discourse:
             return
         bare = self.reader.sees("word") and len(self.reader.peek().text) > 1
         if number <= self.number or (bare and joint.text in nouns.ORDINALS):
-            self.reader.refuse("which step is that? say 'then the …'", joint)
+            self.reader.deny("which step is that? say 'then the …'", joint)
         self.number = number
 
     def _leaves(self, sequence: list[Meaning]) -> None:
@@ -388,7 +388,7 @@ class Discourse:
         goes_on = goes_on and not (leads and joint is not None and joint.kind not in THEN)
         if self.hanging and goes_on and not (clause.subject or clause.conditions):
             hint = "is that part of it as well? say it in a sentence of its own"
-            self.reader.refuse(hint, self.hanging)
+            self.reader.deny(hint, self.hanging)
         self.hanging = _hanging(clause)
         comma = joint is not None and joint.kind == "comma"
         self.listed = self.listed or (comma and self.denied and not clause.negated)
@@ -408,10 +408,10 @@ class Discourse:
             then = then or bool(sequence) or asked
         contrasts = clause.verb == "" and clause.negated and not (clause.conditions or clause.count)
         if contrasts and (self.denied or not self.clauses or _listed(clause)):
-            self.reader.refuse("avoid it, or visit it? say which", clause.token)  # "not a, b"
+            self.reader.deny("avoid it, or visit it? say which", clause.token)  # "not a, b"
         stays = clause.returns and then and not (self.memory.left or clause.negated)
         if stays and clause.things == self.last:
-            self.reader.refuse("that is where the robot is then; say where to", clause.token)
+            self.reader.deny("that is where the robot is then; say where to", clause.token)
         plain = clause.verb == "" and not (clause.negated or clause.first or clause.conditions)
         if joint is not None and joint.kind == "but" and plain and not clause.count:
             self.reader.refuse("all but that, or that too? say 'visit …'", clause.token)
@@ -422,7 +422,7 @@ class Discourse:
             self.reader.refuse("on the way with which of them? say it of each", clause.bound_by)
         kind = joint.kind if joint else ""
         if clause.count_aside and sequence:
-            self.reader.refuse("all so often, or the last? say it in two sentences", clause.token)
+            self.reader.deny("all so often, or the last? say it in two sentences", clause.token)
         allowed = then and clause.mood == "can" and not clause.negated
         if allowed and (kind == "only then" or self.reader.pick(clause.token, 2) == 0):
             clause.mood = "do"  # "visit a, then you can go to b" may ask for b
@@ -433,14 +433,14 @@ class Discourse:
         meaning.follows, meaning.returns = then, clause.returns
         if then and meaning.bans and not meaning.goals and not clause.things.every:
             if self.last is None:
-                self.reader.refuse("say first what it comes after", clause.token)
+                self.reader.deny("say first what it comes after", clause.token)
             meaning.ban_after(self.last)  # "…. After that, avoid b and go to c"
         after_ban = joint is not None and joint.kind == "then" and self.denied and not self.until
         if after_ban and meaning.goals and self.barred and not sequence:
-            self.reader.refuse("never one after the other? say it in two sentences", clause.token)
+            self.reader.deny("never one after the other? say it in two sentences", clause.token)
         self.barred = bool(meaning.bans) and not (clause.verb in AVOIDING or clause.elsewhere)
         if then and clause.negated and clause.conditions:
-            self.reader.refuse("say it in a sentence of its own, without 'then'", clause.token)
+            self.reader.deny("say it in a sentence of its own, without 'then'", clause.token)
         ends = clause.ends or (clause.verb.startswith(ENDING) and not clause.negated)
         if ends and meaning.goals and sequence:
             put_last(meaning, sequence)

@@ -174,7 +174,7 @@ def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[st
     elif _anew(clause, things, times) and not (
         clause.conditions or set(things.names) <= set(times)
     ):
-        reader.refuse("it was not asked for before; say 'never …'", clause.token)
+        reader.deny("it was not asked for before; say 'never …'", clause.token)
     elif _anew(clause, things, times) and all(
         c.things.names == things.names for c in clause.conditions
     ):
@@ -278,7 +278,7 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
     alone = last and (clause.during or not times)
     for avoided in (*clause.avoiding, *clause.not_first):
         if set(avoided.names) & set(things.names) and not clause.route:
-            reader.refuse("the same is asked for and to be avoided", clause.token)
+            reader.deny("the same is asked for and to be avoided", clause.token)
     for avoided in clause.avoiding:
         others = [n for n in avoided.names if n not in times]
         if (clause.during and not alone) or set(others) & set(things.names):
@@ -351,7 +351,7 @@ def _conditioned(
     if clause.next_step and not answers:
         reader.refuse("say 'whenever …, you must … right after that'", condition.token)
     if kind == "when" and condition.denied:
-        reader.refuse("what never happens is known at the end only", condition.token)
+        reader.deny("what never happens is known at the end only", condition.token)
     if set(when.names) & set(things.names) and not answers:
         reader.refuse("nothing comes before or after itself", condition.token)
     if kind == "until" and clause.through and not condition.denied and not condition.only:

@@ -26,7 +26,7 @@ def refuse_questions(reader: Reader) -> None:
         asks = asks or (first.text in ("do", "have") and not denied and " " not in subject.text)
         asks = asks or (first.kind in ("can", "must") and (denied or subject.text in _MAY_I))
     if asks:
-        reader.refuse(_NO_ORDER, first)
+        reader.deny(_NO_ORDER, first)
 
 
 def refuse_what_is_done(reader: Reader, begin: int, verb: Token, clause: Clause) -> None:
@@ -37,10 +37,10 @@ def refuse_what_is_done(reader: Reader, begin: int, verb: Token, clause: Clause)
     past = verb.text.split()[0] in PAST or verb.text == "been" or texts[-1:] == ["been"]
     clause.done = past and bool(set(_HAVING) & set(texts[-3:]))
     if past and not clause.done and not any(token.kind == "be" for token in before):
-        reader.refuse("what was done asks for nothing", before[0] if before else verb)
+        reader.deny("what was done asks for nothing", before[0] if before else verb)
     duties = [t for t in before if t.kind in ("must", "ensure") and t.text not in _HAVING]
     if clause.done and (set(_REPROACH) & set(texts) or not duties):
-        reader.refuse("what was done asks for nothing", before[0])
+        reader.deny("what was done asks for nothing", before[0])
 
 
 def refuse_unclear(clause: Clause, reader: Reader) -> None:
@@ -48,31 +48,31 @@ def refuse_unclear(clause: Clause, reader: Reader) -> None:
     conditional = [c for c in clause.conditions if c.kind in ("when", "after") and not c.only]
     if clause.negated:
         if clause.next_step and not clause.conditions:
-            reader.refuse("say plainly what not to do", clause.token)
+            reader.deny("say plainly what not to do", clause.token)
         if clause.mood == "can" and clause.verb in AVOIDING and "anywhere" not in clause.verb:
-            reader.refuse("what may be left out asks for nothing", clause.token)
+            reader.deny("what may be left out asks for nothing", clause.token)
         if clause.ends or clause.verb.startswith(("end ", "finish", "conclude ")):
-            reader.refuse("say where it ends", clause.token)
+            reader.deny("say where it ends", clause.token)
         if clause.count and clause.things and clause.things.names == ("room",):
-            reader.refuse("say which", clause.token)
+            reader.deny("say which", clause.token)
         again = clause.again or clause.returns
         if again and any(c.kind in ("until", "unless", "before") for c in clause.conditions):
-            reader.refuse("say it without 'again'", clause.token)
+            reader.deny("say it without 'again'", clause.token)
         if conditional and len(clause.conditions) > len(conditional):
-            reader.refuse("say it in two sentences", conditional[0].token)
+            reader.deny("say it in two sentences", conditional[0].token)
         return
     if conditional and clause.first:
-        reader.refuse("say 'before you go there, …'", clause.token)
+        reader.deny("say 'before you go there, …'", clause.token)
     if conditional and clause.through and any(c.kind == "when" for c in conditional):
-        reader.refuse("say 'to get there, go through …'", clause.token)
+        reader.deny("say 'to get there, go through …'", clause.token)
     if conditional and clause.done:
-        reader.refuse("say what must be reached before what", clause.token)
+        reader.deny("say what must be reached before what", clause.token)
     if clause.first and clause.things and clause.things.listed:
-        reader.refuse("which of them first? say 'first …, then …'", clause.token)
+        reader.deny("which of them first? say 'first …, then …'", clause.token)
     if conditional and clause.verb == "" and clause.leads:
-        reader.refuse("say what to do then, as in 'go to the bed'", conditional[0].token)
+        reader.deny("say what to do then, as in 'go to the bed'", conditional[0].token)
     groups = clause.things.groups if clause.things else ()
     if clause.count and clause.count.least > 1 and (clause.order and len(groups) > 1):
-        reader.refuse("all of it so often, or each? say it in two sentences", clause.token)
+        reader.deny("all of it so often, or each? say it in two sentences", clause.token)
     if any(c.recurring for c in conditional) and (len(clause.conditions) > 1 or clause.avoiding):
-        reader.refuse("say it in two sentences", conditional[0].token)
+        reader.deny("say it in two sentences", conditional[0].token)

@@ -282,10 +282,10 @@ def _refuse_scope(reader: Reader, said: Token) -> None:
     ahead = 0
     while reader.sees("filler", "always", "only", "immediately", ahead=ahead):
         if set(_LIMITING) & set(reader.peek(ahead).text.split()):
-            reader.refuse("say plainly what not to do", said)
+            reader.deny("say plainly what not to do", said)
         ahead += 1
     if reader.sees("must", ahead=ahead) and reader.peek(ahead).text in _NEEDS:
-        reader.refuse(_NOT_NEEDED, said)
+        reader.deny(_NOT_NEEDED, said)
 
 
 def _acts(reader: Reader) -> bool:
@@ -305,17 +305,17 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
     while True:
         token = reader.peek()
         if token.text == "need" and reader.sees("not", ahead=1):
-            reader.refuse(_NOT_NEEDED, token)
+            reader.deny(_NOT_NEEDED, token)
         if names_one_robot(reader):
-            reader.refuse("only one robot is spoken to", token)
+            reader.deny("only one robot is spoken to", token)
         if token.text in ("ok", "okay", "alright") and reader.sees("to", ahead=1):
-            reader.refuse("what may be done asks for nothing; leave it out", token)
+            reader.deny("what may be done asks for nothing; leave it out", token)
         if token.text == "no" and reader.sees("article", ahead=1):
-            reader.refuse("say again all that is to be done", token)  # "…, no, the bed"
+            reader.deny("say again all that is to be done", token)  # "…, no, the bed"
         if token.text == "did" and reader.sees("not", ahead=1):
-            reader.refuse("what was done asks for nothing", token)
+            reader.deny("what was done asks for nothing", token)
         if token.text == "let" and reader.sees("article", ahead=1) and reader.sees("verb", ahead=3):
-            reader.refuse("only one robot is spoken to", token)  # "let the dog go there"
+            reader.deny("only one robot is spoken to", token)  # "let the dog go there"
         if token.text == "it" and _acts(reader):
             seen.add("you")
             reader.at += 1  # "the robot goes to a, then it goes to b"
@@ -360,7 +360,7 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
             clause.ends = True
         elif token.kind in ("must", "can"):
             if clause.negated and "not" in seen and token.text in _NEEDS:
-                reader.refuse(_NOT_NEEDED, token)
+                reader.deny(_NOT_NEEDED, token)
             clause.mood = token.kind
             if token.kind == "can" and reader.take("you"):  # "can you go to …": a request
                 clause.mood = "do"
@@ -376,7 +376,7 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
             clause.again = clause.returns = True
             reader.at += 1
         elif clause.negated and token.text in _LIMITING:
-            reader.refuse("say plainly what not to do", token)  # "do not go straight to a"
+            reader.deny("say plainly what not to do", token)  # "do not go straight to a"
         elif token.text in AFTER_VERB and token.kind in ("word", "place", "to"):
             reader.at += 1
         elif token.text == "up to" and starts_things(reader, 1):
@@ -391,7 +391,7 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
         ):
             reader.refuse("only reaching things can be asked for", token)
         elif token.kind == "filler" and names_one_robot(reader):
-            reader.refuse("only one robot is spoken to", token)
+            reader.deny("only one robot is spoken to", token)
         elif token.kind in ("to", "filler") or (
             token.kind == "and" and reader.sees("verb", ahead=1) and clause.verb == "go"
         ):

@@ -146,7 +146,7 @@ def take_things(
     if len(set(groups)) < len(groups):
         reader.refuse("the same thing is named twice", start)
     if banned and (start.text in _ONE_OF or (start.text == "either" and "and" in joints)):
-        reader.refuse("say which to avoid", start)
+        reader.deny("say which to avoid", start)
     if start.kind == "all of" and len(groups) == 1 and not banned:
         reader.refuse("only one of a kind can be asked for; say 'the …'", start)
     if banned:
@@ -283,7 +283,7 @@ def _meant_by(token: Token, reader: Reader, memory: Memory) -> Things:
     """What a pronoun stands for; "them" after one thing is all that was asked for."""
     meant = (token.text == "there" and memory.asked) or memory.named
     if token.text in SINGULARS and meant and len(meant.groups) > 1:
-        reader.refuse("which of them?", token)
+        reader.deny("which of them?", token)
     if token.text in PLURALS and meant and len(meant.groups) == 1 and len(memory.every) > 1:
         meant = Things(memory.every)
     if meant is None:

@@ -50,6 +50,11 @@ class TranslationError(UserError):
         self.position = position
 
 
+class UnclearError(TranslationError):
+    """An instruction that is no order, or whose reach cannot be told: no other translator is to
+    guess at it."""
+
+
 def not_understood(part: str, position: int, hint: str) -> TranslationError:
     """The error that names a part of an instruction, shortened, and its place."""
     shown = one_line(part, _SHOWN) or " ".join(f"U+{ord(c):04X}" for c in part[:8])
@@ -209,6 +214,13 @@ class Reader:
         """Past any tokens of these kinds."""
         while self.take(*kinds):
             pass
+
+    def deny(self, hint: str, start: Token | None = None) -> NoReturn:
+        """Raises an UnclearError that names the rest of this sentence, from `start` on."""
+        try:
+            self.refuse(hint, start)
+        except TranslationError as error:
+            raise UnclearError(str(error), error.part, error.position) from None
 
     def refuse(self, hint: str, start: Token | None = None) -> NoReturn:
         """Raises a TranslationError that names the rest of this sentence, from `start` on."""
