@@ -19,7 +19,7 @@ from edge.mission.language.goals import (
     visits,
 )
 from edge.mission.language.lexicon import AVOIDING
-from edge.mission.language.meaning import Meaning, meaning_of, permission_of
+from edge.mission.language.meaning import Meaning, meaning_of
 from edge.mission.language.orders import refuse_questions
 from edge.mission.language.sequences import (
     anchored,
@@ -59,26 +59,6 @@ def _size(formula: Formula) -> int:
     return sizes[id(formula)]
 
 
-def _hanging(clause: Clause) -> Token | None:
-    """Where a duty with a condition, or a permission, begins."""
-    answers = any(
-        (c.kind == "when" and not c.only) or (c.kind == "before" and c.token is clause.token)
-        for c in clause.conditions
-    )
-    allows = clause.mood == "can" and not (clause.negated or clause.count)
-    return clause.token if answers or allows else None
-
-
-def _listed(clause: Clause) -> bool:
-    return clause.things is not None and clause.things.listed
-
-
-def _until(clause: Clause) -> Things | None:
-    """What a ban was said to last until, if it is one thing."""
-    ends = [c for c in clause.conditions if c.kind == "until" and not c.denied]
-    return ends[0].things if clause.negated and len(ends) == 1 else None
-
-
 def _both(first: Meaning | None, second: Meaning) -> Meaning:
     if first is None:
         return second
@@ -98,7 +78,6 @@ class Discourse:
         last: what the last clause asked for.
         first: the last goal was said to come first, so what follows comes after it.
         clauses: how many there were.
-        denied: the last clause forbade something, so a bare "then the bed" could mean either.
         flow: what the last clause did.
         elsewhere: where only what is left out was named ("go anywhere but to a").
         halted: where it was said to stop.
@@ -106,11 +85,6 @@ class Discourse:
         detour: where this sentence was said to be on the way to the one before.
         settled: one thing comes last.
         shuns: something was to be avoided, not only to wait for something else.
-        permitted: what the last clause allowed, if it asked for nothing.
-        hanging: where the last clause was one of "if …" or "you may …": what is joined to it may
-            belong to it or not.
-        until: what the last clause, a ban, lasted until.
-        barred: the last clause was a plain "do not visit a".
         number: of the last step that had one ("second, …").
         listed: an order stood right behind "do not …" and a comma.
         each: how often at most each place may be visited, and where that was said.
@@ -126,8 +100,6 @@ class Discourse:
     last: Things | None = None
     first: bool = False
     clauses: int = 0
-    permitted: Things | None = None
-    denied: bool = False
     flow: Flow = field(default_factory=Flow)
     elsewhere: Token | None = None
     halted: Token | None = None
@@ -135,9 +107,6 @@ class Discourse:
     settled: bool = False
     shuns: bool = False
     waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
-    hanging: Token | None = None
-    until: Things | None = None
-    barred: bool = False
     number: int = 1
     listed: bool = False
     each: tuple[int, Token] | None = None
@@ -219,7 +188,7 @@ class Discourse:
         if not (bare or reader.sees("halt")) or not reader.sees("stop", "end", ahead=1):
             return False
         self.halted = reader.peek()
-        if self.denied or self.permitted or not (bare or self.settled):
+        if self.flow.denied or self.flow.permitted or not (bare or self.settled):
             reader.refuse("say where to stop, and what comes last", self.halted)
         reader.at += 1
         return True
@@ -378,21 +347,27 @@ class Discourse:
     def _clause(self, joint: Token | None, sequence: list[Meaning]) -> tuple[Clause, Meaning]:
         """The next clause, and what it means after those before it."""
         bare: Bare = "known" if not self.clauses else "no"
-        if self.clauses and joint and joint.kind and not self.denied:
+        if self.clauses and joint and joint.kind and not self.flow.denied:
             bare = "yes"
         if self.halted:
             self.reader.refuse("it ends where it is said to stop; say so last", self.halted)
         clause = take_clause(self.reader, self.memory, bare)
-        goes_on = joint is not None and joint.kind not in ("but", "or")
-        leads = self.hanging is not None and self.hanging.kind == "before"
-        goes_on = goes_on and not (leads and joint is not None and joint.kind not in THEN)
-        if self.hanging and goes_on and not (clause.subject or clause.conditions):
-            hint = "is that part of it as well? say it in a sentence of its own"
-            self.reader.deny(hint, self.hanging)
-        self.hanging = _hanging(clause)
-        comma = joint is not None and joint.kind == "comma"
-        self.listed = self.listed or (comma and self.denied and not clause.negated)
-        if self.permitted and not clause.conditions and clause.mood == "must":
+        self.listed = self.listed or self.flow.lists(clause, joint)
+        then = self._comes_after(clause, joint, sequence)
+        self.flow.refuse_unclear(clause, joint, bool(self.clauses), self.reader)
+        self._settle(clause, joint.kind if joint else "", then, sequence)
+        meaning = meaning_of(clause, self.reader, self.times)
+        meaning.follows, meaning.returns = then, clause.returns
+        self._relate(clause, meaning, sequence)
+        if then and self.flow.barred and meaning.goals and not sequence and joint:
+            self.reader.deny("never one after the other? say it in two sentences", clause.token)
+        self.flow.note(clause, meaning)
+        self._note(clause, meaning)
+        return clause, meaning
+
+    def _comes_after(self, clause: Clause, joint: Token | None, sequence: list[Meaning]) -> bool:
+        """Whether it comes after all that was asked for before it."""
+        if self.flow.permitted and not clause.conditions and clause.mood == "must":
             goes_on = joint is not None and joint.kind in THEN
             clause.trails = clause.trails or clause.next_step or goes_on
         if clause.trails:
@@ -401,44 +376,37 @@ class Discourse:
         then = self.flow.comes_after(clause, joint, sequence, asked, self.reader)
         if clause.again and clause.things and not (clause.negated or clause.count):
             then = then or bool(self.times.keys() & set(clause.things.names))
-        if clause.elsewhere:
-            self.elsewhere = clause.token
         if clause.ends:
             self._ends(clause)
             then = then or bool(sequence) or asked
-        contrasts = clause.verb == "" and clause.negated and not (clause.conditions or clause.count)
-        if contrasts and (self.denied or not self.clauses or _listed(clause)):
-            self.reader.deny("avoid it, or visit it? say which", clause.token)  # "not a, b"
         stays = clause.returns and then and not (self.memory.left or clause.negated)
         if stays and clause.things == self.last:
             self.reader.deny("that is where the robot is then; say where to", clause.token)
-        plain = clause.verb == "" and not (clause.negated or clause.first or clause.conditions)
-        if joint is not None and joint.kind == "but" and plain and not clause.count:
-            self.reader.refuse("all but that, or that too? say 'visit …'", clause.token)
+        return then
+
+    def _settle(self, clause: Clause, joint: str, then: bool, sequence: list[Meaning]) -> None:
+        """What a clause leaves open that those before it tell."""
+        if clause.elsewhere:
+            self.elsewhere = clause.token
         one = clause.things is not None and len(clause.things.groups) + len(clause.route) == 1
         if one and sequence and clause.order == "strict order" and not clause.negated:
             clause.order, self.strictly = "", clause.token  # "a, then b in this exact order"
-        if clause.bound_by and joint is not None and joint.kind == "or":
-            self.reader.refuse("on the way with which of them? say it of each", clause.bound_by)
-        kind = joint.kind if joint else ""
         if clause.count_aside and sequence:
             self.reader.deny("all so often, or the last? say it in two sentences", clause.token)
         allowed = then and clause.mood == "can" and not clause.negated
-        if allowed and (kind == "only then" or self.reader.pick(clause.token, 2) == 0):
+        if allowed and (joint == "only then" or self.reader.pick(clause.token, 2) == 0):
             clause.mood = "do"  # "visit a, then you can go to b" may ask for b
-        limits = kind == "but" and clause.verb == "" and bool(clause.conditions)
+        limits = joint == "but" and clause.verb == "" and bool(clause.conditions)
         if limits and all(c.only for c in clause.conditions) and self._named_before(clause):
             clause.mood = "can"  # "visit a or b, but b only after c"
-        meaning = meaning_of(clause, self.reader, self.times)
-        meaning.follows, meaning.returns = then, clause.returns
+
+    def _relate(self, clause: Clause, meaning: Meaning, sequence: list[Meaning]) -> None:
+        """Puts what a clause means in relation to what the ones before it asked for."""
+        then = meaning.follows
         if then and meaning.bans and not meaning.goals and not clause.things.every:
             if self.last is None:
                 self.reader.deny("say first what it comes after", clause.token)
             meaning.ban_after(self.last)  # "…. After that, avoid b and go to c"
-        after_ban = joint is not None and joint.kind == "then" and self.denied and not self.until
-        if after_ban and meaning.goals and self.barred and not sequence:
-            self.reader.deny("never one after the other? say it in two sentences", clause.token)
-        self.barred = bool(meaning.bans) and not (clause.verb in AVOIDING or clause.elsewhere)
         if then and clause.negated and clause.conditions:
             self.reader.deny("say it in a sentence of its own, without 'then'", clause.token)
         ends = clause.ends or (clause.verb.startswith(ENDING) and not clause.negated)
@@ -446,33 +414,36 @@ class Discourse:
             put_last(meaning, sequence)
         elif ends and meaning.goals and self.goal is not None:
             self.goal = without_last(self.goal, meaning)
-        if then and meaning.goals and self.until and not sequence:
-            meaning.goals = [steps([visits(self.until), *meaning.goals])]
-        self.until = _until(clause)
-        if meaning.each:
-            self.each = (meaning.each, clause.token)
-        self.strictly = clause.token if meaning.strictly else self.strictly
+        if then and meaning.goals and self.flow.until and not sequence:
+            meaning.goals = [steps([visits(self.flow.until), *meaning.goals])]
         if meaning.anchors and not then and self.times.keys() & set(meaning.things.names):
             hint = "it was asked for before; say in one sentence what comes after what"
             self.reader.refuse(hint, clause.token)
         anchored(meaning, sequence, self.times, then)
-        if meaning.goals and clause.things:
-            self.settled = len(clause.things.groups) == 1 and (then or not self.times)
-        limited = clause.count is not None and clause.count.most is not None
-        self.ordered = self.ordered or (bool(meaning.goals) and not limited)
         plain = not (clause.count or clause.again or clause.conditions or clause.avoiding)
         meaning.repeats = plain and bool(meaning.goals) and clause.things == self.last
         if meaning.repeats and then:  # "a, then b, then b and c": is b meant twice?
             meaning.repeats = self.reader.pick(clause.token, 2) == 1
         self._returned(clause, meaning, sequence)
+
+    def _note(self, clause: Clause, meaning: Meaning) -> None:
+        """Remembers what later clauses may refer to."""
+        if meaning.each:
+            self.each = (meaning.each, clause.token)
+        self.strictly = clause.token if meaning.strictly else self.strictly
+        if meaning.goals and clause.things:
+            single = len(clause.things.groups) == 1
+            self.settled = single and (meaning.follows or not self.times)
+        limited = clause.count is not None and clause.count.most is not None
+        self.ordered = self.ordered or (bool(meaning.goals) and not limited)
         self.last = clause.things if meaning.goals else self.last
         self.waits += meaning.waits
         self.shuns = self.shuns or clause.verb in AVOIDING
-        self.permitted = permission_of(clause)
-        self.denied = clause.negated
         self.clauses += 1
-        self._count(meaning)
-        return clause, meaning
+        for goal in meaning.goals:
+            for visit in single_visits(goal):
+                self.times |= dict.fromkeys(visit.options, visit.times)
+                self.memory.note([visit.options])
 
     def _place(self, clause: Clause, meaning: Meaning, joint: str, sequence: list[Meaning]) -> None:
         """Makes a clause a step of its own, or a part of the last one."""
@@ -499,12 +470,12 @@ class Discourse:
 
     def _after_permission(self, clause: Clause, started: bool) -> None:
         """`you can visit a, but you must visit b after that`: after a, if ever."""
-        if not self.permitted and clause.negated and not started:
-            self.permitted = self.memory.asked
+        if not self.flow.permitted and clause.negated and not started:
+            self.flow.permitted = self.memory.asked
         if clause.conditions:
             clause.trails = False  # "once you visit a, you must visit b after that"
-        elif self.permitted:
-            clause.conditions.append(Condition("after", clause.token, self.permitted))
+        elif self.flow.permitted:
+            clause.conditions.append(Condition("after", clause.token, self.flow.permitted))
             clause.trails = False
         elif not self.clauses:
             self.reader.refuse("it comes after nothing", clause.token)
@@ -550,10 +521,3 @@ class Discourse:
     def _begins_well(self) -> bool:
         """Whether a clause without a joint before it has a verb of its own."""
         return not self.reader.sees("word", "quoted", "to") or len(self.reader.peek().text) == 1
-
-    def _count(self, meaning: Meaning) -> None:
-        """Notes how often things were asked for."""
-        for goal in meaning.goals:
-            for visit in single_visits(goal):
-                self.times |= dict.fromkeys(visit.options, visit.times)
-                self.memory.note([visit.options])

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from edge.mission.language.meaning import Meaning
+from edge.mission.language.lexicon import AVOIDING
+from edge.mission.language.meaning import Meaning, permission_of
 from edge.mission.language.routes import PASSING
 from edge.mission.language.spoken import Clause
+from edge.mission.language.things import Things
 from edge.mission.language.words import Reader, Token
 
 THEN = ("then", "only then")
@@ -34,11 +36,21 @@ class Flow:
         moved: it was a plain order to go somewhere: "go to a go to b" is in order.
         passed: it only went through somewhere.
         verb: what named its action.
+        denied: it forbade something, so a bare "then the bed" could mean either.
+        barred: it was a plain "do not visit a".
+        until: what it, a ban, lasted until.
+        hanging: where it was one of "if …" or "you may …": what is joined to it may be part of it.
+        permitted: what it allowed, if it asked for nothing.
     """
 
     moved: bool = False
     passed: bool = False
     verb: str = ""
+    denied: bool = False
+    barred: bool = False
+    until: Things | None = None
+    hanging: Token | None = None
+    permitted: Things | None = None
 
     def comes_after(
         self,
@@ -92,6 +104,53 @@ class Flow:
         self.moved, self.passed = moves, (through or on) and not clause.negated
         self.verb = clause.verb
         return after
+
+    def lists(self, clause: Clause, joint: Token | None) -> bool:
+        """Whether an order stands right behind "do not …" and a comma."""
+        comma = joint is not None and joint.kind == "comma"
+        return comma and self.denied and not clause.negated
+
+    def refuse_unclear(
+        self, clause: Clause, joint: Token | None, started: bool, reader: Reader
+    ) -> None:
+        """Refuses what may be joined to the last clause in more than one way.
+
+        Raises:
+            UnclearError: it may.
+        """
+        kind = joint.kind if joint else ""
+        leads = self.hanging is not None and self.hanging.kind == "before"
+        joined = joint is not None and kind not in ("but", "or") and (not leads or kind in THEN)
+        if self.hanging and joined and not (clause.subject or clause.conditions):
+            hint = "is that part of it as well? say it in a sentence of its own"
+            reader.deny(hint, self.hanging)
+        bare = clause.verb == "" and not (clause.conditions or clause.count)
+        listed = clause.things is not None and clause.things.listed
+        if bare and clause.negated and (self.denied or not started or listed):
+            reader.deny("avoid it, or visit it? say which", clause.token)  # "not a, b"
+        if kind == "but" and bare and not (clause.negated or clause.first):
+            reader.refuse("all but that, or that too? say 'visit …'", clause.token)
+        if clause.bound_by and kind == "or":
+            reader.refuse("on the way with which of them? say it of each", clause.bound_by)
+
+    def note(self, clause: Clause, meaning: Meaning) -> None:
+        """Remembers a clause for the next one."""
+        ends = [c for c in clause.conditions if c.kind == "until" and not c.denied]
+        self.until = ends[0].things if clause.negated and len(ends) == 1 else None
+        shuns = clause.verb in AVOIDING or clause.elsewhere
+        self.barred = bool(meaning.bans) and not (shuns or self.until)
+        self.hanging = clause.token if _hangs(clause) else None
+        self.permitted = permission_of(clause)
+        self.denied = clause.negated
+
+
+def _hangs(clause: Clause) -> bool:
+    """Whether it is a duty with a condition, or a permission."""
+    answers = any(
+        (c.kind == "when" and not c.only) or (c.kind == "before" and c.token is clause.token)
+        for c in clause.conditions
+    )
+    return answers or (clause.mood == "can" and not (clause.negated or clause.count))
 
 
 def _moves(clause: Clause) -> bool:
