@@ -1,0 +1,252 @@
+"""What a clause does: its verb, what it goes through, and what it reaches."""
+
+from __future__ import annotations
+
+from edge.mission.language import nouns
+from edge.mission.language.adjuncts import narrower
+from edge.mission.language.conditions import take_happening
+from edge.mission.language.lexicon import AVOIDING
+from edge.mission.language.routes import PASSING, lead, pass_by, take_exception
+from edge.mission.language.spoken import (
+    Clause,
+    Condition,
+    skip_particles,
+    take_count,
+    take_mood,
+)
+from edge.mission.language.things import (
+    LEAVE,
+    Memory,
+    Things,
+    starts_things,
+    take_things,
+)
+from edge.mission.language.words import Reader, Token
+
+UP = ("up", "down", "over", "on")
+_MOTION = ("go", "come", "walk", "move", "head", "run", "drive", "travel", "return", "proceed")
+
+
+def is_passing(reader: Reader, ahead: int = 0, any_way: bool = False) -> bool:
+    """Whether a way without a verb comes: ", then past the sofa"; with or without a thing."""
+    token = reader.peek(ahead)
+    if token.text == "back":
+        return reader.sees("to", ahead=ahead + 1) or reader.peek(ahead + 1).text in UP
+    passes = token.kind == "via" or token.text in PASSING
+    return passes and (any_way or starts_things(reader, ahead + 1))
+
+
+def goes_on_to(reader: Reader) -> bool:
+    """Whether "go on the third floor" comes, which is no "go on until"."""
+    return reader.peek().text == "go on" and starts_things(reader, 1)
+
+
+def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
+    """`go to a`, `avoid a`, `go through a to b`, `do not skip a`: a verb and what it is about.
+
+    Raises:
+        TranslationError: nothing that it could be about follows.
+    """
+    doubly = False
+    if clause.negated and reader.sees("avoid") and "anywhere" in reader.peek().text:
+        reader.deny("say what to visit, and what to avoid")  # "don't go anywhere but to a"
+    if avoid := reader.take("avoid"):
+        doubly = clause.negated  # "do not skip a or b"
+        clause.negated = not clause.negated
+        clause.verb = avoid.text
+        if reader.sees("you"):  # "go anywhere but you finish at the bed"
+            reader.refuse("say it in two sentences", avoid)
+        take_mood(reader, Clause(avoid))
+    if goes_on_to(reader):
+        clause.verb = "go"
+        reader.at += 1
+    while token := reader.take("verb"):
+        if clause.verb.startswith("stop") and token.text.endswith("ing"):
+            clause.negated = not clause.negated  # "stop visiting it"
+        if not clause.verb.startswith(_GOES_ON) or token.text.startswith(_PASSES):
+            clause.verb = token.text  # "proceed to clean it" goes on
+        clause.again = clause.again or token.text.startswith("revisit")
+        clause.returns = clause.returns or token.text.startswith("return")
+        skip_particles(reader, clause)
+        _take_leaving(reader, clause)
+        _take_times(reader, clause)
+    if reader.sees("in order", "strict order") and reader.peek(1).text == ":":
+        clause.order = reader.peek().kind  # "visit in this order: a, b, c"
+        reader.at += 2
+    if reader.take("neither"):
+        clause.negated = True
+    elif reader.tokens[reader.at - 1].text in _MOTION and not _plainly_named(reader):
+        reader.refuse("no thing that is known; if it is one, say 'to the …'")
+    last = reader.tokens[reader.at - 1]
+    warns = clause.verb in ("watch", "look") and reader.tokens[reader.at - 2].text == "out"
+    if warns or clause.verb == "starts":  # "watch out for a", "the robot starts in a"
+        reader.refuse("only reaching things can be asked for", last)
+    if last.text in ("off", "out", "with") and clause.verb in _LEAVES:
+        reader.refuse("only reaching things can be asked for", last)
+    passes = last.text.split(" ")[-1] in PASSING or clause.verb.startswith(_PASSES)
+    if reader.sees("only") and is_passing(reader, 1, any_way=True):
+        reader.at += 2  # "go only through a"
+        clause.only = passes = True
+    elif way := reader.take("via", "around"):
+        passes = clause.by_way = way.kind == "via"
+        clause.around = way.kind == "around" and not clause.negated
+        clause.negated = clause.negated or clause.around
+    if (other := take_exception(reader, memory)) is not None:
+        if clause.negated:
+            reader.refuse("say what to avoid", last)
+        clause.things, clause.negated, clause.elsewhere = other, True, True
+        clause.through, clause.only = passes, False
+        token = reader.peek()
+        if passes and _take_onward(reader):  # "go through any room but a to b"
+            lead(reader, memory, clause, take_things(reader, memory), token)
+    elif starts_things(reader):
+        take_passed(reader, memory, clause, passes, last)
+        if doubly and clause.things:
+            clause.things = each_of(clause.things)
+        _take_more_bans(reader, memory, clause)
+    elif clause.returns and memory.asked and (clause.negated or memory.left):
+        clause.things = memory.asked  # "leave it and come back", "never go back"
+    elif not clause.negated or not clause.verb.startswith("stop"):
+        reader.refuse("expected the name of a thing here", reader.peek())
+    if clause.verb.startswith(_ANYWHERE) and not clause.verb.endswith("near"):
+        clause.elsewhere = clause.mood != "can"
+
+
+def _take_times(reader: Reader, clause: Clause) -> None:
+    """`go twice to a`, `go 2 times in a`."""
+    begin, token = reader.at, reader.peek()
+    count = take_count(reader, clause.negated)
+    if count is not None and reader.peek().text in ("to", "into", "in", "inside"):
+        clause.count = narrower(reader, clause.count, count, token)
+        reader.at += 1
+    else:
+        reader.at = begin
+
+
+def _take_leaving(reader: Reader, clause: Clause) -> None:
+    """`visit and then leave a twice`: visits are separate ones anyway."""
+    ahead = 1 if reader.sees("and") else 0
+    ahead += 1 if reader.sees("then", ahead=ahead) else 0
+    if ahead and reader.peek(ahead).text in LEAVE and starts_things(reader, ahead + 1):
+        clause.leaves = reader.peek(ahead)
+        reader.at += ahead + 1
+
+
+_CARRIES = ("bring", "fetch", "take", "put", "carry", "grab", "collect", "load", "pick", "get ")
+_INTO = ("into", "onto", "in to")
+_LEAVES = (*_MOTION, "get", "step", "climb", "fly", "roll", "navigate", "move", "pass")
+_PASSES = ("cross", "follow", "traverse", "pass")
+_ALONG = ("path", "route", "road", "way", *PASSING)
+_GOES_ON = ("proceed", "continue")
+_RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
+_ANYWHERE = ("go anywhere", "visit anywhere")
+
+
+_ALL_OF = ("both", "both of", "all of", "all", "every")
+
+
+def take_passed(
+    reader: Reader,
+    memory: Memory,
+    clause: Clause,
+    passes: bool = True,
+    verb: Token | None = None,
+) -> None:
+    """Things, and what one goes on to: "through a and into b", "from a to b to c", "a or b, to c".
+
+    Args:
+        passes: they lie on the way.
+        verb: the last word before them.
+    """
+    if clause.negated and clause.verb not in AVOIDING and reader.peek().text in _ALL_OF:
+        reader.deny("none of them, or not all? say it of each", reader.peek())
+    if clause.negated and verb and verb.text == "from":
+        reader.deny("which of them not to reach?", verb)
+    things = take_things(reader, memory, banned=clause.negated, way=passes)
+    rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, things.names))
+    clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
+    if clause.verb.startswith("follow") and not rides and not clause.verb.endswith(_ALONG):
+        reader.refuse("only a way can be followed", verb)
+    start = verb if verb and verb.text == "from" else None
+    on = start is not None
+    while on or _onward(reader, clause):
+        token = reader.peek()
+        if not _take_onward(reader):
+            break
+        further = take_things(reader, memory)
+        if clause.route and len(clause.things.groups[-1]) > 1:
+            reader.refuse("say it in two sentences: 'go through a to b, or through c to d'", token)
+        if clause.negated:  # "do not go through a to b"
+            lead(reader, memory, clause, further, token)
+        elif start and reader.pick(start, 2) == 0:
+            clause.origin = True  # where the robot is
+        else:
+            pass_by(reader, clause, clause.things, token)
+        clause.things, start = further, None
+    if start:
+        reader.refuse("say where to go from there", start)
+
+
+def _onward(reader: Reader, clause: Clause) -> bool:
+    """Whether "to b" may go on from there."""
+    ahead = 1 if reader.sees("and") else 0
+    onto = reader.peek(ahead + (reader.peek(ahead).text == "out")).text in _INTO
+    if onto and not clause.through and clause.verb.startswith(_CARRIES):
+        reader.refuse("only reaching things can be asked for", reader.peek(ahead))
+    moved = clause.verb in _MOTION and reader.sees("to")
+    return clause.through or (not clause.negated and (onto or moved))
+
+
+def _take_onward(reader: Reader) -> bool:
+    """Passes "to", "and into" before a thing; False, and nothing taken, when there is none."""
+    ahead = 1 if reader.sees("and") else 0
+    ahead += reader.peek(ahead).text in ("out", "on")
+    if reader.peek(ahead).text == "through":
+        return False
+    if not reader.sees("to", ahead=ahead) or not starts_things(reader, ahead + 1):
+        return False
+    reader.at += ahead + 1
+    return True
+
+
+def take_until(reader: Reader, memory: Memory, clause: Clause) -> None:
+    """`keep going until you reach a`: it asks for a, after what came before."""
+    token = reader.take("onward")
+    assert token is not None
+    if clause.negated:
+        reader.refuse("say it without 'not'", token)
+    happening = Condition("until", token, Things(()))
+    take_happening(reader, memory, happening)
+    if happening.denied or happening.count:
+        reader.refuse("say where to go", token)
+    clause.verb, clause.things = "continue", happening.things
+
+
+def _take_more_bans(reader: Reader, memory: Memory, clause: Clause) -> None:
+    """`do not visit a or touch b or revisit c`: "not" goes with each verb."""
+    barred = clause.negated and clause.verb not in AVOIDING
+    if clause.negated and not barred and reader.sees("or") and reader.sees("verb", ahead=1):
+        reader.deny("how far does the ban reach? say it in a sentence of its own")
+    while barred and reader.sees("or") and reader.sees("verb", ahead=1):
+        reader.take("or")
+        again = False
+        while verb := reader.take("verb"):
+            again = again or verb.text.startswith(("revisit", "return"))
+            skip_particles(reader, clause)
+        things = take_things(reader, memory, banned=True)
+        if again:
+            clause.not_again.append(things)
+        elif clause.things is not None:
+            clause.things = Things(clause.things.groups + things.groups)
+
+
+def _plainly_named(reader: Reader) -> bool:
+    """Whether what follows is no unknown word without an article ("upstairs")."""
+    token = reader.peek()
+    if token.kind != "word" or len(token.text) == 1 or token.text in PASSING:
+        return True
+    return nouns.is_noun(token.text) or token.text in nouns.QUALITIES
+
+
+def each_of(things: Things) -> Things:
+    return Things(tuple((name,) for name in things.names))

@@ -1,0 +1,171 @@
+"""Conditions: `until the bed is reached`, `once you have visited it`, `before that`."""
+
+from __future__ import annotations
+
+from edge.mission.language.spoken import (
+    AUXILIARIES,
+    CONDITIONS,
+    PREDICATE,
+    Clause,
+    Condition,
+    skip_particles,
+    take_count,
+    take_mood,
+)
+from edge.mission.language.things import Memory, Things, starts_things, take_things
+from edge.mission.language.words import Reader, Token
+
+
+def take_condition(reader: Reader, memory: Memory, clause: Clause) -> Condition:
+    """`until the bed is reached`, `once you have visited it`, `before that`."""
+    only = denied = False
+    if limit := reader.take("only", "not"):
+        only, denied = limit.kind == "only", limit.kind == "not"
+    token = reader.take(*CONDITIONS)
+    assert token is not None
+    kind = "when" if token.kind == "once" else token.kind
+    if token.text.startswith("as soon"):
+        clause.soon = True
+        if reader.peek().text == "as":
+            reader.at += 1
+    recurring = token.text in ("whenever", "every time", "each time", "any time", "if", "if ever")
+    condition = Condition(kind, token, Things(()), only, denied, recurring)
+    begin = reader.at
+    take_happening(reader, memory, condition)
+    if condition.things is clause.things and kind in ("before", "after") and memory.previous:
+        condition.things = memory.previous  # "…, but go to b before that"
+    if kind in ("after", "when") and any(
+        t.text == "ever" for t in reader.tokens[begin : reader.at]
+    ):
+        condition.recurring = True  # "after you ever see a cat"
+    return condition
+
+
+def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None:
+    """`you have visited a`, `a is visited`, `visiting a`, `a`, `that`, `then`."""
+    if (
+        reader.sees("then")
+        and reader.peek().text == "then"
+        and condition.kind in ("before", "until")
+    ):
+        reader.at += 1
+        condition.things = _asked(reader, memory, condition.token)
+        return
+    says = Clause(reader.peek())
+    said = take_mood(reader, says)
+    inside = reader.peek().text in ("in", "inside", "at", "on") and starts_things(reader, 1)
+    if inside and ("be" in said or (condition.kind == "when" and not said)):
+        reader.at += 1  # "once you are in the kitchen", "once in the kitchen"
+        condition.things = take_things(reader, memory)
+        condition.denied = condition.denied or says.negated
+        return
+    been = reader.sees("to") and reader.tokens[reader.at - 1].text == "been"
+    if been or reader.sees("verb"):
+        participle = reader.peek().text.split()[0].endswith("ing")
+        condition.going = condition.token.text == "when" and participle
+        reader.skip("verb")
+        skip_particles(reader, says)
+        if not starts_things(reader):
+            reader.refuse("expected the name of a thing here")
+        condition.things = take_things(reader, memory)
+        while participle and another_participle(reader):
+            skip_particles(reader, says)
+            more = take_things(reader, memory)
+            condition.things = Things(condition.things.groups + more.groups)
+        reader.take("happen")
+    elif reader.sees("all of") and reader.sees(*AUXILIARIES, "pronoun", ahead=1):
+        everything = reader.take("all of")
+        assert everything is not None
+        reader.take("pronoun")
+        condition.things = _asked(reader, memory, everything)
+        _take_predicate(reader, says)
+    elif reader.sees("pronoun"):
+        pronoun = reader.take("pronoun")
+        assert pronoun is not None
+        condition.things = _asked(reader, memory, pronoun)
+        condition.referred = not _take_predicate(reader, says)
+    elif starts_things(reader):
+        condition.things = take_things(reader, memory, subject=True)
+        while _take_predicate(reader, says) and _another_subject(reader):
+            reader.skip("and")
+            more = take_things(reader, memory, subject=True)
+            condition.things = Things(condition.things.groups + more.groups)
+    elif condition.kind in ("before", "after") and memory.asked and _ends(reader):
+        condition.things = memory.asked  # "do not go to b before": before what was asked
+        condition.referred = True
+    else:
+        reader.refuse("expected what must have happened here", condition.token)
+    condition.denied = condition.denied or says.negated
+    if reader.sees("verb") and _is_third_person(reader.peek()):
+        hint = "only what the robot reaches can be told"  # "if the dog enters the hall"
+        reader.deny(hint, condition.token)
+    first = bool(reader.take("first")) or says.first
+    if first and reader.sees("then") and not reader.sees("end", ahead=1):
+        reader.deny("say it in two sentences", condition.token)
+    reader.skip("filler", "first")
+    condition.count = take_count(reader, negated=False)
+
+
+def another_participle(reader: Reader) -> bool:
+    """Takes "and passing", as "after crossing a and passing b" goes on."""
+    verb = reader.peek(1)
+    participle = verb.kind == "verb" and verb.text.split()[0].endswith("ing")
+    goes_on = reader.sees("and", "or") and participle
+    if goes_on:
+        reader.at += 2
+    return goes_on
+
+
+def _is_third_person(verb: Token) -> bool:
+    first = verb.text.split()[0]
+    return first.endswith("s") and not first.endswith("ss")
+
+
+def _ends(reader: Reader) -> bool:
+    """Whether a phrase is over here."""
+    return reader.sees("comma", "stop", "end", "and", "or", "but", "then", "filler", "first")
+
+
+def _asked(reader: Reader, memory: Memory, token: Token) -> Things:
+    things = memory.asked
+    if things is None:
+        reader.refuse(f"nothing was named before that {token.text!r} could mean", token)
+    return things
+
+
+def _take_predicate(reader: Reader, says: Clause) -> bool:
+    """`has been visited`, `occurs`; False, and nothing taken, when there is none."""
+    begin, negated = reader.at, says.negated
+    said = take_mood(reader, says, PREDICATE)
+    if reader.take("happen"):
+        return True
+    if said & AUXILIARIES and reader.sees("verb"):
+        if said <= {"be", "not"} and reader.peek().text in STATES:
+            reader.deny("how a thing is cannot be told, only that it is reached")
+        reader.take("verb")
+        return True
+    if "be" in said and not _ends(reader):
+        reader.deny("how a thing is cannot be told, only that it is reached")
+    reader.at, says.negated = begin, negated
+    return False
+
+
+STATES = (
+    "open", "closed", "close", "locked", "empty", "clean", "shut", "unlocked", "blocked", "broken",
+    "mopped",
+)  # fmt: skip
+"""Verb forms that also say how a thing is."""
+
+
+def _another_subject(reader: Reader) -> bool:
+    """Whether "and b is visited" goes on the same condition."""
+    if not (reader.sees("and") and starts_things(reader, 1)):
+        return False
+    ahead = 1
+    while reader.sees("word", "quoted", "article", ahead=ahead):
+        ahead += 1
+    if not reader.sees("be", ahead=ahead):
+        return False
+    while reader.sees("be", "filler", ahead=ahead):
+        ahead += 1
+    return reader.sees("verb", ahead=ahead)
