@@ -430,7 +430,7 @@ REFUSED = [
     ("go to the kitchen before it closes", "before it closes"),
     ("go to the kitchen with no stops", ""),
     ("you could visit the kitchen", "you could visit the kitchen"),
-    ("go to the kitchen. no, go to the hallway", "go to the hallway"),
+    ("go to the kitchen. no, go to the hallway", "no"),
     ("go to the sofa kitchen", "kitchen"),
     ("go to the hall through the park and the garden through the lobby", "through the lobby"),
     ("follow the dog", "follow the dog"),

@@ -15,6 +15,7 @@ from edge.mission.language.spoken import (
     take_mood,
 )
 from edge.mission.language.things import (
+    COUNTING,
     LEAVE,
     Memory,
     Things,
@@ -56,7 +57,10 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.verb = avoid.text
         if reader.sees("you"):  # "go anywhere but you finish at the bed"
             reader.refuse("say it in two sentences", avoid)
-        take_mood(reader, Clause(avoid))
+        says = Clause(avoid)
+        take_mood(reader, says)
+        if says.negated:
+            reader.deny("say it without 'not'", avoid)
     if goes_on_to(reader):
         clause.verb = "go"
         reader.at += 1
@@ -73,6 +77,11 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     if reader.sees("in order", "strict order") and reader.peek(1).text == ":":
         clause.order = reader.peek().kind  # "visit in this order: a, b, c"
         reader.at += 2
+    near = [reader.peek(ahead).text for ahead in range(4)]
+    if reader.sees("more than", "less than", *COUNTING) and "of" in near:
+        reader.deny("how many of several cannot be told; say which")
+    if reader.sees("only") and reader.peek(1).text in ("to", "towards"):
+        reader.deny("'only' needs a number or a condition; say what to avoid")
     if reader.take("neither"):
         clause.negated = True
     elif reader.tokens[reader.at - 1].text in _MOTION and not _plainly_named(reader):
@@ -84,6 +93,8 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     if last.text in ("off", "out", "with") and clause.verb in _LEAVES:
         reader.refuse("only reaching things can be asked for", last)
     passes = last.text.split(" ")[-1] in PASSING or clause.verb.startswith(_PASSES)
+    if clause.negated and clause.verb.split()[:1] in _MANNERS and not passes:
+        reader.deny("how to go cannot be told, only where", last)
     if reader.sees("only") and is_passing(reader, 1, any_way=True):
         reader.at += 2  # "go only through a"
         clause.only = passes = True
@@ -93,7 +104,7 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.negated = clause.negated or clause.around
     if (other := take_exception(reader, memory)) is not None:
         if clause.negated:
-            reader.refuse("say what to avoid", last)
+            reader.deny("say what to avoid", last)
         clause.things, clause.negated, clause.elsewhere = other, True, True
         clause.through, clause.only = passes, False
         token = reader.peek()
@@ -142,6 +153,9 @@ _RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
 _ANYWHERE = ("go anywhere", "visit anywhere")
 
 
+_MANNERS = [
+    [verb] for verb in ("rush", "hurry", "race", "run", "running", "rushing", "zoom", "turn")
+]
 _ALL_OF = ("both", "both of", "all of", "all", "every")
 
 
@@ -163,6 +177,8 @@ def take_passed(
     if clause.negated and verb and verb.text == "from":
         reader.deny("which of them not to reach?", verb)
     things = take_things(reader, memory, banned=clause.negated, way=passes)
+    if clause.negated and clause.verb.startswith((*_CARRIES, "move")) and _onto_thing(reader):
+        reader.deny("only reaching things can be asked for", verb)
     rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, things.names))
     clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
     if clause.verb.startswith("follow") and not rides and not clause.verb.endswith(_ALONG):
@@ -185,6 +201,10 @@ def take_passed(
         clause.things, start = further, None
     if start:
         reader.refuse("say where to go from there", start)
+
+
+def _onto_thing(reader: Reader) -> bool:
+    return reader.sees("to") and starts_things(reader, 1)
 
 
 def _onward(reader: Reader, clause: Clause) -> bool:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+
 from edge.mission.language.conditions import another_participle, take_condition
 from edge.mission.language.lexicon import NUMBERS
-from edge.mission.language.routes import bound_ahead, take_bound, take_origin, take_route
+from edge.mission.language.routes import PASSING, bound_ahead, take_bound, take_origin, take_route
 from edge.mission.language.spoken import (
     CONDITIONS,
     MAX_VISITS,
@@ -33,6 +35,8 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     elif token.text == "directly" and reader.sees("after", "when", "once", ahead=1):
         clause.next_step = True
         reader.at += 1
+    elif clause.negated and _by_way(reader):
+        reader.deny("which way not to take is said so: 'go to … without going through …'", token)
     elif token.text == "now" and clause.negated:
         reader.deny("say until when", token)
     elif token.kind in ("filler", "happen") or (token.kind == "forever" and clause.negated):
@@ -149,6 +153,14 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     return True
 
 
+def _by_way(reader: Reader) -> bool:
+    """Whether "through a", "except through a" comes, which a ban may be of or not."""
+    ahead = 1 if reader.peek().text in ("except", "but") else 0
+    token = reader.peek(ahead)
+    passes = token.kind == "via" or token.text in PASSING
+    return passes and starts_things(reader, ahead + 1)
+
+
 def _ends_sentence(reader: Reader, ahead: int) -> bool:
     return reader.sees("comma", "stop", "end", ahead=ahead)
 
@@ -196,6 +208,8 @@ def _count_ahead(reader: Reader, clause: Clause) -> bool:
     if count is None:
         reader.at = begin
         return False
+    if clause.negated and clause.count:
+        reader.deny("say the counts in two sentences", token)
     clause.count = narrower(reader, clause.count, count, token)
     clause.count_aside = token.kind == "comma"
     return True
@@ -341,6 +355,9 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     if token.text == "with no" and not says.verb:
         reader.deny("say 'without …'", token)  # "the room with no window"
     things = take_things(reader, memory, banned=not clause.negated, way=True)
+    said = [t.kind for t in reader.tokens[begin : reader.at]]
+    if len(things.groups) == 2 and ("comma", "and") in itertools.pairwise(said):
+        reader.deny("is that to be avoided as well? say it in two sentences", token)
     while denied and reader.sees("or", "and") and another_participle(reader):
         skip_particles(reader, says)
         more = take_things(reader, memory, banned=True)

@@ -101,7 +101,10 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     if before.text in ("do", "does", "did") and reader.sees("pronoun"):
         reader.refuse("say what to visit", reader.peek())  # "do that again"
     main: Token | None = reader.peek()
-    clause.subject = any(t.kind in ("you", "ensure") for t in reader.tokens[begin : reader.at])
+    told = reader.tokens[begin : reader.at]
+    clause.subject = any(t.kind in ("you", "ensure") for t in told)
+    clause.foretold = any(t.text == "will" or (t.kind == "can" and clause.negated) for t in told)
+    clause.agent = next((t.text for t in told if t.kind == "you" and " " in t.text), "")
     said = reader.tokens[begin : reader.at]
     if said and said[-1].kind == "must" and starts_things(reader):
         reader.deny("say what to do, as in 'visit the bed'", clause.token)  # "I have a sofa"
@@ -117,6 +120,8 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     elif _is_there(reader):
         clause.verb = "be"
         reader.at += 2 if reader.peek().text == "over" else 1
+        if clause.negated and reader.sees("all of"):
+            reader.deny("none of them, or not all? say it of each")
         clause.things = take_things(reader, memory, banned=clause.negated)
     elif reader.take("no return"):
         clause.each, clause.negated, clause.things = 1, True, Things(memory.every, every="places")
@@ -130,6 +135,10 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         _take_passive(reader, memory, clause, bare)
     elif starts_things(reader):
         _take_passive(reader, memory, clause, bare)
+    elif before.kind == "be" and reader.peek().text in _PLACED:
+        reader.deny("where something is asks for nothing", clause.token)
+    elif before.text.endswith(("done", "finished")) and reader.peek().text in _PLACED:
+        reader.deny("say 'after …'", before)
     elif bare == "yes" and reader.peek().text in ("at", "in") and starts_things(reader, 1):
         reader.at += 1  # "…, and after that at the bank"
         clause.things = take_things(reader, memory)
@@ -146,6 +155,8 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         reader.take("to")
         clause.things = take_things(reader, memory, banned=clause.negated)
     else:
+        if starts and reader.peek().text in _PLACED:
+            reader.deny("say where to go, or what to avoid")  # "in the kitchen, avoid the oven"
         reader.refuse("expected something to do or to avoid here")
     if said and any(t.text == "been" for t in said[-2:]):
         refuse_what_is_done(reader, begin, said[-1], clause)
@@ -170,7 +181,7 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     if clause.always and clause.route:
         clause.only_way = True
     elif clause.always and not (clause.negated or clause.avoiding or clause.conditions):
-        reader.refuse("a mission ends, so nothing can be asked for always", clause.always)
+        reader.deny("a mission ends, so nothing can be asked for always", clause.always)
     if gerund and not any(t.kind in ("banned", "must") for t in reader.tokens[begin : reader.at]):
         reader.refuse("no order; say for example 'visit the bed'", clause.token)
     if clause.around:
@@ -310,15 +321,23 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         clause.verb, clause.things = "be", things
         return
     done = "been" in said_before and not {"must", "should", "shall"} & set(said_before)
+    if "been" in said_before and any(c.kind == "when" for c in clause.conditions):
+        reader.deny("say what must be reached before what", start)
     if done and not clause.conditions:
         reader.deny("what has happened asks for nothing", start)  # "the hall has been mopped"
     barred = any(token.kind == "banned" for token in reader.tokens[begin : reader.at])
     avoid = reader.take("avoid")
     if start.kind == "either" and (avoid or says.negated):
         reader.deny("say which to avoid", start)
-    if says.mood == "do" and "be" in said and reader.peek().text in STATES:
+    if "be" in said and reader.peek().text in STATES:
         reader.deny("how a thing is cannot be told, only that it is reached", start)
     verb = avoid or reader.take("verb", "happen")
+    if barred and verb is not None:  # "the cat is forbidden to enter the kitchen"
+        reader.deny("only one robot is spoken to", start)
+    if barred and (reader.peek().text in (*_PLACED, "to") or not says.negated):
+        reader.deny("only one robot is spoken to, and only of where to go", start)
+    if "be" in said and reader.peek().text in _PLACED:
+        reader.deny("only reaching things can be asked for", start)  # "the dog must be in b"
     if barred and verb is None:  # "the hallway is off limits"
         clause.negated, clause.verb = clause.negated != says.negated, "be"
         clause.things = each_of(things)
@@ -339,6 +358,8 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     ):
         reader.refuse("no verb that is known", start)
     clause.things = take_things(reader, memory, banned=clause.negated)
+    if reader.sees("not") and reader.peek().text.endswith(("allowed", "permitted")):
+        reader.deny("only one robot is spoken to", start)  # "guests are not allowed in b"
     if reader.sees("verb") and reader.peek().text.split()[0].endswith("s"):
         reader.deny("say what to do, as in 'visit the bed'", start)  # "the path goes through b"
 

@@ -60,6 +60,8 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         condition.denied = condition.denied or says.negated
         return
     been = reader.sees("to") and reader.tokens[reader.at - 1].text == "been"
+    if condition.kind == "unless" and reader.peek().text.startswith("going"):
+        reader.deny("say 'only to get to …' in two sentences", condition.token)
     if been or reader.sees("verb"):
         participle = reader.peek().text.split()[0].endswith("ing")
         condition.going = condition.token.text == "when" and participle

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
 from edge.mission.language import nouns
@@ -57,6 +58,16 @@ def _size(formula: Formula) -> int:
     for f in postorder(formula):
         sizes[id(f)] = 1 + sum(sizes[id(arg)] for arg in f.args)
     return sizes[id(formula)]
+
+
+def _does_besides(reader: Reader) -> bool:
+    """Whether ", visiting b" comes, of which nobody knows when; ", ending at b" says so."""
+    verb = reader.peek().text
+    besides = verb.split()[:1] not in (["swing"], ["bring"]) and verb.split()[0].endswith("ing")
+    if not (reader.sees("verb") and besides) or verb.startswith(ENDING):
+        return False
+    rest = itertools.takewhile(lambda token: token.kind != "stop", reader.tokens[reader.at :])
+    return not any(token.kind == "on the way" for token in rest)
 
 
 def _both(first: Meaning | None, second: Meaning) -> Meaning:
@@ -506,6 +517,8 @@ class Discourse:
         if self.clauses and self._halts():
             return None
         if reader.at > begin:
+            if joint.kind == "comma" and _does_besides(reader):
+                reader.deny("on the way, or besides? say 'and then', or 'on the way'")
             if not starts_clause(reader) and not starts_leaving(reader):
                 reader.refuse("expected a clause here")
             return joint

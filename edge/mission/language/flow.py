@@ -41,6 +41,7 @@ class Flow:
         until: what it, a ban, lasted until.
         hanging: where it was one of "if …" or "you may …": what is joined to it may be part of it.
         permitted: what it allowed, if it asked for nothing.
+        agent: by what name the robot was called so far.
     """
 
     moved: bool = False
@@ -51,6 +52,7 @@ class Flow:
     until: Things | None = None
     hanging: Token | None = None
     permitted: Things | None = None
+    agent: str = ""
 
     def comes_after(
         self,
@@ -128,6 +130,18 @@ class Flow:
         listed = clause.things is not None and clause.things.listed
         if bare and clause.negated and (self.denied or not started or listed):
             reader.deny("avoid it, or visit it? say which", clause.token)  # "not a, b"
+        if clause.agent and self.agent not in ("", clause.agent):
+            reader.deny("only one robot is spoken to", clause.token)
+        several = clause.things is not None and len(clause.things.groups) > 1
+        if (
+            bare
+            and clause.negated
+            and several
+            and any(t.kind == "and" for t in _said(clause, reader))
+        ):
+            reader.deny("how far does 'not' reach? say it in a sentence of its own", clause.token)
+        if not started and joint is not None and joint.text in ("later", "afterwards"):
+            reader.deny("later than what?", joint)
         if kind == "but" and bare and not (clause.negated or clause.first):
             reader.refuse("all but that, or that too? say 'visit …'", clause.token)
         if clause.bound_by and kind == "or":
@@ -142,6 +156,13 @@ class Flow:
         self.hanging = clause.token if _hangs(clause) else None
         self.permitted = permission_of(clause)
         self.denied = clause.negated
+        self.agent = clause.agent or self.agent
+
+
+def _said(clause: Clause, reader: Reader) -> Sequence[Token]:
+    """The tokens of a clause that was just read."""
+    begin = next(i for i, token in enumerate(reader.tokens) if token is clause.token)
+    return reader.tokens[begin : reader.at]
 
 
 def _hangs(clause: Clause) -> bool:

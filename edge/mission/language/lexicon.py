@@ -36,6 +36,10 @@ _ROWS: dict[str, str] = {
         can; may; could; would; might; are allowed; is allowed; be allowed; allowed; are
         permitted; permitted; are free; are welcome; are good
     """,
+    "needless": """
+        it is not (necessary|required|needed|mandatory|forbidden|prohibited|banned|compulsory);
+        (is|are) not (off limits|out of bounds)
+    """,
     "do": "do; does; did; let; let us",
     "be": "be; is; are; was; were; been; being",
     "not": """
@@ -57,7 +61,7 @@ _ROWS: dict[str, str] = {
     # Reviewed: the only words that may be left out of any sentence without changing what it asks.
     "filler": """
         at any point of time;
-        whatever you do; whatever happens; so; well; listen; attention; today; be a dear and; be a
+        whatever you do; whatever happens; so; listen; attention; today; be a dear and; be a
         pal and; buddy; my dear; dude; my friend; hey there; hi there; hello there; good morning;
         me; us; for me; please; kindly; thanks; thank you; thank you very much; hi; hello; hey;
         ok; okay; alright; all right; robot; now; just; simply; also; too; as well; already;
@@ -102,7 +106,7 @@ _ROWS: dict[str, str] = {
         that|you have done so|there|you get there|you are there|you arrive there|you have arrived
         there);
         (|and|then|and then) (sometime|some time|at some point|at some time|soon|shortly|any
-        time|eventually|not long) (after|after that|after this|afterwards|thereafter|later on);
+        time|eventually|not long) (after that|after this|afterwards|thereafter|later on);
         at (some|a) later (point|time|stage|moment);
         (your|the|and your|and the|) (second|third|fourth|fifth|next)
         (stop|destination|target|goal|waypoint|place|place to go|place to visit) (is|should
@@ -328,7 +332,7 @@ _ROWS: dict[str, str] = {
     "stay": """
         stay; stays; staying; wait; waits; waiting; remain; remains; remaining; leave; leaving
     """,
-    "stray": "got it",
+    "stray": "got it; in case; regardless of; the (second|third|next|last) time you",
     "goal": "(your|the) (destination|goal|target|final destination|next stop|last stop)",
     "picture": "(take|taking|took) (a|some) (picture|pictures|photo|photos)",
     # Says nothing new of a ban, and too much of a goal.

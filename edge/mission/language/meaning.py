@@ -112,11 +112,14 @@ def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int]) -> Mean
     elif clause.only and clause.route and not clause.negated:
         clause.only_way = True
     elif clause.only and not clause.count and not clause.negated:
-        reader.refuse("'only' needs a number or a condition; say what to avoid", clause.token)
+        reader.deny("'only' needs a number or a condition; say what to avoid", clause.token)
     if clause.things is None:
         return _until_done(clause, reader)
     if clause.instant and not clause.conditions:
         reader.refuse("what must come in the very next step cannot be told", clause.instant)
+    again = clause.again and not (clause.negated or clause.count or clause.conditions)
+    if again and not clause.returns and not times.keys() & set(clause.things.names):
+        reader.refuse("it was not asked for before; say how often", clause.token)
     if clause.things.every and (meaning := _of_every(clause, clause.things, reader)):
         return meaning
     alone = len(clause.things.groups) + len(clause.route) < 2 and not clause.negated
@@ -164,8 +167,8 @@ def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[st
     meaning = Meaning()
     if clause.order:
         reader.refuse("an order makes no sense of what is not to be reached", clause.token)
-    for again in clause.not_again:
-        meaning.limits += [((name,), times.get(name, 1), clause.token) for name in again.names]
+    if clause.not_again:
+        reader.deny("say it in two sentences", clause.token)
     for avoided in clause.avoiding:  # "do not visit b without visiting a"
         meaning.rules += held_until(things.names, avoided)
     if clause.count:
@@ -277,7 +280,8 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
     last = reader.sees("end") or reader.sees("end", ahead=1)
     alone = last and (clause.during or not times)
     for avoided in (*clause.avoiding, *clause.not_first):
-        if set(avoided.names) & set(things.names) and not clause.route:
+        passed = {name for step in clause.route for name in step.names}
+        if set(avoided.names) & {*things.names, *passed}:
             reader.deny("the same is asked for and to be avoided", clause.token)
     for avoided in clause.avoiding:
         others = [n for n in avoided.names if n not in times]
@@ -349,7 +353,7 @@ def _conditioned(
     if clause.next_step and kind in ("before", "until"):
         reader.refuse("what comes right before cannot be told", condition.token)
     if clause.next_step and not answers:
-        reader.refuse("say 'whenever …, you must … right after that'", condition.token)
+        reader.deny("say 'whenever …, you must … right after that'", condition.token)
     if kind == "when" and condition.denied:
         reader.deny("what never happens is known at the end only", condition.token)
     if set(when.names) & set(things.names) and not answers:

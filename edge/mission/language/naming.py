@@ -22,6 +22,8 @@ _NOT_NAMES = """
     soon fast quickly slowly carefully today tomorrow tonight exactly really maybe perhaps
     instead spot spots position point
     """
+_TURNS = ("except", "instead", "otherwise", "unlike", "than", "because", "if", "not")
+"""Words that turn what is said, so that no other translator is to guess at it either."""
 _NEVER_IN_NAMES = frozenset(_NOT_NAMES.split())
 
 
@@ -169,7 +171,8 @@ def _check(reader: Reader, words: list[Token]) -> None:
     texts = [token.text for token in words]
     odd = next((i for i, text in enumerate(texts) if text in _NEVER_IN_NAMES), None)
     if odd is not None:
-        reader.refuse("no name of a thing, and no known word", words[odd])
+        hint = "no name of a thing, and no known word"
+        (reader.deny if texts[odd] in _TURNS else reader.refuse)(hint, words[odd])
     odd = nouns.unknown_in(texts)
     if odd is None:
         return

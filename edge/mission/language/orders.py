@@ -46,6 +46,8 @@ def refuse_what_is_done(reader: Reader, begin: int, verb: Token, clause: Clause)
 def refuse_unclear(clause: Clause, reader: Reader) -> None:
     """What a clause says that cannot be told of reaching things."""
     conditional = [c for c in clause.conditions if c.kind in ("when", "after") and not c.only]
+    if clause.foretold and clause.verb.split()[:1] in (["find"], ["see"]):
+        reader.deny("what will be seen is no order", clause.token)
     if clause.negated:
         if clause.next_step and not clause.conditions:
             reader.deny("say plainly what not to do", clause.token)

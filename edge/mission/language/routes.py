@@ -97,7 +97,7 @@ def bound_ahead(reader: Reader, clause: Clause) -> bool:
     if reader.peek().text in ("when", "while"):
         if reader.sees("verb", ahead=1):
             return clause.negated and reader.peek(1).text.endswith("ing")
-        if reader.sees("you", ahead=1):  # "pass a when you go to b"
+        if reader.peek(1).text == "you":  # "pass a when you go to b"
             goes = reader.peek(2).text in _SETS_OUT and reader.sees("to", ahead=3)
             return goes and (clause.negated or clause.mood != "must")
     return reader.sees("bound") or (reader.sees("to") and reader.sees("verb", ahead=1))

@@ -153,6 +153,7 @@ _NEEDS = (
     "have", "has", "had", "need", "needs", "need to", "required", "are required", "is required",
     "obliged", "are obliged",
 )  # fmt: skip
+_THANKS = ("thanks", "please", "thank you", "way", "problem")
 _NOT_NEEDED = "what need not be done asks for nothing; leave it out"
 PREDICATE = ("must", "can", "not", "filler", "only", "first", "be")
 
@@ -223,6 +224,8 @@ class Clause:
         out_of_turn: said of a ban: it forbids another order than the one asked for.
         leaves: where it was said to leave the things between two visits.
         subject: it says who is to do it ("you must …").
+        foretold: it says what "will" or "can not" be.
+        agent: by what name the robot was called in it ("the drone").
         leads: "then" stands between its conditions and the rest.
         done: its verb looks back: "you must have visited a (before b)".
         verb: the word that named the action, "" in a bare clause.
@@ -268,6 +271,8 @@ class Clause:
     done: bool = False
     leads: bool = False
     subject: bool = False
+    foretold: bool = False
+    agent: str = ""
     verb: str = ""
 
 
@@ -286,6 +291,15 @@ def _refuse_scope(reader: Reader, said: Token) -> None:
         ahead += 1
     if reader.sees("must", ahead=ahead) and reader.peek(ahead).text in _NEEDS:
         reader.deny(_NOT_NEEDED, said)
+
+
+def _tells(reader: Reader, who: str) -> bool:
+    """Whether "I go to a", "we never use a" comes; "we have to go to a" is an order."""
+    if who == "we":
+        return reader.sees("not", ahead=1) or (
+            reader.sees("do", ahead=1) and reader.sees("not", ahead=2)
+        )
+    return reader.sees("verb", "must", "can", "not", "do", "be", "filler", ahead=1)
 
 
 def _acts(reader: Reader) -> bool:
@@ -310,8 +324,13 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
             reader.deny("only one robot is spoken to", token)
         if token.text in ("ok", "okay", "alright") and reader.sees("to", ahead=1):
             reader.deny("what may be done asks for nothing; leave it out", token)
-        if token.text == "no" and reader.sees("article", ahead=1):
+        answers = reader.sees("comma", "article", ahead=1) or reader.peek(1).text in _THANKS
+        if token.text == "no" and answers:
             reader.deny("say again all that is to be done", token)  # "…, no, the bed"
+        if token.kind == "needless":
+            reader.deny(_NOT_NEEDED, token)
+        if token.kind == "you" and token.text in ("i", "we") and _tells(reader, token.text):
+            reader.deny("what others do is no order", token)
         if token.text == "did" and reader.sees("not", ahead=1):
             reader.deny("what was done asks for nothing", token)
         if token.text == "let" and reader.sees("article", ahead=1) and reader.sees("verb", ahead=3):

@@ -22,6 +22,7 @@ REASONS = {
     "going on": "say where to go, or until what is reached",
     "stay": "only reaching things can be asked for, not staying or leaving",
     "stray": "leave it out",
+    "needless": "what need not or may be done asks for nothing; leave it out",
     "picture": "only reaching things can be asked for; say 'photograph the …'",
     "mark": "this character has no place in an instruction",
 }
@@ -217,19 +218,23 @@ class Reader:
 
     def deny(self, hint: str, start: Token | None = None) -> NoReturn:
         """Raises an UnclearError that names the rest of this sentence, from `start` on."""
-        try:
-            self.refuse(hint, start)
-        except TranslationError as error:
-            raise UnclearError(str(error), error.part, error.position) from None
+        part, position = self._rest(start or self.peek())
+        error = not_understood(part, position, hint)
+        raise UnclearError(str(error), part, position)
 
     def refuse(self, hint: str, start: Token | None = None) -> NoReturn:
         """Raises a TranslationError that names the rest of this sentence, from `start` on."""
         first = start or self.peek()
-        hint = REASONS.get(first.kind, hint)
+        if first.kind in REASONS:
+            self.deny(REASONS[first.kind], first)
+        raise not_understood(*self._rest(first), hint)
+
+    def _rest(self, first: Token) -> tuple[str, int]:
+        """The text from a token to the end of its part of the sentence, and where it begins."""
         i = next((i for i, token in enumerate(self.tokens) if token is first), self.at)
         last = first
         for token in self.tokens[i:]:
             if token.kind in ("stop", "comma", "end") and token is not first:
                 break
             last = token
-        raise not_understood(self.text[first.start : last.end], first.start + 1, hint)
+        return self.text[first.start : last.end], first.start + 1
