@@ -26,6 +26,12 @@ settings.register_profile(
 )
 settings.load_profile("edge")
 
+# Where Python may keep no bytecode, each worker rewrites the asserts of all tests once more, and
+# each process that a test starts compiles all of `edge` that it imports. It lies in the folders
+# where numba keeps the kernels.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 HERE = Path(__file__).resolve().parent
 SHARED = HERE.parents[1] / "shared"
 
@@ -41,6 +47,11 @@ HARD_EXTRA_S = 60
 
 
 MOST_WORKERS = 8
+
+# Objects made between two looks for garbage; Python's 700 cost a tenth of all tests' time.
+GARBAGE_EVERY = 10_000
+_thaw = gc.unfreeze
+_thawed: list[bool] = []
 
 
 def pytest_xdist_auto_num_workers() -> int:
@@ -101,7 +112,18 @@ def pytest_collection(session: pytest.Session) -> Generator[None, object, object
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(GARBAGE_EVERY)
+        gc.unfreeze = _unfreeze
         gc.enable()
+
+
+def _unfreeze() -> None:
+    """As of `gc`; what a service thaws on its way out is frozen again after its test.
+
+    To ask whether it is takes as long as a look for garbage.
+    """
+    _thawed.append(True)
+    _thaw()
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -137,6 +159,9 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
         return (yield)
     finally:
         faulthandler.cancel_dump_traceback_later()
+        if _thawed:
+            _thawed.clear()
+            gc.freeze()
 
 
 @pytest.hookimpl(trylast=True)

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import pytest
 
 os.environ["YOLO_AUTOINSTALL"] = "false"
+EXPORT = re.compile(r"^pytestmark = .*pytest\.mark\.export", re.MULTILINE)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Modules of which no test is wanted: to read them costs each worker seconds of imports."""
+    if collection_path.suffix == ".py" and "not export" in config.option.markexpr:
+        return bool(EXPORT.search(collection_path.read_text("utf-8"))) or None
+    return None
 
 
 @pytest.fixture(scope="session")
