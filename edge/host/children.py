@@ -8,11 +8,13 @@ from pathlib import Path
 _ROOT = str(Path(__file__).parents[2])
 # As `python -m MODULE`, but that imports from the working directory before all else: an `edge` or
 # a `numpy.py` that lies there would be run (`-P`, which forbids it, came with Python 3.11). Only
-# where this package itself was found there, its folder is looked in.
+# where this package itself was found there, its folder is looked in. It ends as `edge.cli.main`
+# does, without a last look for garbage.
 _RUN = (
-    "import sys; root, module = sys.argv[1:3]; del sys.argv[1:3]; "
+    "import atexit, gc, sys; root, module = sys.argv[1:3]; del sys.argv[1:3]; "
     "found = [p for p in sys.path if p]; "
     "sys.path[:] = found if root in found else [root, *found]; "
+    "atexit.register(gc.freeze); "
     "import runpy; runpy.run_module(module, run_name='__main__', alter_sys=True)"
 )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import gc
 import json
 import os
 import re
@@ -69,6 +70,13 @@ def test_every_command_explains_itself(command, capsys, monkeypatch):
     text = capsys.readouterr().out
     assert text.startswith(f"usage: edge {command}".rstrip())
     assert all(len(line) < 81 for line in text.splitlines())
+
+
+def test_no_command_looks_for_garbage_before_it_ends(capsys, monkeypatch):
+    at_the_end = []
+    monkeypatch.setattr("atexit.register", at_the_end.append)
+    assert main(["config", "demo"]) == 0
+    assert at_the_end == [gc.freeze]
 
 
 def test_help_imports_nothing_heavy():

@@ -30,6 +30,21 @@ def test_nothing_is_imported_from_the_working_directory(tmp_path, monkeypatch):
     assert (done.stdout, done.stderr) == ("ours __main__ one --two\n", "")
 
 
+def test_it_looks_for_no_garbage_before_it_ends(tmp_path, monkeypatch):
+    (tmp_path / "program.py").write_text("""
+class Told:
+    def __del__(self):
+        print("found")
+
+told = Told()
+told.own = told
+del told
+""")
+    monkeypatch.setattr(children, "_ROOT", str(tmp_path))
+    done = subprocess.run(python_module("program"), capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("", "")
+
+
 def test_every_child_is_started_so(monkeypatch):
     started = []
 
