@@ -23,6 +23,13 @@ from edge.mission.translate import Translation, make_translator
 
 LANG2LTL = Path(__file__).parents[3] / "shared/nl2ltl/lang2ltl/symbolic_batch12_noperm.csv"
 
+
+@pytest.fixture(autouse=True)
+def _few_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To make all tasks of the benchmark takes seconds."""
+    monkeypatch.setattr(translate, "_TASKS", 60)
+
+
 EQUAL = [
     ("F a", "F a"),
     ("F a & F b", "F b & F a"),
