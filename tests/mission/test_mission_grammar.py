@@ -6,7 +6,7 @@ import contextlib
 import string
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from edge.config import TranslatorGrammar
@@ -521,8 +521,16 @@ MAX_REFUSAL = 400
 _ECHO = 110
 
 
-@settings(max_examples=400)
-@given(st.one_of(st.text(max_size=200), BYTES, st.lists(WORDS, max_size=40).map(" ".join)))
+SAID = st.sampled_from(sorted({phrase for listed in PHRASES.values() for phrase in listed}))
+NAMED = st.sampled_from(("the sofa", "bed", "a", "third floor", '"x y"', '""', "it", "there"))
+JUMBLES = st.lists(st.one_of(SAID, NAMED, st.sampled_from(",.;:?!")), max_size=9).map(" ".join)
+
+
+@settings(max_examples=800)
+@given(st.one_of(st.text(max_size=200), BYTES, st.lists(WORDS, max_size=40).map(" ".join), JUMBLES))
+@example("repeated visits are not allowed is forbidden on the route to there a ;")
+@example("third floor or single beginning in chair")
+@example("go to the sofa, .")
 def test_any_text_is_read_or_refused(text: str) -> None:
     """Never anything but a formula that can be written, or a refusal of one line."""
     try:

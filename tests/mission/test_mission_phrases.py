@@ -470,6 +470,7 @@ REFUSED = [
      "the hall has just been mopped"),
     ("would you be a dear", ""),
     ("turn off the sofa, the path goes through the bed", "goes through the bed"),
+    ("get to the theater via the bridge or via the park", "via the park"),
     ("visit the sofa heading for the bed", "heading for the bed"),
     ("visit the sofa, then visit the bed in the next step", "in the next step"),
     ("go to the sofa or go to the desk on the way to the bed", "on the way to the bed"),

@@ -25,7 +25,7 @@ _APART = ("on", "off", "up", "out", "in", "down")  # "turn the tv on"
 
 def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     """Takes one more part of the clause; False at its end."""
-    token = reader.peek()
+    token, start = reader.peek(), reader.at
     if token.kind == "always":
         clause.always = token
         reader.at += 1
@@ -138,6 +138,10 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     elif _condition_ahead(reader, clause):
         begin = reader.at
         condition = take_condition(reader, memory, clause)
+        joined = any(said.kind == "and" for said in reader.tokens[start:begin])
+        if joined and reader.sees("verb", "you", "comma", "word", "article"):
+            reader.at = start
+            return False  # "…, and only if you see b, go to c"
         when = condition.kind == "when" and not condition.only
         if when and reader.peek().text == "then":
             reader.at = begin
@@ -250,8 +254,6 @@ def _condition_ahead(reader: Reader, clause: Clause) -> bool:
         return False
     if joined and not limited:
         return False  # ", and before that …" begins a clause of its own
-    if limited and reader.sees("and", ahead=ahead - 2) and reader.peek(ahead).text == "if":
-        return False  # "…, and only if you see b, go to c"
     if not limited and _leads(reader, clause):
         return False
     reader.at += ahead - (1 if limited else 0)

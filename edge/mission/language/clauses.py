@@ -326,6 +326,10 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     if done and not clause.conditions:
         reader.deny("what has happened asks for nothing", start)  # "the hall has been mopped"
     barred = any(token.kind == "banned" for token in reader.tokens[begin : reader.at])
+    if things.listed and bare == "yes" and (barred or said & AUXILIARIES):
+        reader.at = begin  # "…, then a, the hallway is off limits"
+        clause.things = take_things(reader, memory)
+        return
     avoid = reader.take("avoid")
     if start.kind == "either" and (avoid or says.negated):
         reader.deny("say which to avoid", start)

@@ -63,8 +63,9 @@ def _size(formula: Formula) -> int:
 def _does_besides(reader: Reader) -> bool:
     """Whether ", visiting b" comes, of which nobody knows when; ", ending at b" says so."""
     verb = reader.peek().text
-    besides = verb.split()[:1] not in (["swing"], ["bring"]) and verb.split()[0].endswith("ing")
-    if not (reader.sees("verb") and besides) or verb.startswith(ENDING):
+    if not reader.sees("verb") or verb.startswith((*ENDING, "swing", "bring ")):
+        return False
+    if not verb.split()[0].endswith("ing"):
         return False
     rest = itertools.takewhile(lambda token: token.kind != "stop", reader.tokens[reader.at :])
     return not any(token.kind == "on the way" for token in rest)
@@ -517,6 +518,8 @@ class Discourse:
         if self.clauses and self._halts():
             return None
         if reader.at > begin:
+            if joint.kind == "comma" and reader.sees("stop", "end"):
+                return None
             if joint.kind == "comma" and _does_besides(reader):
                 reader.deny("on the way, or besides? say 'and then', or 'on the way'")
             if not starts_clause(reader) and not starts_leaving(reader):

@@ -144,6 +144,8 @@ class Flow:
             reader.deny("later than what?", joint)
         if kind == "but" and bare and not (clause.negated or clause.first):
             reader.refuse("all but that, or that too? say 'visit …'", clause.token)
+        if kind == "or" and clause.through and clause.verb == "":
+            reader.deny("say 'through a or b'", clause.token)  # "to a via b or via c"
         if clause.bound_by and kind == "or":
             reader.refuse("on the way with which of them? say it of each", clause.bound_by)
 

@@ -214,6 +214,8 @@ def next_numbered(reader: Reader, last: Sequence[Sequence[str]]) -> str:
         if len(number) > 2 or int(number) >= len(nouns.CARDINALS):
             reader.refuse("names are numbered up to ten", token)
         number = nouns.CARDINALS[int(number)]
+    elif number not in nouns.CARDINALS:
+        reader.refuse("expected a number here", token)
     return _canonical(reader, _numbered(head, number), token)
 
 

@@ -286,7 +286,7 @@ def _meant_by(token: Token, reader: Reader, memory: Memory) -> Things:
         reader.deny("which of them?", token)
     if token.text in PLURALS and meant and len(meant.groups) == 1 and len(memory.every) > 1:
         meant = Things(memory.every)
-    if meant is None:
+    if meant is None or not meant.groups:
         reader.refuse(f"nothing was named before that {token.text!r} could mean", token)
     return meant
 
