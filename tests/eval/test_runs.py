@@ -211,7 +211,7 @@ def yaml_path(config, tmp_path):
     path = tmp_path / "small.yaml"
     path.write_text(
         "perception: {detector: {kind: sim}}\n"
-        f"sim: {{world: {{kind: house, house: {config.sim.world.house}}}}}\n"
+        f"sim: {{world: {{kind: house, house: {config.sim.world.house}}}, step_s: 0.2}}\n"
     )
     return str(path)
 
