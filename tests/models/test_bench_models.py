@@ -250,9 +250,10 @@ def test_how_labels_answer_to_prompts():
 
 WORDS = ["chair", "sofa", "bed", "television", "trash can"]
 MEASURE = """
-import os, signal, sys
+import atexit, gc, os, signal, sys
 from pathlib import Path
 from edge.host import resources
+atexit.register(gc.freeze)  # as `edge.host.children` does
 resources.data_dir = lambda kind: Path({folder!r})
 from edge.models.bench import alone, measure
 if b"tiny-crash" in Path(sys.argv[1]).read_bytes():

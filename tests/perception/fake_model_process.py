@@ -8,6 +8,8 @@ the file says keeps it from loading.
 
 from __future__ import annotations
 
+import atexit
+import gc
 import os
 import signal
 import sys
@@ -108,6 +110,7 @@ def make(perception, prompts, progress):
 
 
 if __name__ == "__main__":
+    atexit.register(gc.freeze)  # as `edge.host.children` does
     if cards := os.environ.get("EDGE_TEST_CARDS"):
         resources.data_dir = lambda kind: Path(cards)
     sys.exit(serve.main(make))
