@@ -65,7 +65,7 @@ def refuse_contradiction(formulas: Sequence[Formula]) -> None:
     except CompileError:
         return  # the mission says so
     if automaton.steps_left[0] < 0:
-        raise UnclearError("instruction: it forbids what it asks for, so nothing fulfils it")
+        raise UnclearError("instruction: a contradiction: it forbids what it asks for")
 
 
 def same(a: Formula, b: Formula) -> bool:

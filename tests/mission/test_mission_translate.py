@@ -113,7 +113,7 @@ TOGETHER = [
     # Nobody is to guess at what is no order, or reaches nobody knows how far.
     ("have you been to the bed?", _reader("F bed"), _reader("F bed"), "no order", "", True),
     ("don't just go to the bed", _reader("G !bed"), None, "say plainly what not to do", "", True),
-    ("go to the bed, never enter the bed", _reader("F bed"), None, "nothing fulfils it", "", True),
+    ("go to the bed, never enter the bed", _reader("F bed"), None, "a contradiction", "", True),
 ]
 
 
