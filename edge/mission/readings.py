@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from edge.mission.automaton import Automaton, CompileError, compile_formula, implies
+from edge.mission.language.english import describe
 from edge.mission.language.words import TranslationError, UnclearError
+from edge.mission.logic.diagnosis import diagnose
 from edge.mission.ltl import Formula, postorder
 from edge.text import one_line
 
@@ -62,10 +64,13 @@ def refuse_contradiction(formulas: Sequence[Formula]) -> None:
         return
     try:
         automaton = compile_formula(formulas[0], _MAX_STATES, _MAX_STEPS)
+        conflict = automaton.steps_left[0] < 0
+        parts = diagnose(automaton, _MAX_STATES, _MAX_STEPS).contradiction if conflict else ()
     except CompileError:
         return  # the mission says so
-    if automaton.steps_left[0] < 0:
-        raise UnclearError("instruction: a contradiction: it forbids what it asks for")
+    if conflict:
+        told = one_line(" ".join(map(describe, parts)), _SHOWN)
+        raise UnclearError(f"instruction: a contradiction, nothing does all of this: {told}")
 
 
 def same(a: Formula, b: Formula) -> bool:
