@@ -700,6 +700,8 @@ ALL_OF_THEM = [  # what is said of all that was asked for
      _IN_TURN),
     ("visit the sofa, then the bed, without entering the kitchen", "F (sofa & F bed) & G !kitchen"),
     ("go to the sofa, not through the kitchen", "F sofa & G !kitchen"),
+    ("go to the desk, then to the sofa, staying well clear of the hall",
+     "F (desk & F sofa) & G !hall"),
 ]  # fmt: skip
 
 LEAVING = [  # which separate visits do anyway

@@ -368,6 +368,7 @@ _ROWS: dict[str, str] = {
         by|by|with|up with)
     """,
     "avoid": """
+        (stay|staying|keep|keeping|steer|steering) (well|far|right) (clear of|away from|out of);
         avoid; avoids; avoiding; avoided; bypass; bypassing; stay away from; staying away from;
         keep away from; keeping away from; keep avoiding; stay clear of; staying clear of; steer
         clear of; steering clear of; keep off; stay off; keep out of; stay out of; skip; skipping;

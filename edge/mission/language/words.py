@@ -31,6 +31,7 @@ REASONS = {
 _DRIVEN = ("car", "vehicle")
 _ACTS = ("must", "can", "verb", "not", "do", "always")
 _HESITATIONS = ("uh", "um", "er", "erm", "hmm")
+_MAY_SHUN = ("stay", "keep")  # "stay on the far side of": another translator may know
 _SHOWN = 60
 _PUNCTUATION = {",": "comma", ";": "stop", ".": "stop", "!": "stop", "?": "stop", ":": "comma"}
 _TOKEN = re.compile(rf"""(?P<quoted>"[^"]*")|(?P<word>{WORD.pattern})|(?P<mark>\S)""")
@@ -225,9 +226,9 @@ class Reader:
     def refuse(self, hint: str, start: Token | None = None) -> NoReturn:
         """Raises a TranslationError that names the rest of this sentence, from `start` on."""
         first = start or self.peek()
-        if first.kind in REASONS:
+        if first.kind in REASONS and not first.text.startswith(_MAY_SHUN):
             self.deny(REASONS[first.kind], first)
-        raise not_understood(*self._rest(first), hint)
+        raise not_understood(*self._rest(first), REASONS.get(first.kind, hint))
 
     def _rest(self, first: Token) -> tuple[str, int]:
         """The text from a token to the end of its part of the sentence, and where it begins."""
