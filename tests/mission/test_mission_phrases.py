@@ -682,7 +682,8 @@ ALL_OF_THEM = [  # what is said of all that was asked for
      "F sofa & F bed & F (sofa & X (F sofa & F bed)) & F (bed & X (F sofa & F bed))"),
     # In a sequence, until the next step; and none of them out of turn.
     *((f"visit the sofa, then the bed, then the desk{how}", _ONCE_EACH) for how in (
-        ". visit each place only once", ", no revisiting", " without repetitions",
+        ". visit each place only once", ", each only once",
+        ", no revisiting", " without repetitions",
         ". never return to any previously visited place", ", without going back",
         ", while visiting each location once", ". visit each of them only once",
         ". you can only visit each landmark once",

@@ -204,8 +204,12 @@ def _denied(reader: Reader, count: Count, token: Token) -> Count:
 def _count_ahead(reader: Reader, clause: Clause) -> bool:
     """Takes "but at most twice"."""
     begin, token = reader.at, reader.peek()
-    reader.skip("but", "comma", "all of")
+    reader.skip("but", "comma")
+    each = reader.take("all of") is not None
     count = take_count(reader, clause.negated)
+    if each and count is not None and count.most == 1 and not clause.negated:
+        clause.each = 1  # "visit a, then b, each only once"
+        return True
     if count is None and clause.count and reader.peek().text.startswith("no more "):
         reader.at += 1  # "twice, no more no less"
         count = Count(clause.count.least, clause.count.least)
