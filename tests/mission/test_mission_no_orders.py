@@ -288,6 +288,14 @@ MEANT = [
         "Go to the kitchen without the bedroom, and to the bathroom.",
         ["F kitchen & F bathroom & !bedroom W kitchen", "F kitchen & F bathroom & G !bedroom"],
     ),
+    (
+        "Go to the kitchen and the bedroom, avoiding the hallway. The kitchen comes last.",
+        ["F (bedroom & F kitchen) & G !hallway"],
+    ),
+    (
+        "Go to the sofa. Avoid the hall. Go to the bed. Return to the sofa.",
+        ["F (sofa & F (bed & F sofa)) & G !hall"],
+    ),
 ]
 
 

@@ -366,7 +366,7 @@ class Discourse:
         clause = take_clause(self.reader, self.memory, bare)
         self.listed = self.listed or self.flow.lists(clause, joint)
         then = self._comes_after(clause, joint, sequence)
-        self.flow.refuse_unclear(clause, joint, bool(self.clauses), self.reader)
+        self.flow.refuse_joined(clause, joint, bool(self.clauses), self.reader)
         self._settle(clause, joint.kind if joint else "", then, sequence)
         meaning = meaning_of(clause, self.reader, self.times)
         meaning.follows, meaning.returns = then, clause.returns

@@ -112,7 +112,7 @@ class Flow:
         comma = joint is not None and joint.kind == "comma"
         return comma and self.denied and not clause.negated
 
-    def refuse_unclear(
+    def refuse_joined(
         self, clause: Clause, joint: Token | None, started: bool, reader: Reader
     ) -> None:
         """Refuses what may be joined to the last clause in more than one way.
@@ -133,12 +133,8 @@ class Flow:
         if clause.agent and self.agent not in ("", clause.agent):
             reader.deny("only one robot is spoken to", clause.token)
         several = clause.things is not None and len(clause.things.groups) > 1
-        if (
-            bare
-            and clause.negated
-            and several
-            and any(t.kind == "and" for t in _said(clause, reader))
-        ):
+        joins = several and any(token.kind == "and" for token in _said(clause, reader))
+        if bare and clause.negated and joins:
             reader.deny("how far does 'not' reach? say it in a sentence of its own", clause.token)
         if not started and joint is not None and joint.text in ("later", "afterwards"):
             reader.deny("later than what?", joint)

@@ -95,27 +95,33 @@ def _leave_out(meaning: Meaning, step: Meaning) -> None:
     step.goals = [part for part in parts if not letters(part) <= said] or step.goals
 
 
+def _unwrapped(goal: Goal) -> tuple[Goal, tuple[Formula, ...]]:
+    """What a set of one is a set of, and the rules it came with."""
+    held: tuple[Formula, ...] = ()
+    while isinstance(goal, Every) and len(goal.goals) == 1:
+        held, goal = (*held, *goal.rules), goal.goals[0]
+    return goal, held
+
+
 def begun_with(goal: Goal, meaning: Meaning) -> Goal:
     """`go to a. go to b. return to a.`: a, then b, before the return."""
     said = frozenset(meaning.things.names)
-    while isinstance(goal, Every) and len(goal.goals) == 1 and not goal.rules:
-        goal = goal.goals[0]
-    if not isinstance(goal, Every):
+    inner, held = _unwrapped(goal)
+    parts = inner.goals if isinstance(inner, Every) else ()
+    start = tuple(part for part in parts if letters(part) & said)
+    rest = tuple(part for part in parts if not letters(part) & said)
+    if not (isinstance(inner, Every) and start and rest):
         return goal
-    start = tuple(part for part in goal.goals if letters(part) & said)
-    rest = tuple(part for part in goal.goals if not letters(part) & said)
-    return Every((steps([Every(start), Every(rest)]),), goal.rules) if start and rest else goal
+    return Every((steps([Every(start), Every(rest)]),), (*held, *inner.rules))
 
 
 def without_last(goal: Goal, meaning: Meaning) -> Goal:
-    """The same of what sentences before asked for in any order."""
+    """`visit a and b. b comes last.`: what is left for the sentences before."""
     said = frozenset(meaning.things.names)
-    while isinstance(goal, Every) and len(goal.goals) == 1 and not goal.rules:
-        goal = goal.goals[0]
-    if not isinstance(goal, Every):
-        return goal
-    rest = tuple(part for part in goal.goals if not letters(part) <= said)
-    return Every(rest, goal.rules) if rest else goal
+    inner, held = _unwrapped(goal)
+    parts = inner.goals if isinstance(inner, Every) else ()
+    rest = tuple(part for part in parts if not letters(part) <= said)
+    return Every(rest, (*held, *inner.rules)) if isinstance(inner, Every) and rest else goal
 
 
 def put_in_order(said: Token, sequence: list[Meaning], reader: Reader) -> None:
@@ -137,14 +143,11 @@ def split_return(meaning: Meaning, sequence: list[Meaning]) -> None:
 
 def passing_by(goal: Goal, passed: Goal, said: Token, reader: Reader) -> Goal:
     """`go to a. on the way, go to b`: b before the last step of what was asked for."""
-    held: list[Formula] = []
-    while isinstance(goal, Every) and len(goal.goals) == 1:
-        held += goal.rules
-        goal = goal.goals[0]
+    goal, held = _unwrapped(goal)
     parts = goal.goals if isinstance(goal, Steps) else (goal,)
     if not isinstance(parts[-1], Visit):
         reader.refuse("on the way to what? say 'on the way to …'", said)
-    return Every((steps([*parts[:-1], passed, parts[-1]]),), tuple(held))
+    return Every((steps([*parts[:-1], passed, parts[-1]]),), held)
 
 
 def visit_often(step: Meaning, things: Things, count: Count, token: Token, reader: Reader) -> None:
@@ -192,8 +195,7 @@ def each_at_most(goal: Goal, n: int, token: Token, reader: Reader) -> list[Formu
 
 def in_strict_order(goal: Goal, token: Token, reader: Reader) -> list[Formula]:
     """`…; no place out of turn`: none of a step before all of the step before it."""
-    while isinstance(goal, Every) and len(goal.goals) == 1:
-        goal = goal.goals[0]
+    goal, _ = _unwrapped(goal)
     if not isinstance(goal, Steps):
         reader.refuse("an order goes with a list: 'visit a, then b'", token)
     return [
