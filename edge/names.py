@@ -171,8 +171,21 @@ _AFTER_HEAD = re.compile(
     r"\s+(?:near|next to|beside|behind|in|inside|on|under|below|above|by|at|with|without|from|"
     r"to|that|which|where|between|against|opposite|close to|in front of)\s+"
 )
-_CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
-_VARIANT = re.compile(r"(?:\s+(?:[A-Z]|\d+))+$")
+_CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+# A number behind a space belongs to the name ("room 12"); these do not: "Sofa_01", "SofaC".
+_VARIANT = re.compile(r"(?:(?:_|(?<!\w)\s)+(?:[A-Z]|\d+))+$")
+_VARIANT_LETTER = re.compile(r"(?<=[a-z])[A-Z]$")
+
+_SMALL_NUMBERS = """
+    zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen
+    sixteen seventeen eighteen nineteen
+"""
+_ORDINALS = "first second third fourth fifth sixth seventh eighth ninth tenth"
+SMALL_NUMBERS = tuple(_SMALL_NUMBERS.split())
+TENS = ("twenty", "thirty", "forty", "fifty", "sixty", "seventy", "eighty", "ninety")
+ORDINALS = tuple(_ORDINALS.split())
+STOREYS = ("floor", "level", "storey", "story")
+_MOST_SPELLED = 10
 
 _CANONICAL: dict[str, str] = {name: name for name in ALIASES}
 for _name, _others in ALIASES.items():
@@ -187,7 +200,9 @@ class NotANameError(UserError, ValueError):
 def normalise(word: str) -> str:
     """Lower case, single spaces, no article, no model suffix: `SofaC_01` becomes `sofa`.
 
-    What this takes is a name, everywhere: in prompts, formulas, worlds and vocabularies.
+    A number at the end is part of the name: up to ten it is spelled, above it is written in digits
+    ("room 2" and "room two" are "room two", "room twelve" is "room 12"). "Floor 2" is "second
+    floor". What this takes is a name, everywhere: in prompts, formulas, worlds and vocabularies.
 
     Raises:
         NotANameError: no letter or digit is left, a character does not print (line breaks,
@@ -209,13 +224,67 @@ def normalise(word: str) -> str:
 
 
 def _tidied(word: str) -> str:
-    text = " ".join(re.sub(r"[_\-]+", " ", word).split())
-    if _CAMEL.search(text) or text[-1:].isdigit():
-        text = _VARIANT.sub("", " ".join(_CAMEL.sub(" ", text).split()))
+    text = _VARIANT_LETTER.sub("", _VARIANT.sub("", word.strip()))
+    text = " ".join(_CAMEL.sub(" ", re.sub(r"[_\-]+", " ", text)).split())
     text = text.lower().strip(" .,;:!?'\"")
     for article in _ARTICLES:
         text = text.removeprefix(article)
-    return text
+    return _numbered(text)
+
+
+def _numbered(text: str) -> str:
+    """The name with its number in the one way that `normalise` names."""
+    words = text.split(" ")
+    if len(words) < 2:
+        return text
+    head, n = words[:-1], number(words[-1:])
+    if n is not None and len(head) > 1 and (tens := number(words[-2:])) is not None:
+        head, n = words[:-2], tens
+    if n is None:
+        storey = len(words) == 2 and words[1] in STOREYS
+        n = ordinal(words[0]) if storey else None
+        head = words[1:]
+    if n is None:
+        return text
+    if len(head) == 1 and head[0] in STOREYS and 0 < n <= len(ORDINALS):
+        return f"{ORDINALS[n - 1]} {head[0]}"
+    if words[-1].isdecimal() and words[-1] != str(n):
+        return text  # "room 007"
+    return " ".join([*head, SMALL_NUMBERS[n] if n <= _MOST_SPELLED else str(n)])
+
+
+def number(words: Sequence[str]) -> int | None:
+    """The number that one or two words write; None if they write none.
+
+    >>> number(["12"]), number(["twelve"]), number(["twenty", "one"]), number(["chair"])
+    (12, 12, 21, None)
+    """
+    first, last = words[0], words[-1]
+    if len(words) == 2:
+        units = SMALL_NUMBERS[1:10]
+        if first in TENS and last in units:
+            return 10 * (TENS.index(first) + 2) + units.index(last) + 1
+        return None
+    if last.isdecimal() and last.isascii() and len(last) < 10:
+        return int(last)
+    if last in SMALL_NUMBERS:
+        return SMALL_NUMBERS.index(last)
+    return 10 * (TENS.index(last) + 2) if last in TENS else None
+
+
+_NTH = re.compile(r"(\d{1,9})(?:st|nd|rd|th)")
+_TEENTHS = {"eleventh": 11, "twelfth": 12, "twentieth": 20}
+
+
+def ordinal(word: str) -> int | None:
+    """The number of "12th", "twelfth", "second"; None of other words."""
+    if found := _NTH.fullmatch(word):
+        return int(found[1])
+    if word in ORDINALS:
+        return ORDINALS.index(word) + 1
+    if word in _TEENTHS:
+        return _TEENTHS[word]
+    return number([word.removesuffix("th")]) if word.endswith("teenth") else None
 
 
 def _shown(word: str) -> str:
@@ -256,6 +325,11 @@ def is_known(word: str) -> bool:
         return False
     text = normalise(word)
     return text in _CANONICAL or singular(text) in _CANONICAL
+
+
+def is_alias(word: str) -> bool:
+    """Whether the alias table has just this word, in this number."""
+    return word in _CANONICAL
 
 
 @lru_cache(maxsize=4096)

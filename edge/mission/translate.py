@@ -12,8 +12,9 @@ from edge.config import Translator as TranslatorConfig
 from edge.config import TranslatorLlm
 from edge.mission import ltl
 from edge.mission.language import grammar
+from edge.mission.language.beyond import refuse_beyond
 from edge.mission.language.english import describe
-from edge.mission.language.words import TranslationError, UnclearError
+from edge.mission.language.words import Reader, TranslationError, UnclearError
 from edge.mission.ltl import Formula
 from edge.mission.readings import (
     AmbiguousError,
@@ -197,6 +198,7 @@ def by_model(model: SmallModel) -> Backend:
     """The small model alone."""
 
     def read(instruction: str) -> Read:
+        refuse_beyond(Reader(instruction))
         found = model.read(instruction)
         return Read(found.formulas, "model", found.sure, found.doubts)
 

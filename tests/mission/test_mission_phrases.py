@@ -130,8 +130,6 @@ SEQUENCES = [
     ("the kitchen then the hallway", "F (kitchen & F hallway)"),
     ("go to the kitchen or the bedroom and then to the garage",
      "F ((kitchen | bedroom) & F garage)"),
-    ("go to the bus stop next to the bank, then the park",
-     'F ("bus stop next to bank" & F park)'),
     ("go to the bank and then sometime later the school", "F (bank & F school)"),
     ("go to red room 1st, blue room 2nd", 'F ("red room" & F "blue room")'),
     ("when you go to the kitchen, check the sink", "F (kitchen & F sink)"),
@@ -175,8 +173,6 @@ ORDERS = [
     ("go up to the second floor", 'F "second floor"'),
     ("go down to the first floor", 'F "first floor"'),
     ("climb to the second floor", 'F "second floor"'),
-    ("go to the red room on the second floor", 'F "red room on second floor"'),
-    ("go to landmark 1 on the second floor", 'F "landmark one on second floor"'),
     ("you must at some point go to the kitchen", "F kitchen"),
     ("go to the kitchen and the bedroom, in whichever order you like", "F kitchen & F bedroom"),
     ("visit the kitchen and also the bedroom", "F kitchen & F bedroom"),
@@ -186,7 +182,6 @@ ORDERS = [
     ("go to the red, blue and green rooms", 'F "red room" & F "blue room" & F "green room"'),
     ("go to the third or the fourth floor", 'F ("third floor" | "fourth floor")'),
     ("go to the first or second floor", 'F ("first floor" | "second floor")'),
-    ("go to the coffee shop on main street", 'F "coffee shop on main street"'),
     ("I want the robot to go to the kitchen", "F kitchen"),
     ("please move the robot to the kitchen", "F kitchen"),
     ("have the drone fly to the kitchen", "F kitchen"),
@@ -375,6 +370,10 @@ ASKED = [
 ]  # fmt: skip
 
 REFUSED = [
+    ("go to the bus stop next to the bank, then the park", "bus stop next to the bank"),
+    ("go to the red room on the second floor", "red room on the second floor"),
+    ("go to landmark 1 on the second floor", "landmark 1 on the second floor"),
+    ("go to the coffee shop on main street", "coffee shop on main street"),
     ("when heading over to the sofa, avoid the bed", "when heading over to the sofa"),
     ("take the road", ""),
     ("go to the green one", "one"),

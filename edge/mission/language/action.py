@@ -8,6 +8,7 @@ from edge.mission.language.conditions import take_happening
 from edge.mission.language.lexicon import AVOIDING
 from edge.mission.language.routes import PASSING, lead, pass_by, take_exception
 from edge.mission.language.spoken import (
+    CONDITIONS,
     Clause,
     Condition,
     skip_particles,
@@ -80,7 +81,8 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     near = [reader.peek(ahead).text for ahead in range(4)]
     if reader.sees("more than", "less than", *COUNTING) and "of" in near:
         reader.deny("how many of several cannot be told; say which")
-    if reader.sees("only") and reader.peek(1).text in ("to", "towards"):
+    towards = reader.peek(1).text in ("to", "towards") or starts_things(reader, 1)
+    if reader.sees("only") and towards:
         reader.deny("'only' needs a number or a condition; say what to avoid")
     if reader.take("neither"):
         clause.negated = True
@@ -118,6 +120,8 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     elif clause.returns and memory.asked and (clause.negated or memory.left):
         clause.things = memory.asked  # "leave it and come back", "never go back"
     elif not clause.negated or not clause.verb.startswith("stop"):
+        if reader.sees(*CONDITIONS):
+            reader.deny("say where to go", last)  # "stop before you reach the bed"
         reader.refuse("expected the name of a thing here", reader.peek())
     if clause.verb.startswith(_ANYWHERE) and not clause.verb.endswith("near"):
         clause.elsewhere = clause.mood != "can"
@@ -147,6 +151,7 @@ _CARRIES = ("bring", "fetch", "take", "put", "carry", "grab", "collect", "load",
 _INTO = ("into", "onto", "in to")
 _LEAVES = (*_MOTION, "get", "step", "climb", "fly", "roll", "navigate", "move", "pass")
 _PASSES = ("cross", "follow", "traverse", "pass")
+_STREETS = ("road", "street", "lane")
 _ALONG = ("path", "route", "road", "way", *PASSING)
 _GOES_ON = ("proceed", "continue")
 _RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
@@ -183,6 +188,9 @@ def take_passed(
     clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
     if clause.verb.startswith("follow") and not rides and not clause.verb.endswith(_ALONG):
         reader.refuse("only a way can be followed", verb)
+    across = verb is not None and verb.text == "across" and reader.sees("to")
+    if across and things.names[-1].split()[-1] in _STREETS:
+        reader.deny("'across …' says how to go; say only where to, or 'through …'", verb)
     start = verb if verb and verb.text == "from" else None
     on = start is not None
     while on or _onward(reader, clause):
@@ -214,7 +222,27 @@ def _onward(reader: Reader, clause: Clause) -> bool:
     if onto and not clause.through and clause.verb.startswith(_CARRIES):
         reader.refuse("only reaching things can be asked for", reader.peek(ahead))
     moved = clause.verb in _MOTION and reader.sees("to")
+    if moved and not clause.through:
+        _refuse_leading(reader, clause)
     return clause.through or (not clause.negated and (onto or moved))
+
+
+_LEADING = nouns.listed(
+    """door doorway gate gateway entrance entry exit key path road street way stair stairs staircase
+    ladder ramp bridge tunnel passage passageway hatch archway driveway"""
+)
+
+
+def _refuse_leading(reader: Reader, clause: Clause) -> None:
+    """`go to the door to the kitchen`, `move the cup to the table`: one thing, or two?"""
+    names = clause.things.names if clause.things else ()
+    said = reader.tokens[: reader.at]
+    begin = max(i for i, token in enumerate(said) if token.text == clause.verb)
+    carries = begin + 1 < len(said) and said[begin + 1].kind in ("article", "word", "quoted")
+    if carries and not all(map(nouns.is_place, names)):
+        reader.deny("only reaching things can be asked for", said[begin])
+    if names and names[-1].split()[-1] in _LEADING:
+        reader.deny("what leads there, or one after the other? say 'then to …'", said[begin])
 
 
 def _take_onward(reader: Reader) -> bool:

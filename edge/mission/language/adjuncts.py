@@ -6,7 +6,14 @@ import itertools
 
 from edge.mission.language.conditions import another_participle, take_condition
 from edge.mission.language.lexicon import NUMBERS
-from edge.mission.language.routes import PASSING, bound_ahead, take_bound, take_origin, take_route
+from edge.mission.language.routes import (
+    PASSING,
+    bound_ahead,
+    pass_by,
+    take_bound,
+    take_origin,
+    take_route,
+)
 from edge.mission.language.spoken import (
     CONDITIONS,
     MAX_VISITS,
@@ -152,6 +159,8 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         clause.conditions.append(condition)
     elif token.text in _APART and clause.verb and not starts_things(reader, 1):
         reader.at += 1
+    elif token.kind == "only" and (reader.peek(1).text == "from" or starts_things(reader, 1)):
+        reader.deny("'only' needs a number or a condition; say what to avoid", token)
     else:
         return False
     return True
@@ -370,8 +379,13 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
         things = Things(things.groups + more.groups)  # "without entering a or touching b"
     if denied and not things.every and take_count(reader, negated=False) is not None:
         reader.deny("how often? say it in a sentence of its own", token)
-    if reader.take("first") and not clause.negated:  # "go to a without visiting b first"
-        clause.not_first.append(things)
+    if (reader.take("first") or says.first) and not clause.negated:
+        if denied:  # "go to a without visiting b first"
+            clause.not_first.append(things)
+        elif clause.things is None:
+            reader.deny("say 'first …, then …'", token)
+        else:
+            pass_by(reader, clause, things, token)  # "go to a while visiting b first"
         return
     if not denied and things.every:
         count = take_count(reader, negated=False)

@@ -97,6 +97,8 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         condition.referred = True
     else:
         reader.refuse("expected what must have happened here", condition.token)
+    if says.negated and condition.kind not in ("when", "once"):
+        reader.deny("say it without 'not'", condition.token)  # "until you have not been to a"
     condition.denied = condition.denied or says.negated
     if reader.sees("verb") and _is_third_person(reader.peek()):
         hint = "only what the robot reaches can be told"  # "if the dog enters the hall"
@@ -104,6 +106,8 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
     first = bool(reader.take("first")) or says.first
     if first and reader.sees("then") and not reader.sees("end", ahead=1):
         reader.deny("say it in two sentences", condition.token)
+    if first and condition.recurring:
+        reader.deny("before what? say it in two sentences", condition.token)
     reader.skip("filler", "first")
     condition.count = take_count(reader, negated=False)
 

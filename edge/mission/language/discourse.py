@@ -40,7 +40,7 @@ from edge.mission.language.sequences import (
     without_last,
 )
 from edge.mission.language.spoken import Clause, Condition, Count, take_count
-from edge.mission.language.things import Memory, Things
+from edge.mission.language.things import ONE_OF_A_KIND, Memory, Things
 from edge.mission.language.words import (
     REASONS,
     Reader,
@@ -48,6 +48,7 @@ from edge.mission.language.words import (
 )
 from edge.mission.ltl import TRUE, Formula, postorder
 
+_IN_TURN = "say the steps in the order in which they come"
 MAX_NODES = 20_000
 """A formula's largest size; "a and b, then c and d, then …" doubles it with every step."""
 
@@ -236,7 +237,11 @@ class Discourse:
         if loose:
             self.rules.append(loose)
         single = all(len(sequence) == 1 for sequence in sequences[:-1])
-        if tight and single and len(sequences[-1]) > 1 and either.text != "either":
+        pause = any(
+            (a.kind, b.kind in THEN) == ("comma", True) for a, b in itertools.pairwise(said)
+        )
+        tight = tight or (pause and either.text == "either")
+        if tight and single and len(sequences[-1]) > 1:
             reader.deny("what comes after which of them? say it in two sentences", start)
         if len(sequences) > 1 and any(step.commas for step in sequences[0]):
             reader.deny("one of them, or some and then one? say 'either … or …'", start)
@@ -317,7 +322,11 @@ class Discourse:
         """Notes that this step is the second or third, which has to be its turn."""
         said = joint.text.split() if joint else []
         number = next((i for i, word in enumerate(nouns.NUMERALS[:-1], 1) if word in said), None)
+        if joint and self.number == 1 and not self.clauses and said[-1] in ("lastly", "finally"):
+            number = len(nouns.NUMERALS)
         if number is None or joint is None:
+            if self.number > 1 and self.reader.sees("first", "opener"):
+                self.reader.deny(_IN_TURN)
             return
         bare = self.reader.sees("word") and len(self.reader.peek().text) > 1
         if number <= self.number or (bare and joint.text in nouns.ORDINALS):
@@ -371,6 +380,9 @@ class Discourse:
         meaning = meaning_of(clause, self.reader, self.times)
         meaning.follows, meaning.returns = then, clause.returns
         self._relate(clause, meaning, sequence)
+        for name in {name for goal in meaning.goals for name in letters(goal)}:
+            if several := self.memory.several.get(name):
+                self.reader.deny(ONE_OF_A_KIND, several)
         if then and self.flow.barred and meaning.goals and not sequence and joint:
             self.reader.deny("never one after the other? say it in two sentences", clause.token)
         self.flow.note(clause, meaning)
@@ -428,10 +440,14 @@ class Discourse:
             self.goal = without_last(self.goal, meaning)
         if then and meaning.goals and self.flow.until and not sequence:
             meaning.goals = [steps([visits(self.flow.until), *meaning.goals])]
-        if meaning.anchors and not then and self.times.keys() & set(meaning.things.names):
+        if (
+            meaning.anchors
+            and not (then or self.first)
+            and self.times.keys() & set(meaning.things.names)
+        ):
             hint = "it was asked for before; say in one sentence what comes after what"
             self.reader.refuse(hint, clause.token)
-        anchored(meaning, sequence, self.times, then)
+        anchored(meaning, sequence, self.times, then or self.first)
         plain = not (clause.count or clause.again or clause.conditions or clause.avoiding)
         meaning.repeats = plain and bool(meaning.goals) and clause.things == self.last
         if meaning.repeats and then:  # "a, then b, then b and c": is b meant twice?

@@ -71,8 +71,13 @@ class Flow:
         """
         kind = joint.kind if joint else None
         also = clause.token.text in _ALSO
+        # "go to a. go to b." is in order, unless the words say or show otherwise
+        loose = also or any(token.text in _ALSO for token in _sentence(reader))
+        loose = loose or any(token.kind in (*THEN, "any order") for token in reader.tokens)
         ensures = clause.token.kind == "ensure"
         moves = _moves(clause)
+        through = clause.through and not clause.route
+        passes = through and (ensures or kind == "but")  # "be sure to proceed through b"
         onward = clause.verb.startswith(_ONWARD) and not clause.negated
         bare = clause.verb == "" and not clause.negated
         reaches = moves or bare or (clause.verb.startswith(_ARRIVES) and not clause.negated)
@@ -81,22 +86,22 @@ class Flow:
                 clause.trails,
                 kind in THEN,
                 clause.returns and (sequence or asked) and not clause.negated,
-                onward and sequence and not sequence[-1].loose,
+                onward and sequence and not (sequence[-1].loose or passes),
                 onward and asked and clause.verb.startswith(_ENDING),
                 moves and self.moved and kind == "" and not ensures,
+                moves and self.moved and kind is None and asked and not (loose or through),
                 reaches and self.passed and joint and not also,
                 # "via b, go to a"
                 self.passed and not self.verb and not clause.negated and kind in ("", "comma"),
             )
         )
-        through = clause.through and not clause.route
         last = reader.sees("end") or reader.sees("end", ahead=1)
-        beside = through and moves and not after and not self.passed
-        if beside and not sequence and not also and last:
+        passing = through and moves and not after and not self.passed
+        if passing and not sequence and not also and last:
             clause.enroute = asked  # "go to a. Please go through b."
-        elif beside and sequence and (ensures or kind == "but" or clause.by_way):
+        elif passing and sequence and (ensures or kind == "but" or clause.by_way):
             clause.enroute = True  # "go to a, making sure to go through b"
-        elif beside and sequence and self.moved:
+        elif passing and sequence and self.moved:
             clause.enroute = reader.pick(clause.token, 2) == 0
         elif any(token.kind == "any order" for token in reader.tokens):
             pass
@@ -139,7 +144,7 @@ class Flow:
         if not started and joint is not None and joint.text in ("later", "afterwards"):
             reader.deny("later than what?", joint)
         if kind == "but" and bare and not (clause.negated or clause.first):
-            reader.refuse("all but that, or that too? say 'visit …'", clause.token)
+            reader.deny("all but that, or that too? say 'visit …'", clause.token)
         if kind == "or" and clause.through and clause.verb == "":
             reader.deny("say 'through a or b'", clause.token)  # "to a via b or via c"
         if clause.bound_by and kind == "or":
@@ -155,6 +160,14 @@ class Flow:
         self.permitted = permission_of(clause)
         self.denied = clause.negated
         self.agent = clause.agent or self.agent
+
+
+def _sentence(reader: Reader) -> Sequence[Token]:
+    """The tokens of the sentence that the reader is in or behind."""
+    ends = [i for i, token in enumerate(reader.tokens) if token.kind in ("stop", "end")]
+    begin = next((i + 1 for i in reversed(ends) if i < reader.at), 0)
+    until = next(i for i in ends if i >= reader.at)
+    return reader.tokens[begin:until]
 
 
 def _said(clause: Clause, reader: Reader) -> Sequence[Token]:
@@ -176,4 +189,5 @@ def _moves(clause: Clause) -> bool:
     """Whether it is a plain order to go somewhere."""
     rides = clause.verb.startswith(_WAYS) and clause.verb.endswith(PASSING)
     more = clause.only or clause.count or clause.conditions or clause.enroute or clause.first
-    return (rides or clause.verb in _MOVES) and not (clause.negated or more)
+    goes = clause.verb in _MOVES or clause.verb.startswith("continue ")
+    return (rides or goes) and not (clause.negated or more)

@@ -39,6 +39,7 @@ from __future__ import annotations
 
 import re
 
+from edge.mission.language.beyond import refuse_beyond
 from edge.mission.language.discourse import Discourse
 from edge.mission.language.nouns import is_foreign
 from edge.mission.language.words import Reader, TranslationError, not_understood, tokenise
@@ -65,6 +66,7 @@ def readings(text: str) -> tuple[Formula, ...]:
         hint = "write numbers without commas"
         raise not_understood(grouped[0], grouped.start() + 1, hint)
     tokens = tokenise(text)
+    refuse_beyond(Reader(text, tokens))
     found: list[Formula] = []
     todo: list[dict[int, int]] = [{}]
     for picks in todo:

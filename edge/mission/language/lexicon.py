@@ -144,7 +144,8 @@ _ROWS: dict[str, str] = {
         while traveling to; while travelling to; when on the way to; while on the way to; when on
         your way to; while on your way to;
         (on the way|on your way|on its way|along the way|on your trip|on the trip|on your
-        journey|on the road|on the route|on your route|on the path) (to|into|towards|toward);
+        journey|on the road|on the route|on your route|on the path|on your path|on its path|along
+        your path) (to|into|towards|toward);
         (when|in) (going|moving|walking|driving|flying|heading|traveling|proceeding)
         (to|towards|toward);
         (in order to|so as to) (reach|get to|go to|enter|get into);
@@ -157,7 +158,8 @@ _ROWS: dict[str, str] = {
     """,
     "on the way": """
         (while|as) you are getting there;
-        on the road; on the route; on your route; along the path; on the way; on your way; on its
+        on the road; on the route; along the path; in the way; in your way; in its way;
+        (on|in|along) (your|its|our|their) (path|route); on the way; on your way; on its
         way; along the way; en route; on the way there; on your way there; on its way there; along
         your way; as you go; as you do so; while doing so; in doing so; while you do it; while you
         do so; as you do it;
@@ -192,8 +194,9 @@ _ROWS: dict[str, str] = {
     "once": "once",
     "times n": "twice; thrice",
     "number": """
-        zero; one; two; three; four; five; six; seven; eight; nine; ten; single; a single; one
-        single
+        zero; one; two; three; four; five; six; seven; eight; nine; ten; eleven; twelve; thirteen;
+        fourteen; fifteen; sixteen; seventeen; eighteen; nineteen; twenty; thirty; forty; fifty;
+        sixty; seventy; eighty; ninety; single; a single; one single
     """,
     "times": """
         trip; trips; trip to; trips to; time; times; instances; separate instances; distinct
@@ -487,18 +490,7 @@ CONTRACTIONS = {
     "let's": "let us", "it's": "it is", "that's": "that is", "i'd": "i would",
 }  # fmt: skip
 _NUMERAL = re.compile(r"(\d{1,2})(?:st|nd|rd|th)")
-_ORDINALS = [
-    "first",
-    "second",
-    "third",
-    "fourth",
-    "fifth",
-    "sixth",
-    "seventh",
-    "eighth",
-    "ninth",
-    "tenth",
-]
+_COMPOUND = re.compile(rf"({'|'.join(names.TENS)})-({'|'.join(names.SMALL_NUMBERS[1:10])})")
 ENDINGS = {"n't": " not", "'ve": " have", "'re": " are", "'ll": " will", "'d": " would"}
 
 
@@ -508,6 +500,8 @@ def expanded(word: str) -> list[str]:
         return CONTRACTIONS[word].split()
     if (numeral := _NUMERAL.fullmatch(word)) and 0 < int(numeral[1]) < len(nouns.NUMERALS):
         return [nouns.NUMERALS[int(numeral[1]) - 1]]
+    if compound := _COMPOUND.fullmatch(word):
+        return [compound[1], compound[2]]
     for ending, full in ENDINGS.items():
         if word.endswith(ending) and len(word) > len(ending):
             return (word[: -len(ending)] + full).split()
@@ -515,9 +509,9 @@ def expanded(word: str) -> list[str]:
 
 
 NUMBERS = {
-    "zero": 0, "once": 1, "twice": 2, "thrice": 3, "single": 1, "a single": 1, "one single": 1,
-    "one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7, "eight": 8,
-    "nine": 9, "ten": 10,
+    "once": 1, "twice": 2, "thrice": 3, "single": 1, "a single": 1, "one single": 1,
+    **{word: n for n, word in enumerate(names.SMALL_NUMBERS)},
+    **{word: 10 * n for n, word in enumerate(names.TENS, 2)},
 }  # fmt: skip
 
 WORD = re.compile(r"[^\W_]+(?:['\-_][^\W_]+)*")

@@ -144,21 +144,14 @@ def _name_at(pieces: list[_Piece], at: int, among_letters: bool) -> tuple[int, s
     length = _known_length(pieces, at)
     if not length:
         return 0, None
-    text = _spelled(pieces[at : at + length])
+    text = " ".join(piece.text for piece in pieces[at : at + length])
     place, skipped = _place_at(pieces, at + length)
     if place and (more := _known_length(pieces, at + length + skipped)):
         where = pieces[at + length + skipped : at + length + skipped + more]
-        text = f"{text} {place} {_spelled(where)}"
+        beside = " ".join(piece.text for piece in where)
+        text = f"{names.normalise(text)} {place} {beside}"
         length += skipped + more
     return (length, names.canonical(text)) if names.is_name(text) else (0, None)
-
-
-def _spelled(pieces: list[_Piece]) -> str:
-    """A name with its number in letters, since `edge.names` takes digits for a model's."""
-    *texts, last = (piece.text for piece in pieces)
-    if texts and last.isdecimal() and len(last) < 3 and int(last) < len(nouns.CARDINALS):
-        last = nouns.CARDINALS[int(last)]
-    return " ".join((*texts, last))
 
 
 def _known_length(pieces: list[_Piece], at: int) -> int:

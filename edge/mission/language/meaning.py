@@ -271,7 +271,7 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
         meaning.goals.append(steps([visits(step) for step in _steps_of(clause, things)]))
         meaning.things = things
     if clause.count and clause.route:
-        reader.refuse("say it in two sentences", clause.token)
+        reader.deny("so often, the way as well? say it in two sentences", clause.token)
     if clause.order == "strict order":
         for before, after in itertools.pairwise(_steps_of(clause, things)):
             meaning.rules += held_until(after.names, before)

@@ -1,6 +1,6 @@
 """One name in an instruction: which words it has, and what it is called.
 
-    name = [article] word { word } [place [article] word { word }] | letter | '"' text '"'
+    name = [article] word { word } | letter | '"' text '"'
 
 `a` is an article wherever a longer word follows. Of which words a name may consist is in `nouns`.
 """
@@ -20,9 +20,11 @@ _NOT_NAMES = """
     among exit mean means if than which who whose whom what how why where about because not very
     again here else anything something anyone someone everyone nobody otherwise except unlike
     soon fast quickly slowly carefully today tomorrow tonight exactly really maybe perhaps
-    instead spot spots position point
+    instead another spot spots position point
     """
-_TURNS = ("except", "instead", "otherwise", "unlike", "than", "because", "if", "not")
+_TURNS = (
+    "except", "instead", "otherwise", "unlike", "than", "because", "if", "not", "another",
+)  # fmt: skip
 """Words that turn what is said, so that no other translator is to guess at it either."""
 _NEVER_IN_NAMES = frozenset(_NOT_NAMES.split())
 
@@ -47,24 +49,13 @@ def take_name(reader: Reader) -> str:
     if words and (head := _head_ahead(reader, words)):
         return _canonical(reader, " ".join(token.text for token in (*words, *head)), words[0])
     if start.kind == "number":
-        reader.refuse("how many of a kind cannot be told; say 'the …'", start)
+        reader.deny("how many of a kind cannot be told; say 'the …'", start)
     if not words:
         reader.refuse("expected the name of a thing here", start)
     _check(reader, words)
     if reader.sees("article"):
         reader.refuse("no word that is known", words[0])
-    text = _spelled(reader, words)
-    if reader.sees("place") and _place_follows(reader):
-        place = reader.take("place")
-        assert place is not None
-        reader.skip("article")
-        if reader.peek().text in ("a", "an"):
-            reader.take("word")
-        where = _words(reader, article=True)
-        if not where:
-            reader.refuse("expected the name of a thing here")
-        _check(reader, where)
-        text = f"{text} {place.text} {' '.join(token.text for token in where)}"
+    text = _spelled(words)
     return _canonical(reader, text, words[0])
 
 
@@ -76,12 +67,35 @@ def _words(reader: Reader, article: bool) -> list[Token]:
     if reader.sees("verb") and article:
         words.append(reader.tokens[_advance(reader)])
     while reader.sees("word", "group") and not is_letter(reader.peek()):
-        if reader.peek().text in AFTER_VERB:
+        if reader.peek().text in AFTER_VERB or _says_number(reader):
             break
         words.append(reader.tokens[_advance(reader)])
-    if words and is_number(reader):
-        words.append(reader.tokens[_advance(reader)])
+    if words:
+        words += _take_number(reader)
     return words
+
+
+def _take_number(reader: Reader) -> list[Token]:
+    """The number behind a name, which may be two words: `12`, `twenty one`."""
+    reader.at += _says_number(reader)
+    begin = reader.at
+    pair = [reader.peek().text, reader.peek(1).text]
+    if names.number(pair) is not None and is_number(reader, 1):
+        reader.at += 2
+    elif is_number(reader) or (is_letter(reader.peek()) and _is_lettered(reader)):
+        reader.at += 1
+    return reader.tokens[begin : reader.at]
+
+
+def _says_number(reader: Reader) -> bool:
+    """Whether the word of "room number 12" comes that adds nothing."""
+    return reader.peek().text == "number" and is_number(reader, 1)
+
+
+def _is_lettered(reader: Reader) -> bool:
+    """Whether the letter here belongs to the word before it: "gate b"."""
+    article = reader.peek().text == "a" and _goes_on(reader)
+    return reader.peek(-1).text in nouns.NUMBERED and not article
 
 
 def _head_ahead(reader: Reader, words: list[Token]) -> list[Token]:
@@ -109,16 +123,12 @@ def _head_ahead(reader: Reader, words: list[Token]) -> list[Token]:
     return head if "or" in said or ("and" in said and several) else []
 
 
-def _spelled(reader: Reader, words: list[Token]) -> str:
-    """The words of a name; its number spelled out, for `edge.names` takes digits for a model's."""
+def _spelled(words: list[Token]) -> str:
+    """The words of a name: "landmarks one" is "landmark one"."""
     texts = [token.text for token in words]
-    if texts[-1].isdecimal():
-        if len(texts[-1]) > 2 or int(texts[-1]) >= len(nouns.CARDINALS):
-            reader.refuse("names are numbered up to ten", words[0])
-        texts[-1] = nouns.CARDINALS[int(texts[-1])]
-    if len(texts) > 1 and texts[-1] in nouns.CARDINALS:
-        head = " ".join([*texts[:-2], names.singular(texts[-2])])  # "landmarks one and two"
-        return _numbered(head, texts[-1])
+    numbered = next((i for i, token in enumerate(words) if i and token.kind == "number"), 0)
+    if numbered:
+        texts[numbered - 1] = names.singular(texts[numbered - 1])
     return " ".join(texts)
 
 
@@ -139,15 +149,6 @@ def _goes_on(reader: Reader) -> bool:
         return nouns.is_noun(follower.text)
     return follower.kind == "quoted" or (
         follower.kind == "word" and len(follower.text) > 1 and follower.text not in AFTER_VERB
-    )
-
-
-def _place_follows(reader: Reader) -> bool:
-    follower = reader.peek(1)
-    return (
-        follower.kind == "article"
-        or (follower.kind == "word" and follower.text not in AFTER_VERB and not is_letter(follower))
-        or (follower.text in ("a", "an") and reader.sees("word", ahead=2))
     )
 
 
@@ -208,33 +209,24 @@ def next_numbered(reader: Reader, last: Sequence[Sequence[str]]) -> str:
     """`2`, after "landmark 1": landmark two."""
     reader.skip("comma", "and", "or")
     token = reader.tokens[_advance(reader)]
-    head = _numbered_head(last[-1][-1])
-    number = token.text
-    if number.isdecimal():
-        if len(number) > 2 or int(number) >= len(nouns.CARDINALS):
-            reader.refuse("names are numbered up to ten", token)
-        number = nouns.CARDINALS[int(number)]
-    elif number not in nouns.CARDINALS:
-        reader.refuse("expected a number here", token)
-    return _canonical(reader, _numbered(head, number), token)
+    reader.at -= 1
+    number = " ".join(said.text for said in _take_number(reader))
+    return _canonical(reader, f"{_numbered_head(last[-1][-1])} {number}", token)
 
 
 def _numbered_head(name: str) -> str:
     """`landmark` of "landmark one", `floor` of "first floor"; "" of others."""
     first, _, last = name.rpartition(" ")
-    if first in nouns.ORDINALS and last in nouns.STOREYS:
+    if first in nouns.ORDINALS and last in names.STOREYS:
         return last
-    return first if last in nouns.CARDINALS else ""
-
-
-def _numbered(head: str, number: str) -> str:
-    """`landmark two`, and `second floor`, which "floor two" is."""
-    n = nouns.CARDINALS.index(number)
-    return f"{nouns.NUMERALS[n - 1]} {head}" if head in nouns.STOREYS and n else f"{head} {number}"
+    return first if names.number([last]) is not None else ""
 
 
 def is_number(reader: Reader, ahead: int = 0) -> bool:
     """Whether that token is a number that counts no visits."""
     if not reader.sees("number", ahead=ahead) or reader.sees("times", "or more", ahead=ahead + 1):
         return False
+    pair = [reader.peek(ahead).text, reader.peek(ahead + 1).text]
+    if names.number(pair) is not None and reader.sees("times", ahead=ahead + 2):
+        return False  # "twenty one times"
     return not reader.sees("group", ahead=ahead + 1)

@@ -7,6 +7,7 @@ double quotes.
 from __future__ import annotations
 
 import difflib
+import re
 from functools import lru_cache
 
 from edge import names
@@ -17,7 +18,8 @@ _PLACES = """
     gate gym hall hallway house kitchen laundry lawn lift living|room dining|room meeting|room
     conference|room waiting|room guest|room storage|room library lobby lounge lab laboratory
     landmark nursery office pantry patio path pavement playroom pool porch reception restroom road
-    roof room shed shop sidewalk stair staircase station storeroom street studio study terrace
+    roof room shed shop sidewalk stair stairs staircase station storeroom street studio study
+    terrace aisle bay ward suite sector lane terminal cell block slot
     toilet|room wall waypoint wc workshop yard zone area region
     airport bakery bank bar bridge building bus|stop cafe car|park castle cathedral cemetery church
     cinema college court crossing crosswalk cafeteria clinic embassy farm field fountain forest
@@ -42,7 +44,6 @@ _OBJECTS = """
     plunger pole pot potato purse puzzle rabbit rack racket radiator radio rail refrigerator ring
     robot rock rope router rug safe salt sandwich saw scale scissors scooter screen screwdriver
     sculpture seat sheep shirt shoe sign stop|sign skateboard skis snowboard soap sock speaker spoon
-    spot
     sponge stapler statue stick stone sunglasses surfboard swing switch tank tap tape tent tie
     tissue toolbox tool toothbrush toy tractor traffic|light trailer train tray tree tricycle
     trolley truck typewriter vehicle van vent vending|machine violin walker wallet watch
@@ -65,11 +66,8 @@ _QUALITIES = """
     old new modern antique vintage broken dirty empty full open closed double single soft hard heavy
     folding rocking sliding electric digital front back rear left right main upper lower top bottom
     middle central inner outer north south east west northern southern eastern western potted
-    ground parked nearest closest nearby
-    taller tallest shorter shortest larger largest bigger biggest smaller smallest wider widest
+    ground parked
 """
-_ORDINALS = "first second third fourth fifth sixth seventh eighth ninth tenth last"
-_CARDINALS = "zero one two three four five six seven eight nine ten"
 
 _FOREIGN = frozenset(
     [
@@ -141,34 +139,42 @@ _FOREIGN = frozenset(
 """Small words of other languages that no English sentence has."""
 
 
-def _listed(text: str) -> frozenset[str]:
+def listed(text: str) -> frozenset[str]:
+    """The entries of a text; "|" stands for a space within one."""
     return frozenset(entry.replace("|", " ") for entry in text.split())
 
 
-NOUNS = _listed(_PLACES) | _listed(_OBJECTS) | _listed(_PEOPLE)
-QUALITIES = _listed(_QUALITIES) | _listed(_MATERIALS)
-NUMBERED = _listed("floor level storey story landmark room door waypoint gate street")
+NOUNS = listed(_PLACES) | listed(_OBJECTS) | listed(_PEOPLE)
+QUALITIES = listed(_QUALITIES) | listed(_MATERIALS)
+NUMBERED = listed(
+    """floor level storey story landmark room door waypoint gate street aisle bay dock lane terminal
+    ward"""
+)
 """Kinds whose members are told apart by number: "second floor" is no second step."""
-ROOMS = _listed(
+ROOMS = listed(
     """apartment attic balcony basement bathroom bedroom cellar classroom conservatory corridor
     garage garden hall hallway kitchen laundry library lobby lounge nursery office pantry patio
     restroom terrace gym"""
 )
-STOREYS = ("floor", "level", "storey", "story")
-NUMERALS = tuple(_ORDINALS.split())  # the last one is "last"
+NUMERALS = (*names.ORDINALS, "last")
 ORDINALS = frozenset(NUMERALS)
-CARDINALS = tuple(_CARDINALS.split())
 _KEPT = ("shop", "store", "station", "stop", "room", "market", "museum", "lot", "stand", "park")
 """Places that are told apart by what is kept there: "coffee shop", "printer room"."""
 _WAYS = ("door", "ladder", "ramp", "escalator", "way", "passage", "doorway")
 _LONGEST = 6
 """Words that a known noun has at most."""
-_LEADING = _listed(_PLACES)  # "kitchen sink", "office door": what a thing belongs to
+_LEADING = listed(_PLACES)  # "kitchen sink", "office door": what a thing belongs to
 
 
 def is_noun(phrase: str) -> bool:
     """Whether a phrase names a kind of thing, in the singular or plural."""
     return names.is_known(phrase) or phrase in NOUNS or names.singular(phrase) in NOUNS
+
+
+def is_plural(word: str) -> bool:
+    """Whether a word names several of a kind, and is not itself listed, as "glasses" are."""
+    one = names.singular(word)
+    return one != word and is_noun(one) and not (word in NOUNS or names.is_alias(word))
 
 
 def is_place(name: str) -> bool:
@@ -183,7 +189,9 @@ def unknown_in(words: list[str]) -> int | None:
     ("mom's bed"), an ordinal ("first floor"), and a number or a letter behind it ("landmark two").
     """
     begin, end = 0, len(words)
-    if end > 1 and (words[-1].isdecimal() or words[-1] in CARDINALS or _is_letter(words[-1])):
+    if end > 2 and names.number(words[-2:]) is not None:
+        end -= 2
+    elif end > 1 and (names.number(words[-1:]) is not None or _is_mark(words[-1])):
         end -= 1
     start = next((i for i in range(end) if is_noun(" ".join(words[i:end]))), None)
     if start is None:
@@ -206,7 +214,7 @@ def unknown_in(words: list[str]) -> int | None:
             begin = place
         elif word in ORDINALS and begin and words[begin - 1] in _LEADING:
             return begin  # "first floor third floor"
-        elif word in QUALITIES or word in ORDINALS or (word.endswith("'s") and is_noun(word[:-2])):
+        elif word in QUALITIES or _is_ordinal(word) or _owns(word):
             begin += 1
         else:
             return start if is_noun(word) else begin
@@ -228,8 +236,20 @@ def _not_known(words: list[str], end: int) -> int:
     return next(odd, 0)
 
 
-def _is_letter(word: str) -> bool:
-    return len(word) == 1 and word.isalpha()
+def _is_ordinal(word: str) -> bool:
+    return word in ORDINALS or names.ordinal(word) is not None
+
+
+def _owns(word: str) -> bool:
+    return word.endswith("'s") and is_noun(word[:-2])
+
+
+_MARK = re.compile(r"[^\W\d_]|[a-z]?\d+[a-z]?")
+
+
+def _is_mark(word: str) -> bool:
+    """Whether a word tells one of a kind from another, as in "room b", "gate b12", "bay 3a"."""
+    return _MARK.fullmatch(word) is not None
 
 
 @lru_cache(maxsize=1)

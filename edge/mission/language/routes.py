@@ -83,7 +83,7 @@ def _way_length(reader: Reader, begin: int = 0) -> tuple[int, bool]:
 def pass_by(reader: Reader, clause: Clause, passed: Things, token: Token) -> None:
     """Puts what is passed before the clause's goal; of several "and" leaves the order open."""
     if clause.count:
-        reader.refuse("say it in two sentences", token)
+        reader.deny("so often, the way as well? say it in two sentences", token)
     several = len(passed.groups) > 1 and not passed.listed and not clause.order
     clause.several_ways = len(passed.groups) > 1
     if several and reader.pick(token, 2) == 1:

@@ -87,12 +87,16 @@ def put_last(meaning: Meaning, sequence: Sequence[Meaning]) -> None:
 def _leave_out(meaning: Meaning, step: Meaning) -> None:
     """Takes what a clause says again out of a step, if more is left of it."""
     said = frozenset(meaning.things.names)
-    parts = [
+    step.goals = [part for part in _parts(step) if not letters(part) <= said] or step.goals
+
+
+def _parts(step: Meaning) -> list[Goal]:
+    """The goals of a step, those of its sets one by one."""
+    return [
         part
         for goal in step.goals
         for part in (goal.goals if isinstance(goal, Every) and not goal.rules else (goal,))
     ]
-    step.goals = [part for part in parts if not letters(part) <= said] or step.goals
 
 
 def _unwrapped(goal: Goal) -> tuple[Goal, tuple[Formula, ...]]:
@@ -135,8 +139,9 @@ def put_in_order(said: Token, sequence: list[Meaning], reader: Reader) -> None:
 def split_return(meaning: Meaning, sequence: list[Meaning]) -> None:
     """`visit a, go to b, and return to a`: a comes before b, which comes before a again."""
     said = frozenset(meaning.things.names)
-    start = [goal for goal in sequence[0].goals if letters(goal) & said]
-    rest = [goal for goal in sequence[0].goals if not letters(goal) & said]
+    goals = _parts(sequence[0])
+    start = [goal for goal in goals if letters(goal) & said]
+    rest = [goal for goal in goals if not letters(goal) & said]
     if start and rest:
         sequence[0].goals = [steps([_together(start), _together(rest)])]
 

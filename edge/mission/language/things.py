@@ -26,6 +26,7 @@ from edge.mission.language.words import Reader, Token
 COUNTING = ("number", "once", "times n", "at least", "at most", "exactly", "only")
 """Kinds of token that begin a count."""
 LEAVE = ("leave", "leaving", "exit", "exiting")
+ONE_OF_A_KIND = "only one of a kind can be asked for; say 'the …'"
 _ELEMENT = ("word", "quoted", "article", "either", "all of", "pronoun", "group")
 _STARTS_PREDICATE = ("be", "must", "can", "happen", "banned")
 
@@ -61,6 +62,7 @@ class Memory:
         previous: those asked for before them.
         every: all that was asked for so far, in the order said.
         mentioned: all that was named so far, whatever for.
+        several: what was named in the plural, and where.
         left: where it was said to leave the last one.
     """
 
@@ -69,6 +71,7 @@ class Memory:
     previous: Things | None = None
     every: tuple[tuple[str, ...], ...] = ()
     mentioned: dict[str, None] = field(default_factory=dict)
+    several: dict[str, Token] = field(default_factory=dict)
     left: Token | None = None
 
     def ask(self, things: Things) -> None:
@@ -148,7 +151,7 @@ def take_things(
     if banned and (start.text in _ONE_OF or (start.text == "either" and "and" in joints)):
         reader.deny("say which to avoid", start)
     if start.kind == "all of" and len(groups) == 1 and not banned:
-        reader.refuse("only one of a kind can be asked for; say 'the …'", start)
+        reader.deny(ONE_OF_A_KIND, start)
     if banned:
         return Things(tuple((name,) for group in groups for name in group))
     if joints == {"or"}:
@@ -306,7 +309,12 @@ def _element(reader: Reader, memory: Memory) -> tuple[tuple[str, ...], ...]:
         return meant
     if token := reader.take("either"):
         return (_choice(reader, every=token.text != "either"),)
-    return ((take_name(reader),),)
+    name = take_name(reader)
+    last = reader.tokens[reader.at - 1]
+    memory.several.pop(name, None)
+    if last.kind == "word" and nouns.is_plural(last.text):
+        memory.several[name] = last
+    return ((name,),)
 
 
 def _is_singled(reader: Reader) -> bool:
@@ -337,4 +345,6 @@ def _choice(reader: Reader, every: bool) -> tuple[str, ...]:
         decided = decided or "or" in joint
         reader.at += ahead
         options.append(take_name(reader))
+    if not every and not decided:
+        reader.deny("either that, or what?")
     return tuple(dict.fromkeys(options))

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
+from edge import names
 from edge.errors import UserError
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import LONGEST, TABLE, WORD, expanded
@@ -155,7 +156,7 @@ def _numbers(words: Sequence[Token], i: int) -> bool:
         return False
     numbered = words[i + 1].text in nouns.NUMBERED
     beyond = words[i + 2].text if len(words) > i + 2 else ""
-    return numbered and not (beyond.isdecimal() or beyond in nouns.CARDINALS)
+    return numbered and names.number([beyond]) is None
 
 
 def _phrase_at(words: Sequence[Token], i: int) -> int:

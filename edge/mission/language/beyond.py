@@ -1,0 +1,259 @@
+"""What no mission of things to reach can say: recognised by its words, wherever it stands.
+
+An instruction is searched before it is parsed. A part that is left out or misread here would turn a
+ban into its opposite ("never go out of the yard") or send the robot to a thing that nobody meant
+("guard the gate"), so no other translator may guess at it either.
+"""
+
+from __future__ import annotations
+
+from edge.mission.language import nouns
+from edge.mission.language.lexicon import AFTER_VERB
+from edge.mission.language.things import ONE_OF_A_KIND
+from edge.mission.language.words import REASONS, Reader, Token
+
+_WHERE = "things are told apart by kind, colour and size, not by where they are; name it alone"
+_WHICH = "which one that is cannot be seen in one picture; say its kind, colour or size"
+_SPOT = "only things can be reached, no spots near them; name the thing"
+_EXPLORE = "only going to things can be asked for, not searching a place; say what to find there"
+_TIME = "times and distances cannot be told, only what to reach"
+_AT_TIMES = ("for", "in", "after", "before", "at", "within", "until")
+_RIDE = "how to go cannot be told, only where"
+_DO = "that can only be a thing here, and things cannot be done; say where to go"
+_IF_POSSIBLE = "say whether or not to do it"
+_DENIED = "only reaching things can be forbidden"
+_STAND = "where to stand cannot be told, only what to reach"
+_BESIDE = ("under", "below", "above", "behind", "in front of", "opposite", "against")
+_BOTH = "one, or both of which? say 'either …, or …' with a name each"
+_NOR = "'nor' needs 'not' or 'neither' before it"
+_STAY = REASONS["stay"]
+
+_LEAVE = nouns.listed(
+    """leave leaves leaving exit exits exiting depart departs departing quit quits quitting vacate
+    vacating abandon abandoning stray strays straying escape escaping deviate deviating wander
+    wandering"""
+)
+_LEAVING = _LEAVE - {"leaving", "wandering"} - {word for word in _LEAVE if word[-3:] != "ing"}
+_AWAY = ("beyond", "outside", "within")
+_NO_LEAVING = ("turn", "turning", "switch", "switching", "shut", "shutting", "take", "taking")
+_KEEPS = ("stay", "keep", "remain", "stick", "wait")
+_KEPT_BY = ("at", "by", "along", "with", "within", "to")
+_DENYING = ("not", "without", "avoid", "neither")
+_BEYOND_NAMES = nouns.listed(
+    """taller tallest shorter shortest larger largest bigger biggest smaller smallest wider widest
+    longer longest lower lowest higher highest narrower narrowest newest oldest brightest darkest
+    nearest closest nearby nearer closer farthest furthest farther further leftmost rightmost
+    middlemost next-door"""
+)
+_LONGEST = 6  # words of a name
+_SPOTS = ("spot", "spots", "place", "position", "point", "somewhere", "anywhere", "everywhere")
+_WITH = ("with", "at", "between", "by")
+_RIDDEN = ("stairs", "staircase", "elevator", "lift", "escalator", "ladder", "ramp", "bridge")
+_VEHICLES = nouns.listed(
+    """car bus bike bicycle train taxi cab truck van tram boat ship ferry plane air motorcycle
+    motorbike scooter metro subway foot hand"""
+)
+_SEARCHES = ("search", "scan", "survey", "map")
+_UNITS = nouns.listed(
+    """second seconds minute minutes hour hours day days week weeks moment moments pm am
+    o'clock metre metres meter meters foot feet yard yards mile miles kilometre kilometres kilometer
+    kilometers km cm step steps inch inches"""
+)
+_SPANS = (*_UNITS, "while", "bit")
+
+
+def refuse_beyond(reader: Reader) -> None:
+    """Refuse staying, leaving, places, relations, times and the like.
+
+    Raises:
+        UnclearError: the instruction has such a part.
+    """
+    denied = False
+    for at, token in enumerate(reader.tokens):
+        reader.at = at
+        if token.kind in ("stop", "comma", "but", "then"):
+            denied = False
+        hint, start = _found(reader, denied), token
+        if hint == _WHERE:
+            start = _name_before(reader) or token
+        before = _before(reader)
+        if hint == _TIME and before and before.text in _AT_TIMES:
+            start = before
+        if hint:
+            reader.deny(hint, start)
+        denied = denied or token.kind in _DENYING
+    reader.at = 0
+
+
+def _found(reader: Reader, denied: bool) -> str:
+    """Why the token here cannot be understood; "" where it may be."""
+    token, after, before = reader.peek(), reader.peek(1), _before(reader)
+    if token.kind in ("quoted", "end"):
+        return ""
+    if _leaves(reader, denied) or _stays(reader, denied):
+        return _STAY
+    if token.text == "nor" and not any(t.kind in _DENYING for t in reader.tokens[: reader.at]):
+        return _NOR
+    if token.kind == "or" and after.text == "both" and not _ends(reader, 2):
+        return _BOTH
+    if _times(reader):
+        return _TIME
+    if token.text in _BEYOND_NAMES and token.kind == "word":
+        return _WHICH
+    if token.text in _SPOTS and _says_where(reader, 1):
+        return _SPOT
+    where = _says_where(reader, 0) or token.text == "on the road"
+    if where and _name_before(reader):
+        return _WHERE
+    if token.text == "by" and after.text in _VEHICLES:
+        return _RIDE
+    if _searches(reader):
+        return _EXPLORE
+    noun = token.kind == "word" and len(token.text) > 1 and nouns.is_noun(token.text)
+    alone = before is None or before.kind not in ("article", "word", "quoted", "number", "either")
+    done = after.kind in ("article", "all of") or after.text in ("it", "them")
+    if (noun or token.text == "place") and alone and done:
+        return _DO
+    soft = after.kind == "you" and reader.peek(2).text in ("can", "could", "want")
+    if _acts_unknown(reader, denied):
+        return _DENIED
+    if token.kind == "verb" and after.text in _BESIDE and _says_where(reader, 1):
+        return _STAND
+    if token.kind == "number" and after.kind == "word" and nouns.is_plural(after.text):
+        return ONE_OF_A_KIND
+    if token.kind == "when" and (_ends(reader, 1) or (soft and _ends(reader, 3))):
+        return _IF_POSSIBLE
+    return ""
+
+
+def _acts_unknown(reader: Reader, denied: bool) -> bool:
+    """Whether "do not drop the cup" comes: a ban on doing what is not known to be reaching."""
+    token, before = reader.peek(), _before(reader)
+    known = token.kind != "word" or nouns.is_noun(token.text) or token.text in AFTER_VERB
+    if known or not denied or before is None or before.kind not in ("not", "without"):
+        return False
+    return reader.sees("article", ahead=1) and len(token.text) > 1
+
+
+def _before(reader: Reader) -> Token | None:
+    return reader.tokens[reader.at - 1] if reader.at else None
+
+
+def _ends(reader: Reader, ahead: int) -> bool:
+    return reader.sees("stop", "comma", "end", "but", ahead=ahead)
+
+
+def _leaves(reader: Reader, denied: bool) -> bool:
+    """Whether "out of a", "off a", "away from a", "beyond a", or a denied "leave a" comes."""
+    token, after, before = reader.peek(), reader.peek(1), _before(reader)
+    joins = before is not None and before.kind in ("and", "or")
+    if token.text in ("out", "away") and after.text in ("of", "from"):
+        shuns = any(said.kind == "avoid" for said in reader.tokens[: reader.at])
+        return not (joins and shuns)  # "stay out of a and out of b"
+    if token.text == "out" and joins and (reader.sees("again", ahead=1) or _ends(reader, 1)):
+        return True  # "go into a and out again"
+    if token.text == "off" and after.kind in ("article", "word", "quoted", "pronoun", "all of"):
+        switched = before is not None and before.text in _NO_LEAVING
+        return not (switched and not _is_place(reader, 1))
+    if token.text in _AWAY or token.text in _LEAVING:
+        return True
+    return denied and (token.text in _LEAVE or (token.text == "from" and not joins))
+
+
+def _stays(reader: Reader, denied: bool) -> bool:
+    """Whether "keep to a", "stay on a", "never stay away from a" comes."""
+    token, after = reader.peek(), reader.peek(1)
+    if not token.text.startswith(_KEEPS):
+        return False
+    if token.kind == "avoid":  # "never stay away from a"
+        before = next(t for t in [*reader.tokens[reader.at - 1 :: -1], token] if t.kind != "filler")
+        return reader.at > 0 and denied and before.kind in _DENYING
+    single = " " not in token.text
+    return single and (after.kind in ("place", "to") or after.text in _KEPT_BY)
+
+
+def _times(reader: Reader) -> bool:
+    """Whether "for a minute", "in five minutes", "5 pm", "2 m" comes."""
+    token, after = reader.peek(), reader.peek(1)
+    if token.kind == "number":
+        return after.text in _UNITS and after.text != "second"
+    if token.text not in ("for", "in", "after"):
+        return False
+    unit = 2 if after.text in ("a", "an", "one", "some", "few", "several", "the") else 1
+    unit += reader.peek(unit).text in ("few", "short", "little", "couple")
+    return unit > 1 and reader.peek(unit).text in _SPANS and _over(reader, unit + 1)
+
+
+def _over(reader: Reader, ahead: int) -> bool:
+    return _ends(reader, ahead) or not reader.sees("word", ahead=ahead)
+
+
+def _says_where(reader: Reader, ahead: int) -> bool:
+    """Whether "near the sofa", "in it", "that is on a table" begins there."""
+    if reader.peek(ahead).text in ("that", "which") and reader.sees("be", ahead=ahead + 1):
+        ahead += 2
+    token, after = reader.peek(ahead), reader.peek(ahead + 1)
+    if token.kind != "place" and token.text not in (*_WITH, "inside of"):
+        return False
+    if token.text == "by" and reader.peek(ahead + 2).text in _RIDDEN:
+        return False
+    if after.text == "between":
+        return False
+    if token.text in _WITH and after.kind not in ("article", "quoted"):
+        return False
+    return after.kind in ("quoted", "pronoun", "either") or bool(_named(reader, ahead + 1))
+
+
+def _name_before(reader: Reader) -> Token | None:
+    """The first word of the name that ends before this token; None where none does."""
+    begin = reader.at
+    before = _before(reader)
+    if before is None:
+        return None
+    if before.kind in ("quoted", "group"):
+        return before
+    if before.kind == "number" and begin > 1:
+        begin -= 1
+    end, found = begin, None
+    while begin and end - begin < _LONGEST and reader.tokens[begin - 1].kind in ("word", "group"):
+        begin -= 1
+        if _is_known([token.text for token in reader.tokens[begin:end]]):
+            found = reader.tokens[begin]
+    return found
+
+
+def _is_place(reader: Reader, ahead: int) -> bool:
+    """Whether the name that begins there is a place's."""
+    name = _named(reader, ahead)
+    return bool(name) and nouns.is_place(name)
+
+
+def _named(reader: Reader, ahead: int) -> str:
+    """The known name that begins there, maybe behind an article; "" where none does."""
+    while reader.sees("article", "all of", ahead=ahead) or reader.peek(ahead).text in ("a", "an"):
+        if reader.sees("end", ahead=ahead + 1):
+            break  # the letter a
+        ahead += 1
+    words: list[str] = []
+    while reader.sees("word", "group", ahead=ahead) and len(words) < _LONGEST:
+        words.append(reader.peek(ahead).text)
+        ahead += 1
+    known = (" ".join(words[:n]) for n in range(len(words), 0, -1))
+    return next((name for name in known if _is_known(name.split())), "")
+
+
+def _is_known(words: list[str]) -> bool:
+    if len(words) == 1 and len(words[0]) == 1:
+        return words[0] not in ("a", "i")  # a letter
+    return nouns.unknown_in(words) is None
+
+
+def _searches(reader: Reader) -> bool:
+    """Whether "explore the house", "search the kitchen", "look around" comes."""
+    token = reader.peek()
+    verb = token.text.split(" ")[0]
+    if token.text in ("look", "looking") and reader.sees("around", ahead=1):
+        return True
+    if token.kind == "verb" and verb.startswith("explor"):
+        return not _named(reader, 1) or _is_place(reader, 1)
+    return verb.startswith(_SEARCHES) and token.kind in ("verb", "word") and _is_place(reader, 1)
