@@ -75,6 +75,16 @@ def test_odd_names_are_names(word, name):
         ("widgets", "widget"),
         ("arm chair", "armchair"),
         ("tvstand", "tv stand"),
+        ("Room 12", "room 12"),
+        ("room twelve", "room 12"),
+        ("aisle twenty-one", "aisle 21"),
+        ("landmark 2", "landmark two"),
+        ("Bay-3", "bay three"),
+        ("room 12A", "room 12a"),
+        ("room 007", "room 007"),
+        ("floor 2", "second floor"),
+        ("12th floor", "floor 12"),
+        ("twelfth floor", "floor 12"),
     ],
 )
 def test_one_word_for_one_thing(word, expected):

@@ -219,30 +219,30 @@ def _onward(reader: Reader, clause: Clause) -> bool:
     """Whether "to b" may go on from there."""
     ahead = 1 if reader.sees("and") else 0
     onto = reader.peek(ahead + (reader.peek(ahead).text == "out")).text in _INTO
-    if onto and not clause.through and clause.verb.startswith(_CARRIES):
-        reader.refuse("only reaching things can be asked for", reader.peek(ahead))
+    if not clause.through and (onto or reader.sees("to")):
+        _refuse_leading(reader, clause, ahead if onto else 0)
     moved = clause.verb in _MOTION and reader.sees("to")
-    if moved and not clause.through:
-        _refuse_leading(reader, clause)
     return clause.through or (not clause.negated and (onto or moved))
 
 
-_LEADING = nouns.listed(
+LEADING = nouns.listed(
     """door doorway gate gateway entrance entry exit key path road street way stair stairs staircase
     ladder ramp bridge tunnel passage passageway hatch archway driveway"""
 )
 
 
-def _refuse_leading(reader: Reader, clause: Clause) -> None:
+def _refuse_leading(reader: Reader, clause: Clause, ahead: int) -> None:
     """`go to the door to the kitchen`, `move the cup to the table`: one thing, or two?"""
-    names = clause.things.names if clause.things else ()
+    if clause.things is None or not starts_things(reader, ahead + 1):
+        return
     said = reader.tokens[: reader.at]
-    begin = max(i for i, token in enumerate(said) if token.text == clause.verb)
-    carries = begin + 1 < len(said) and said[begin + 1].kind in ("article", "word", "quoted")
-    if carries and not all(map(nouns.is_place, names)):
-        reader.deny("only reaching things can be asked for", said[begin])
-    if names and names[-1].split()[-1] in _LEADING:
-        reader.deny("what leads there, or one after the other? say 'then to …'", said[begin])
+    verb = max((i for i, token in enumerate(said) if token.text == clause.verb), default=0)
+    moved = clause.verb in _MOTION and said[verb + 1].kind in ("article", "word", "quoted")
+    carried = moved or clause.verb.startswith(_CARRIES)
+    if carried and not all(map(nouns.is_place, clause.things.names)):
+        reader.deny("only reaching things can be asked for", reader.peek(ahead))
+    if clause.things.names[-1].split()[-1] in LEADING:
+        reader.deny("what leads there, or one after the other? say 'then to …'", said[verb])
 
 
 def _take_onward(reader: Reader) -> bool:

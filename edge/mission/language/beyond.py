@@ -25,6 +25,7 @@ _DENIED = "only reaching things can be forbidden"
 _STAND = "where to stand cannot be told, only what to reach"
 _BESIDE = ("under", "below", "above", "behind", "in front of", "opposite", "against")
 _BOTH = "one, or both of which? say 'either …, or …' with a name each"
+_NOWHERE = "say what to visit, and what to avoid"
 _NOR = "'nor' needs 'not' or 'neither' before it"
 _STAY = REASONS["stay"]
 
@@ -37,6 +38,7 @@ _LEAVING = _LEAVE - {"leaving", "wandering"} - {word for word in _LEAVE if word[
 _AWAY = ("beyond", "outside", "within")
 _NO_LEAVING = ("turn", "turning", "switch", "switching", "shut", "shutting", "take", "taking")
 _KEEPS = ("stay", "keep", "remain", "stick", "wait")
+_SELF = ("yourself", "itself")
 _KEPT_BY = ("at", "by", "along", "with", "within", "to")
 _DENYING = ("not", "without", "avoid", "neither")
 _BEYOND_NAMES = nouns.listed(
@@ -59,7 +61,9 @@ _UNITS = nouns.listed(
     o'clock metre metres meter meters foot feet yard yards mile miles kilometre kilometres kilometer
     kilometers km cm step steps inch inches"""
 )
-_SPANS = (*_UNITS, "while", "bit")
+_SPANS = nouns.listed(
+    """second seconds minute minutes hour hours day days week weeks moment moments while bit"""
+)
 
 
 def refuse_beyond(reader: Reader) -> None:
@@ -94,8 +98,10 @@ def _found(reader: Reader, denied: bool) -> str:
         return _STAY
     if token.text == "nor" and not any(t.kind in _DENYING for t in reader.tokens[: reader.at]):
         return _NOR
-    if token.kind == "or" and after.text == "both" and not _ends(reader, 2):
+    if token.text == "or both" and not _ends(reader, 1):
         return _BOTH
+    if token.text == "nowhere" and after.kind == "but":
+        return _NOWHERE
     if _times(reader):
         return _TIME
     if token.text in _BEYOND_NAMES and token.kind == "word":
@@ -114,16 +120,21 @@ def _found(reader: Reader, denied: bool) -> str:
     done = after.kind in ("article", "all of") or after.text in ("it", "them")
     if (noun or token.text == "place") and alone and done:
         return _DO
-    soft = after.kind == "you" and reader.peek(2).text in ("can", "could", "want")
     if _acts_unknown(reader, denied):
         return _DENIED
     if token.kind == "verb" and after.text in _BESIDE and _says_where(reader, 1):
         return _STAND
     if token.kind == "number" and after.kind == "word" and nouns.is_plural(after.text):
         return ONE_OF_A_KIND
-    if token.kind == "when" and (_ends(reader, 1) or (soft and _ends(reader, 3))):
-        return _IF_POSSIBLE
-    return ""
+    return _IF_POSSIBLE if _is_soft(reader) else ""
+
+
+def _is_soft(reader: Reader) -> bool:
+    """Whether "if you can", "if possible", or "every time" with nothing behind it comes."""
+    if not reader.sees("when"):
+        return False
+    willing = reader.sees("you", ahead=1) and reader.peek(2).text in ("can", "could", "want")
+    return willing or _ends(reader, 1) or reader.peek(1).text in ("possible", "necessary", "needed")
 
 
 def _acts_unknown(reader: Reader, denied: bool) -> bool:
@@ -162,14 +173,18 @@ def _leaves(reader: Reader, denied: bool) -> bool:
 
 def _stays(reader: Reader, denied: bool) -> bool:
     """Whether "keep to a", "stay on a", "never stay away from a" comes."""
-    token, after = reader.peek(), reader.peek(1)
+    token = reader.peek()
     if not token.text.startswith(_KEEPS):
         return False
     if token.kind == "avoid":  # "never stay away from a"
         before = next(t for t in [*reader.tokens[reader.at - 1 :: -1], token] if t.kind != "filler")
         return reader.at > 0 and denied and before.kind in _DENYING
-    single = " " not in token.text
-    return single and (after.kind in ("place", "to") or after.text in _KEPT_BY)
+    if " " in token.text:
+        return False
+    ahead = 1
+    while reader.sees("you", "pronoun", ahead=ahead) or reader.peek(ahead).text in _SELF:
+        ahead += 1  # "keep the robot on the path"
+    return reader.sees("place", "to", ahead=ahead) or reader.peek(ahead).text in _KEPT_BY
 
 
 def _times(reader: Reader) -> bool:
@@ -179,7 +194,7 @@ def _times(reader: Reader) -> bool:
         return after.text in _UNITS and after.text != "second"
     if token.text not in ("for", "in", "after"):
         return False
-    unit = 2 if after.text in ("a", "an", "one", "some", "few", "several", "the") else 1
+    unit = 2 if after.text in ("a", "an", "one", "some", "few", "several") else 1
     unit += reader.peek(unit).text in ("few", "short", "little", "couple")
     return unit > 1 and reader.peek(unit).text in _SPANS and _over(reader, unit + 1)
 

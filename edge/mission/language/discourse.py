@@ -6,6 +6,7 @@ import itertools
 from dataclasses import dataclass, field
 
 from edge.mission.language import nouns
+from edge.mission.language.action import LEADING
 from edge.mission.language.adjuncts import starts_leaving, take_leaving, take_repetition
 from edge.mission.language.clauses import Bare, starts_clause, take_clause
 from edge.mission.language.flow import ENDING, JOINTS, THEN, Flow
@@ -240,7 +241,7 @@ class Discourse:
         pause = any(
             (a.kind, b.kind in THEN) == ("comma", True) for a, b in itertools.pairwise(said)
         )
-        tight = tight or (pause and either.text == "either")
+        tight = tight or (pause and either.text == "either" and len(sequences) > 1)
         if tight and single and len(sequences[-1]) > 1:
             reader.deny("what comes after which of them? say it in two sentences", start)
         if len(sequences) > 1 and any(step.commas for step in sequences[0]):
@@ -481,7 +482,7 @@ class Discourse:
             meaning.rules += only_then(sequence[-1], meaning)
         if clause.enroute and not sequence:
             if self.goal is None:
-                self.reader.refuse("on the way to what? say 'on the way to …'", clause.token)
+                self.reader.deny("on the way to what? say 'on the way to …'", clause.token)
             self.detour = clause.token  # "go to a. on the way, go to b"
         ends = len(sequence) == 1 and not meaning.follows and self.reader.sees("stop", "end")
         first = clause.first and (joint == "but" or ends)  # "visit a, visit b first"
@@ -547,6 +548,8 @@ class Discourse:
         no_order = verb.endswith(("ing", "s")) and not verb.endswith("ss")  # "…, it goes to b"
         starts = starts_clause(reader) and self._begins_well() and not no_order
         if not (starts_leaving(reader) or starts):
+            if reader.sees("to") and reader.peek(-1).text in LEADING:
+                reader.deny("what leads there, or one after the other? say 'then to …'")
             reader.refuse("no word that is known here")
         return Token("", "", joint.start, joint.start)
 

@@ -29,10 +29,12 @@ files of their own (`clauses`, `adjuncts`, `things`, `spoken`, `lexicon`). How a
   hold until the next step;
 - "each place only once", "no revisiting", "none out of turn" are said of all that is asked for: in
   a sequence each is reached once until the next step, and not before its turn;
+- "go to a. drive to b." is in order, unless "then", "also" or "any order" is said somewhere;
 - "leave it" is what happens between separate visits, or on the way to something else; as the last
   thing asked for it is refused.
 
-Whatever fits none of this is refused by name, never skipped or guessed.
+Staying, leaving, places in a house, relations between things, and times are refused before anything
+is parsed (`beyond`). Whatever fits none of this is refused by name, never skipped or guessed.
 """
 
 from __future__ import annotations

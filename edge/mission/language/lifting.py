@@ -21,6 +21,7 @@ LONGEST_NAME = 6  # words
 ARTICLES = frozenset(["the", "a", "an", "my", "our", "your", "his", "her", "its", "their"])
 _SINGLING = ARTICLES | {"this", "that", "each", "every", "any", "some", "another"}
 _PLACES = tuple(sorted(PHRASES["place"], key=len, reverse=True))
+_WAYS = ("path", "way", "route")
 _OF_NO_NAME = {"of", "between", "against"}
 _STORIES = {"floor", "floors", "story", "level", "room", "landmark", "door", "street", "building"}
 _AFTER_LETTER = {*AFTER_VERB, ",", ".", "and", "or", "then", "before", "after", "until"}
@@ -209,5 +210,8 @@ def _place_at(pieces: list[_Piece], at: int) -> tuple[str, int]:
         if place not in _OF_NO_NAME and [p.text for p in pieces[at : at + len(words)]] == words:
             end = at + len(words)
             article = end < len(pieces) and pieces[end].text in ARTICLES
+            named = pieces[end + article].text if end + article < len(pieces) else ""
+            if named in _WAYS:
+                return "", 0  # "the lamp on your path"
             return place, len(words) + article
     return "", 0

@@ -24,6 +24,7 @@ _NOT_NAMES = """
     """
 _TURNS = (
     "except", "instead", "otherwise", "unlike", "than", "because", "if", "not", "another",
+    "nowhere",
 )  # fmt: skip
 """Words that turn what is said, so that no other translator is to guess at it either."""
 _NEVER_IN_NAMES = frozenset(_NOT_NAMES.split())
@@ -226,6 +227,8 @@ def is_number(reader: Reader, ahead: int = 0) -> bool:
     """Whether that token is a number that counts no visits."""
     if not reader.sees("number", ahead=ahead) or reader.sees("times", "or more", ahead=ahead + 1):
         return False
+    if reader.sees("or", ahead=ahead + 1) and reader.sees("times", ahead=ahead + 3):
+        return False  # "one or two times"
     pair = [reader.peek(ahead).text, reader.peek(ahead + 1).text]
     if names.number(pair) is not None and reader.sees("times", ahead=ahead + 2):
         return False  # "twenty one times"

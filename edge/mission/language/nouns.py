@@ -19,7 +19,8 @@ _PLACES = """
     conference|room waiting|room guest|room storage|room library lobby lounge lab laboratory
     landmark nursery office pantry patio path pavement playroom pool porch reception restroom road
     roof room shed shop sidewalk stair stairs staircase station storeroom street studio study
-    terrace aisle bay ward suite sector lane terminal cell block slot
+    terrace aisle bay ward suite sector lane terminal cell block slot level
+    storey
     toilet|room wall waypoint wc workshop yard zone area region
     airport bakery bank bar bridge building bus|stop cafe car|park castle cathedral cemetery church
     cinema college court crossing crosswalk cafeteria clinic embassy farm field fountain forest

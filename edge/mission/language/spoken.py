@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from edge import names
 from edge.mission.language.lexicon import AFTER_VERB, NUMBERS
 from edge.mission.language.things import Memory, Things, starts_things, take_things
 from edge.mission.language.words import Reader, Token
@@ -54,8 +53,6 @@ def take_count(reader: Reader, negated: bool, every: bool = False) -> Count | No
             markers.add(token.kind)
             marker = token.kind
         elif token.kind in _NUMBERS and not (token.kind == "once" and _joins(reader)):
-            if numbers and token.kind == "number" and _stands_alone(reader):
-                reader.deny("say how often in one number", start)  # "2 times 3"
             numbers.append(NUMBERS[token.text] if token.text in NUMBERS else int(token.text[:9]))
             times = times or token.kind != "number"
             marked.setdefault(marker, numbers[-1])
@@ -67,6 +64,9 @@ def take_count(reader: Reader, negated: bool, every: bool = False) -> Count | No
     if not numbers or not times:
         reader.at = begin
         return None
+    joined = any(token.kind in ("or", "and") for token in reader.tokens[begin : reader.at])
+    if len(set(numbers)) > 1 and not (joined or markers):
+        reader.deny("say how often in one number", start)  # "2 times 3"
     if max(numbers) > MAX_VISITS:
         reader.refuse(f"at most {MAX_VISITS} visits can be counted", start)
     if not negated and {"at least", "at most"} <= marked.keys():
@@ -105,14 +105,6 @@ def _joins(reader: Reader) -> bool:
     if reader.sees("all of", ahead=1) and reader.sees("comma", "stop", "end", ahead=2):
         return False  # "once each"
     return reader.sees("you", "article", "word", "quoted", "pronoun", "all of", "either", ahead=1)
-
-
-def _stands_alone(reader: Reader) -> bool:
-    """Whether the second number here is neither another choice nor a count of its own."""
-    before, after = reader.peek(-1), reader.peek(1)
-    if before.kind == "number":
-        return names.number([before.text, reader.peek().text]) is not None
-    return before.kind in (*_NUMBERS, "times") and after.kind not in (*_NUMBERS, "times", "or")
 
 
 def _goes_on(reader: Reader) -> bool:
