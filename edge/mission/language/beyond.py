@@ -25,6 +25,14 @@ _DENIED = "only reaching things can be forbidden"
 _STAND = "where to stand cannot be told, only what to reach"
 _BESIDE = ("under", "below", "above", "behind", "in front of", "opposite", "against")
 _BOTH = "one, or both of which? say 'either …, or …' with a name each"
+_DIGITS = "write the number in digits"
+_THAT = "say 'after the …'"
+_PARTS = nouns.listed(
+    """front back end corner side edge middle centre center top bottom left right rear rest part
+    half inside"""
+)
+_WHOLE = ("whole", "entire")
+_ROUND = ("hundred", "thousand")
 _NOWHERE = "say what to visit, and what to avoid"
 _NOR = "'nor' needs 'not' or 'neither' before it"
 _STAY = REASONS["stay"]
@@ -108,6 +116,15 @@ def _found(reader: Reader, denied: bool) -> str:
         return _WHICH
     if token.text in _SPOTS and _says_where(reader, 1):
         return _SPOT
+    if token.text in _PARTS and after.text == "of":
+        return _WHERE
+    if token.text in _WHOLE and _is_place(reader, 1):
+        return _EXPLORE
+    if after.text in _ROUND and token.kind == "number":
+        return _DIGITS
+    starts = before is None or before.kind == "stop"
+    if starts and token.text == "after that" and after.kind == "word" and len(after.text) > 1:
+        return _THAT  # "After that chair, go to the bed."
     where = _says_where(reader, 0) or token.text == "on the road"
     if where and _name_before(reader):
         return _WHERE
