@@ -129,7 +129,12 @@ class GoalTracker:
         target, views = mission.target, self.views
         found = "no way to" if target in mission.detected else "found no"
         again = f", looked again at {views} place{'s' * (views > 1)}" if views else ""
-        return f"explored all that can be reached{again}, {found} {target}{_barred(grid)}"
+        barred = _barred(grid)
+        behind = self._pool.out_of_reach if barred else 0
+        if behind:
+            barred += f", with {behind} frontier{'s' * (behind > 1)} behind"
+        explored = "no way on" if behind else "explored all that can be reached"
+        return f"{explored}{again}, {found} {target}{barred}"
 
     # -- choosing ---------------------------------------------------------------------------
 

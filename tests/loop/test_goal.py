@@ -33,7 +33,7 @@ class Map:
     def __init__(self) -> None:
         self.walled: list[tuple[float, float]] = []
         self.closed: list[tuple[float, float]] = []
-        self.generation, self.opened = 7, False
+        self.generation, self.closed_m = 7, []
         self.camera_yaw_rad, self.view, self.here = 0.0, None, HERE
         self.reach = self.coverage = self.bumps = self
         self.asked: list[tuple[float, int]] = []
@@ -57,7 +57,8 @@ class Map:
         return 100 if (round(x, 3), round(y, 3)) in self.closed else 0
 
     def open_all(self) -> bool:
-        return self.opened
+        closed, self.closed_m = self.closed_m, []
+        return bool(closed)
 
     def start_over(self) -> None:
         """Nothing was seen badly, but for `view`."""
@@ -418,7 +419,7 @@ def test_with_nothing_to_go_to_nor_to_see_it_is_exhausted():
 @pytest.mark.parametrize("reach_s", [0.2, 5.0], ids=["small map", "large map"])
 def test_what_was_opened_is_tried_until_the_reach_field_leads_there_and_a_frontier_lasts(reach_s):
     case = Case()
-    case.map.opened = True
+    case.map.closed_m = [(1.0, 0.0)]
     case.turn_round()
     opened_ns = case.now_ns
     while case.now_ns < opened_ns + max(reach_s, 2.5) * S:

@@ -81,7 +81,7 @@ def test_a_long_sill_is_not_felt_out_from_end_to_end(tmp_path, width_m, most):
     assert loop.service.status.elapsed_s < 70
 
 
-def test_where_no_other_way_leads_it_tries_once_more_and_says_why_it_ends(tmp_path):
+def test_where_no_other_way_leads_it_tries_twice_more_and_says_why_it_ends(tmp_path):
     loop = closed_loop(tmp_path, way_round=False).run(200)
     status = loop.service.status
     assert status.phase == "failed"
