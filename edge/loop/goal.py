@@ -130,10 +130,10 @@ class GoalTracker:
         found = "no way to" if target in mission.detected else "found no"
         again = f", looked again at {views} place{'s' * (views > 1)}" if views else ""
         barred = _barred(grid)
-        behind = self._pool.out_of_reach if barred else 0
-        if behind:
-            barred += f", with {behind} frontier{'s' * (behind > 1)} behind"
-        explored = "no way on" if behind else "explored all that can be reached"
+        left = self._pool.out_of_reach if barred else 0
+        explored = "explored all that can be reached"
+        if left:
+            explored = f"no way to the {left} frontier{'s' * (left > 1)} left"
         return f"{explored}{again}, {found} {target}{barred}"
 
     # -- choosing ---------------------------------------------------------------------------

@@ -52,9 +52,7 @@ def apply_scan(
                 ):  # fmt: skip
                     flipped[count] = (cy << 16) | cx
                     count += 1
-            elif state == UNSEEN and (
-                code != 0 or distance_m[cy, cx] < reach_m[sector_of[cy, cx]]
-            ):
+            elif state == UNSEEN and (code != 0 or distance_m[cy, cx] < reach_m[sector_of[cy, cx]]):
                 set_free(layers, shift_x, shift_y, cx + corner_x, cy + corner_y, changed)
     for i in range(count):
         x, y = (flipped[i] & 0xFFFF) + corner_x, (flipped[i] >> 16) + corner_y
