@@ -143,14 +143,15 @@ def spans_of(path: Path) -> list[Span]:
         RecordingError: see `edge.recording.session.head_of`; or there are none.
     """
     spans: list[Span] = []
-    for m in Session(path).messages():
+    session = Session(path)
+    for m in session.messages():
         if m.topic == channels.SPANS.topic:
             spans += _spans(path, m.payload)
         if len(spans) >= MAX_SPANS:
             print(f"{path}: only its first {MAX_SPANS} spans; name a later file for the others")
             return spans[:MAX_SPANS]
     if not spans:
-        raise RecordingError(f"{path}: no tick in it")
+        raise RecordingError(f"{session.cut or path}: no tick in it")
     return spans
 
 

@@ -275,7 +275,7 @@ class _Run:
 
 
 def _alone(config: Config) -> Config:
-    """Return the configuration without what a replay neither waits for nor writes to."""
+    """Return the configuration of a replay: in lockstep, without sinks and checkpoint."""
     loop = config.loop.model_copy(update={"lockstep": True})
     mission = config.mission.model_copy(update={"checkpoint": None})
     return config.model_copy(update={"loop": loop, "mission": mission, "sinks": ()})

@@ -122,7 +122,7 @@ class Session:
         """
         for key, kind in () if self.trust else own_kinds(config):
             raise RecordingError(
-                f"{self.head.path}: {key}: {one_line(kind, 80)} is no part of edge, and a "
+                f"{self.head.path}: {key}: {one_line(kind, 80)} is no built-in kind, and a "
                 "recording may name any program: give your own configuration with --config, or "
                 "--trust if you know who made the recording"
             )

@@ -447,7 +447,7 @@ def test_a_recording_runs_no_program_of_its_own(drive, tmp_path, strangers, key)
         with pytest.raises(RecordingError) as caught:
             way()
         said = str(caught.value)
-        assert said.startswith(f"{path}: {key}: {OWN} is no part of edge")
+        assert said.startswith(f"{path}: {key}: {OWN} is no built-in kind")
         assert "--config" in said
         assert "--trust" in said
         assert "\n" not in said
@@ -466,7 +466,7 @@ def reloaded(tmp_path_factory) -> Path:
 @pytest.mark.parametrize("key", STRANGE)
 def test_nor_does_a_reload_that_was_recorded(reloaded, tmp_path, strangers, key):
     path = rewritten(reloaded, tmp_path / "edge-a.mcap", small(), small(**STRANGE[key]))
-    with pytest.raises(RecordingError, match=f"{re.escape(key)}: {OWN} is no part of edge"):
+    with pytest.raises(RecordingError, match=f"{re.escape(key)}: {OWN} is no built-in kind"):
         replay(Session(path))
     assert replay(Session(path), small()).ticks == 4
     assert not strangers.exists()
