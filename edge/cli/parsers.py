@@ -176,6 +176,12 @@ def _replay(commands) -> None:  # type: ignore[no-untyped-def]
     replay.add_argument(
         "--detect", action="store_true", help="run the detector anew on the recorded pictures"
     )
+    replay.add_argument(
+        "--trust",
+        action="store_true",
+        help="run the classes and read the files that the recorded configuration names: they run "
+        "as your own programs do",
+    )
     replay.set_defaults(handler=lazy("edge.recording.commands", "replay"))
 
 

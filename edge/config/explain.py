@@ -5,9 +5,20 @@ from __future__ import annotations
 import difflib
 from typing import Any, get_origin
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
-from edge.text import one_line, without_secrets
+from edge.text import bounded_repr, one_line, without_secrets
+
+MOST_FAULTS = 20
+
+
+def explain_all(error: ValidationError, path: str, root: type[BaseModel]) -> str:
+    """Return a line for each fault, at most `MOST_FAULTS`, and one that counts the others."""
+    faults = error.errors()
+    lines = [explain(fault, path, root) for fault in faults[:MOST_FAULTS]]
+    if len(faults) > MOST_FAULTS:
+        lines.append(f"{path}: {len(faults) - MOST_FAULTS} more faults")
+    return "\n".join(lines)
 
 
 def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
@@ -26,22 +37,22 @@ def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
     given = without_secrets(fault.get("input"))
     if kind == "union_tag_invalid":
         choices = context["expected_tags"].replace("'", "")
-        return f"{path}: {key}.kind: unknown {context['tag']!r:.80} (choices: {choices})"
+        return f"{path}: {key}.kind: unknown {bounded_repr(context['tag'])} (choices: {choices})"
     no_section = kind == "union_tag_not_found" and not isinstance(fault["input"], dict)
     if no_section or kind in ("model_type", "model_attributes_type"):
-        return f"{path}: {key}: expected a section of keys, got {given!r:.80}"
+        return f"{path}: {key}: expected a section of keys, got {bounded_repr(given)}"
     if kind in ("missing", "union_tag_not_found"):
         return f"{path}: {key}{_missing(fault['loc'], models, root)}"
     if kind == "literal_error":
         choices = context["expected"].replace("'", "").replace(" or ", ", ")
-        return f"{path}: {key}: unknown {given!r:.80} (choices: {choices})"
+        return f"{path}: {key}: unknown {bounded_repr(given)} (choices: {choices})"
     if kind == "extra_forbidden":
         names = sorted({name for model in models for name in model.model_fields} - {"path"})
         close = difflib.get_close_matches(str(leaf), names, n=1)
         hint = f"did you mean {close[0]!r}?" if close else f"choices: {', '.join(names)}"
         return f"{path}: {key}: unknown key ({hint})"
     message = fault["msg"].removeprefix("Value error, ")
-    got = "" if isinstance(given, dict) else f", got {given!r:.80}"
+    got = "" if isinstance(given, dict) else f", got {bounded_repr(given)}"
     return f"{path}: {key}: {message[0].lower()}{message[1:]}{got}"
 
 

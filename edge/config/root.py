@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import os
 from typing import Any, Literal
 
-from pydantic import ValidationError, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
-from edge.config.explain import explain
+from edge.config.explain import explain_all
 from edge.config.loop import Http, Loop, Report, Sink, Sinks, Source, Zenoh
 from edge.config.mapping import Mapping
 from edge.config.mission import Mission
@@ -22,7 +21,7 @@ from edge.config.tasks import Tasks, TrajectoryLimits
 from edge.config.yaml_text import parse_yaml, read_yaml
 from edge.errors import ConfigError
 from edge.host import resources
-from edge.text import without_secrets
+from edge.text import bounded_repr, without_secrets
 
 MARGIN_M = 0.02
 """Obstacles are inflated by so much more than the robot's radius, unless told otherwise."""
@@ -48,30 +47,34 @@ class Config(Section):
     ros2: Ros2 = Ros2()
     source: Source = Source()
     loop: Loop = Loop()
-    mapping: Mapping = Mapping()
+    mapping: Mapping = Field(default=Mapping(), validate_default=True)
     perception: Perception
     policy: Policy = PolicyHvl()
     mission: Mission = Mission()
-    tasks: Tasks = Tasks()
+    tasks: Tasks = Field(default=Tasks(), validate_default=True)
     motion: Motion = Motion()
     sim: Sim = Sim()
     report: Report = Report()
     http: Http = Http()
     sinks: Sinks = (Sink(kind="zenoh"),)
 
-    @model_validator(mode="before")
+    @field_validator("mapping", "tasks", mode="before")
     @classmethod
-    def _wide_as_the_robot(cls, data: Any) -> Any:
-        """Around a wider robot obstacles are inflated by more, and its trajectories keep farther
-        from them, where `mapping.inflation_m` and `tasks.trajectory.clearance_m` are not set."""
-        robot = data.get("robot") if isinstance(data, dict) else None
-        radius_m = robot.get("radius_m") if isinstance(robot, dict) else None
-        if not isinstance(radius_m, (int, float)) or not math.isfinite(radius_m):
-            return data
-        inflation_m = max(Mapping().inflation_m, round(radius_m + MARGIN_M, 3))
-        clearance_m = max(TrajectoryLimits().clearance_m, round(radius_m + CLEARANCE_M, 3))
-        data = _with_default(data, ("mapping", "inflation_m"), inflation_m)
-        return _with_default(data, ("tasks", "trajectory", "clearance_m"), clearance_m)
+    def _wide_as_the_robot(cls, section: Any, info: ValidationInfo) -> Any:
+        """Inflate obstacles by more around a wider robot, and keep its trajectories farther from
+        them, where `mapping.inflation_m` and `tasks.trajectory.clearance_m` are not set.
+
+        The robot comes before both sections, so that its radius is already a number here, however
+        the file writes it.
+        """
+        robot = info.data.get("robot")
+        if robot is None:  # it is at fault itself
+            return section
+        if info.field_name == "mapping":
+            inflation_m = max(Mapping().inflation_m, round(robot.radius_m + MARGIN_M, 3))
+            return _with_default(section, ("inflation_m",), inflation_m)
+        clearance_m = max(TrajectoryLimits().clearance_m, round(robot.radius_m + CLEARANCE_M, 3))
+        return _with_default(section, ("trajectory", "clearance_m"), clearance_m)
 
     @property
     def robot_name(self) -> str:
@@ -152,20 +155,21 @@ def parse(data: dict[str, Any], path: str = "<defaults>") -> Config:
         # An empty section, so that its fault is the key that it lacks.
         config = Config.model_validate({"perception": {}, **data, "path": path})
     except ValidationError as error:
-        raise ConfigError("\n".join(explain(f, path, Config) for f in error.errors())) from None
+        raise ConfigError(explain_all(error, path, Config)) from None
     config.check_policy()
     return config
 
 
-def _with_default(data: dict[str, Any], path: tuple[str, ...], value: float) -> dict[str, Any]:
-    """The data with a value where nothing is set there; as they are where a section is none."""
+def _with_default(section: Any, path: tuple[str, ...], value: float) -> Any:
+    """Return the section with a value where none is set there; what is no section as it is."""
+    if isinstance(section, Section):
+        section = {name: getattr(section, name) for name in section.model_fields_set}
+    if not isinstance(section, dict):
+        return section
     key, *rest = path
-    if not rest:
-        return {key: value, **data}
-    below = data.get(key) or {}
-    if not isinstance(below, dict):
-        return data
-    return {**data, key: _with_default(below, tuple(rest), value)}
+    if rest:
+        return {**section, key: _with_default(section.get(key, {}), tuple(rest), value)}
+    return {key: value, **section}
 
 
 def _override(data: dict[str, Any], environ: dict[str, str] | os._Environ[str]) -> None:
@@ -181,6 +185,5 @@ def _override(data: dict[str, Any], environ: dict[str, str] | os._Environ[str]) 
         try:
             node[leaf] = parse_yaml(environ[key])
         except ValueError:
-            raise ConfigError(
-                f"environment {key}: not a YAML value: {without_secrets(environ[key])!r:.80}"
-            ) from None
+            shown = bounded_repr(without_secrets(environ[key]))
+            raise ConfigError(f"environment {key}: not a YAML value: {shown}") from None

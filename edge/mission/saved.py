@@ -17,7 +17,7 @@ from edge.errors import UserError
 from edge.mission.automaton import NOTHING
 from edge.mission.ltl import parse, propositions
 from edge.mission.sealed import Sealed
-from edge.text import one_line
+from edge.text import bounded_repr, one_line
 
 VERSION = 2
 MAX_BYTES = 8 << 20
@@ -106,9 +106,9 @@ def _check(body: bytes) -> Saved:
     for name in ("word", "reached", "failed", "detected"):
         unknown = set(getattr(saved, name)) - letters - ({NOTHING} if name == "word" else set())
         if unknown:
-            raise ValueError(f"{name}: {min(unknown)!r:.60} is not in the formula")
+            raise ValueError(f"{name}: {bounded_repr(min(unknown), 60)} is not in the formula")
     if saved.target is not None and saved.target not in letters:
-        raise ValueError(f"target: {saved.target!r:.60} is not in the formula")
+        raise ValueError(f"target: {bounded_repr(saved.target, 60)} is not in the formula")
     return saved
 
 

@@ -30,10 +30,12 @@ from edge.policies.base import Similarity
 from edge.tasks.legs import Leg
 from edge.tasks.refine import Refined
 from edge.tasks.write import Round
-from edge.text import without_secrets
+from edge.text import read_json, without_secrets
 from edge.types import ContextBoxes, Detections, Goal, GoalStatus, Observation
 
 FORMAT, VERSION = "edge-recording", 1
+MAX_VALUES = 1 << 20
+"""Most values of one message; arrays are one each."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def decode_page(payload: bytes) -> Page:
     Raises:
         Exception: it did not, whichever comes of that.
     """
-    page = json.loads(payload)
+    page = read_json(payload, MAX_VALUES)
     entries = []
     for entry in page["entries"]:
         n, kind = entry.pop("n"), entry.pop("kind")
@@ -97,10 +99,11 @@ def _said(said: dict[str, Any] | None) -> dict[str, Any] | None:
         return None
     if not {"target", "phase", "goal", "sent"} <= said.keys():
         raise ValueError(f"said only {list(said)}")
-    for goal in (said["goal"] or _NOWHERE, *said["sent"]):
-        if not _NOWHERE.keys() <= goal.keys() or len([float(v) for v in goal["pose"]]) != 3:
+    for goal in (said["goal"] or dict(_NOWHERE), *said["sent"]):
+        if not _NOWHERE.keys() <= goal.keys() or len(goal["pose"]) != 3:
             raise ValueError("not a goal")
-        float(goal["score"])
+        goal["pose"] = [float(v) for v in goal["pose"]]
+        goal["score"] = float(goal["score"])
     return said
 
 

@@ -30,7 +30,7 @@ from edge.geometry import CameraModel
 from edge.sources.messages import CameraInfo, DepthImage, Frame, Image, WrongSizeError
 from edge.sources.streams import KEPT
 from edge.sources.zenoh import ZenohSource
-from edge.text import one_line, read_json_object
+from edge.text import bounded_repr, one_line, read_json_object
 
 if TYPE_CHECKING:
     import zmq
@@ -71,10 +71,14 @@ def parse_header(data: bytes, n_bytes: int) -> Header:
         names = ", ".join(_FIELDS)
         raise ValueError(f"unknown {one_line(min(unknown), 40)!r} (there are {names})")
     topic, encoding = said.get("topic"), said.get("encoding")
-    if topic not in _FRAMES:
-        raise ValueError(f"topic: unknown {topic!r:.40} (choices: {', '.join(_FRAMES)})")
-    if encoding not in _BYTES_PX:
-        raise ValueError(f"encoding: unknown {encoding!r:.40} (choices: {', '.join(_BYTES_PX)})")
+    if not isinstance(topic, str) or topic not in _FRAMES:
+        raise ValueError(
+            f"topic: unknown {bounded_repr(topic, 40)} (choices: {', '.join(_FRAMES)})"
+        )
+    if not isinstance(encoding, str) or encoding not in _BYTES_PX:
+        raise ValueError(
+            f"encoding: unknown {bounded_repr(encoding, 40)} (choices: {', '.join(_BYTES_PX)})"
+        )
     stamp_ns, height, width = (_whole(said, name) for name in ("stamp", "height", "width"))
     step = width * _BYTES_PX[encoding]
     if height * step != n_bytes:
@@ -86,7 +90,7 @@ def parse_header(data: bytes, n_bytes: int) -> Header:
 def _whole(said: dict[str, Any], name: str) -> int:
     value = said.get(name)
     if type(value) is not int or not 0 <= value < 1 << 63:
-        raise ValueError(f"{name}: expected a whole number, got {value!r:.40}")
+        raise ValueError(f"{name}: expected a whole number, got {bounded_repr(value, 40)}")
     return value
 
 
@@ -96,7 +100,9 @@ def _camera(intrinsics: object, width: int, height: int) -> CameraModel | None:
         return None
     is_four = isinstance(intrinsics, list) and len(intrinsics) == 4
     if not is_four or not all(type(v) in (int, float) and abs(v) <= _MOST_PX for v in intrinsics):
-        raise ValueError(f"intrinsics: expected [fx, fy, cx, cy] in px, got {intrinsics!r:.40}")
+        raise ValueError(
+            f"intrinsics: expected [fx, fy, cx, cy] in px, got {bounded_repr(intrinsics, 40)}"
+        )
     return CameraModel(width, height, *map(float, intrinsics))
 
 

@@ -84,6 +84,8 @@ def names(*cases):
     ("no_such_module:A", {}, "kind: 'no_such_module:A': ModuleNotFoundError: .* PYTHONPATH"),
     ("edge.sources:Nothing", {}, "kind: 'edge.sources:Nothing': AttributeError"),
     ("math:pi", {}, "kind: math:pi is no source: 3.14.* is not a callable object"),
+    ("subprocess:Popen", {"args": ["false"]}, r"kind: .* is no source: it has no close\(\)"),
+    ("os:system", {"command": "false"}, "kind: os:system is no source: it is no class"),
     ("builtins:dict", {}, "kind: builtins:dict is no source: no signature found"),
     (f"{__name__}:Mine", {}, "options: missing a required argument: 'rate_hz'"),
 )

@@ -116,6 +116,8 @@ BAD = [
     (({**RGB, "stamp": 0.5}, b""), "stamp: expected a whole number, got 0.5"),
     (({**RGB, "topic": "odom"}, b""), r"topic: unknown 'odom' \(choices: camera/rgb, camera/depth"),
     (({**RGB, "encoding": "jpeg"}, b""), r"encoding: unknown 'jpeg' \(choices: rgb8"),
+    (({**RGB, "topic": []}, b""), r"topic: unknown \[\] \(choices"),
+    (({**RGB, "encoding": {}}, b""), r"encoding: unknown \{\} \(choices"),
     (({**RGB, "topc": 1}, b""), r"unknown 'topc' \(there are topic, stamp"),
     (({**RGB, "intrinsics": [1, 2]}, b"\0" * 1536), r"intrinsics: expected \[fx, fy, cx, cy\]"),
     (({**RGB, "intrinsics": [10**400] * 4}, b"\0" * 1536), r"intrinsics: expected"),

@@ -170,7 +170,9 @@ def _own_chain(config: Config, own: ChainOwn, words: tuple[str, ...]) -> Chain:
     where = f"{config.path}: tasks.chain"
     given: dict[str, Any] = {"perception": config.perception, "words": words}
     needs = ("tags", "boxes", "masks", "captions", "embeddings")
-    make = find_named("chain", own.kind, own.options, {}, where, needs, tuple(given))
+    make = find_named(
+        "chain", own.kind, own.options, {}, where, needs, tuple(given), functions=True
+    )
     made = make(**given)
 
     def guarded(name: str) -> Callable[..., Any] | None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import yaml
 
+from edge.config.yaml_text import parse_yaml
 from edge.errors import UserError
 from edge.host import machine, resources
 from edge.host.files import save
@@ -165,7 +166,7 @@ def update_cards(report: Report) -> Iterator[Path]:
 def _update_card(path: Path, report: Report, rows: list[dict[str, Any]]) -> None:
     """The card keeps its remarks at the top and the order of its keys."""
     text = path.read_text(encoding="utf-8")
-    card = yaml.safe_load(text)
+    card = parse_yaml(text)
     for row in rows:
         key = f"{row['on']} of {machine.short_name(report['machine'], row['gpu'])}"
         card["measured"] = {**card.get("measured", {}), key: card_figures(report, row)}
