@@ -22,6 +22,20 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
+def is_free(host: str, port: int) -> bool:
+    """Return whether a server could listen at this address now."""
+    try:
+        family, kind, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as probe:
+            # As servers do: a connection that was just closed keeps no port.
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+            probe.listen()  # two sockets may be bound so, one may listen
+    except (OSError, UnicodeError):  # UnicodeError: a label that no host name may have
+        return False
+    return True
+
+
 def free_port() -> int:
     """A TCP port of 127.0.0.1 that nobody listens on now.
 
