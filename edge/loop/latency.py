@@ -139,7 +139,8 @@ class LatencyReport:
         limit = self.limit
         header = ("stage", "n", "p50", "p95", "p99", "max", limit, "over", "drops", f"p95/{limit}")
         lines = [_line(header)]
-        lines += [f"{_line(_cells(row))} {row.verdict}" for row in self.rows]
+        for row in self.rows:
+            lines.append(_line(_cells(row)) + ("" if row.budget_ms is None else f" {row.verdict}"))
         lines.insert(-1, "-" * len(lines[0]))
         lines.append(
             f"times in ms; tick deadline {self.deadline_ms:g} ms missed "
