@@ -45,8 +45,8 @@ class Swapper:
     """Swaps the worker's detector; `request`, `step` and `close` are for the loop's thread.
 
     Args:
-        tell: called with a line for everything that happens, the loop's time, and, where a model was
-            refused or rolled back, the log's level for it.
+        tell: called with a line for everything that happens, the loop's time, and the log's level
+            for it where a model was refused or rolled back.
         make: makes the new detector.
         clock: seconds, for `load_timeout_s`.
 
