@@ -20,6 +20,7 @@ from edge.bus.presence import Presence
 from edge.bus.requests import RequestServer
 from edge.bus.session import ENVELOPE_BYTES, zenoh_session
 from edge.config import Config
+from edge.config.environment import READ, is_ours
 from edge.errors import UserError
 from edge.host import calibration, resources
 from edge.host.children import python_module
@@ -98,7 +99,7 @@ def open_service(
     """
     stop = stop or threading.Event()
     make_source, make_sinks = find_source(config), find_sinks(config)
-    make_policy = find_policy(config.policy, config.path)
+    make_policy = find_policy(config.policy, config.origin("policy"))
     with ExitStack() as stack:
         mission, keeper, brief = config.mission, None, None
         if mission.checkpoint is not None:
@@ -211,7 +212,7 @@ def children(
     """`edge COMMAND` processes with this configuration; they end with the block.
 
     A child gets the whole configuration in a file, since the environment's overrides and `--target`
-    are already in it.
+    are already in it. Variables of the environment that nothing reads were told of here.
 
     Args:
         stop: set when a child ends before the block does: there is nothing to go on with.
@@ -219,7 +220,9 @@ def children(
     Raises:
         UserError: a child could not be started, or ended by itself.
     """
-    environ = {k: v for k, v in os.environ.items() if not k.startswith("EDGE__")}
+    environ = {
+        name: value for name, value in os.environ.items() if not is_ours(name) or name in READ
+    }
     started: list[subprocess.Popen[bytes]] = []
     with _in_memory(config) as file:
         path = f"/proc/self/fd/{file.fileno()}"

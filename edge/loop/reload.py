@@ -196,7 +196,7 @@ def _prepare(present: Config, new: Config, running: str) -> _Ready:
     policy = None
     if new.policy != present.policy:
         warm_policy(new)
-        policy = make_policy(new.policy, new.path)
+        policy = make_policy(new.policy, new.origin("policy"))
     model = _model(present.perception, new.perception, running)
     return _Ready(new, changed, policy, running, model)
 

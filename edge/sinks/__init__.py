@@ -29,8 +29,6 @@ def find_sinks(config: Config) -> list[Callable[..., Sink]]:
     """
     needs, given = ("tick()", "close()"), ("config", "session")
     return [
-        find_named(
-            "sink", sink.kind, sink.options, REGISTRY, f"{config.path}: sinks.{i}", needs, given
-        )
+        find_named("sink", sink.kind, sink.options, REGISTRY, config.at(f"sinks.{i}"), needs, given)
         for i, sink in enumerate(config.sinks)
     ]
