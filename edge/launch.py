@@ -220,9 +220,7 @@ def children(
     Raises:
         UserError: a child could not be started, or ended by itself.
     """
-    environ = {
-        name: value for name, value in os.environ.items() if not is_ours(name) or name in READ
-    }
+    environ = {k: v for k, v in os.environ.items() if k in READ or not is_ours(k)}
     started: list[subprocess.Popen[bytes]] = []
     with _in_memory(config) as file:
         path = f"/proc/self/fd/{file.fileno()}"

@@ -394,11 +394,9 @@ def test_who_set_a_key_makes_no_other_configuration(write):
 
 
 def test_variables_that_nothing_reads_are_told_of_once(write, caplog):
-    environ = {
-        "EDGE_FOO": "1", "EDGE_POLICY__KIND": "hvl", "edge__loop__hz": "3", "EDGE_VOCABULARIES": "x",
-        "EDGE_CACHE_DIR": "x", "EDGE_VOCABULARY": "x", "EDGE_TRUST_CACHE": "1", "EDGE__LOOP__HZ": "3",
-        "KNOWLEDGE_BASE": "x", "LEDGER__A": "x",
-    }  # fmt: skip
+    unread = ("EDGE_FOO", "EDGE_POLICY__KIND", "edge__loop__hz", "EDGE_VOCABULARIES")
+    read = ("EDGE_CACHE_DIR", "EDGE_VOCABULARY", "EDGE_TRUST_CACHE", "EDGE__LOOP__HZ")
+    environ = dict.fromkeys((*unread, *read, "KNOWLEDGE_BASE", "LEDGER__A"), "3")
     for _ in range(2):
         load(write(yaml.safe_dump(SIM)), environ)
     assert [record.getMessage() for record in caplog.records] == [
