@@ -42,6 +42,7 @@ from edge.perception.masks.masker import make_masker
 from edge.perception.sim_detector import TruthAt
 from edge.perception.worker import DetectorWorker
 from edge.policies import find_policy
+from edge.preflight import check
 from edge.sinks import find_sinks
 from edge.sources import find_source
 from edge.sources.truth import make_truth
@@ -98,6 +99,7 @@ def open_service(
         BusError: the endpoint cannot be listened on, or another service has the prefix.
     """
     stop = stop or threading.Event()
+    check(config)
     make_source, make_sinks = find_source(config), find_sinks(config)
     make_policy = find_policy(config.policy, config.origin("policy"))
     with ExitStack() as stack:
@@ -125,6 +127,12 @@ def open_service(
         presence = Presence(session, config.zenoh)
         stack.callback(presence.close)
         policy = unless_stopped(make_policy, stop)
+        # Made before what takes long: a port may be taken, and one's own may fail.
+        every = [*(make(config=config, session=session) for make in make_sinks), *sinks]
+        for sink in every:
+            stack.callback(sink.close)
+        source = make_source(config=config, session=session)
+        stack.callback(source.close)
         lockstep = config.loop.lockstep
         masker = unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
         progress("loading the detector")
@@ -137,11 +145,6 @@ def open_service(
             stack.callback(scorers.close)
         unless_stopped(partial(warm_up, config, progress), stop)
         raise_if_stopped(stop)
-        source = make_source(config=config, session=session)
-        stack.callback(source.close)
-        every = [*(make(config=config, session=session) for make in make_sinks), *sinks]
-        for sink in every:
-            stack.callback(sink.close)
         servers: dict[str, RequestServer] = {}
 
         def overruns() -> dict[str, int]:

@@ -26,6 +26,7 @@ LAYERS = (
     ("recording",),
     ("sources", "sinks", "report", "ros2_adapter", "fleet"),
     ("live",),
+    ("preflight",),
     ("launch",),
     ("sim",),
     ("eval",),

@@ -26,11 +26,10 @@ import zenoh
 from edge.config.loop import KEY_IN_ENDPOINT
 from edge.errors import ConfigError
 from edge.host.credentials import handed_over, open_to_others
-from edge.host.ports import is_loopback
+from edge.host.ports import MOST_PORT, is_loopback
 from edge.text import one_line
 
 BLOCKED_S = 1.0
-MOST_PORT = 65535
 TLS = "transport/link/tls"
 
 # Whoever connects and says nothing holds one of Zenoh's places for connections that are not yet

@@ -163,7 +163,12 @@ def _config(args: argparse.Namespace) -> int:
 
     if args.schema:
         print(json.dumps(Config.model_json_schema(), indent=2))
-    else:
-        shown = without_secrets(load_config(args).model_dump(mode="json"))
-        print(json.dumps(shown, indent=2, ensure_ascii=False))
+        return 0
+    config = load_config(args)
+    shown = without_secrets(config.model_dump(mode="json"))
+    print(json.dumps(shown, indent=2, ensure_ascii=False))
+    from edge.preflight import check, check_mission
+
+    check(config)
+    check_mission(config)
     return 0

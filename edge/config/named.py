@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from operator import attrgetter
+from types import MappingProxyType
 from typing import Any
 
 from edge.errors import ConfigError, UserError
@@ -20,16 +21,20 @@ def find_named(
     where: str,
     needs: Sequence[str],
     given: Sequence[str] = (),
+    known: Mapping[str, Any] = MappingProxyType({}),
 ) -> Callable[..., Any]:
     """What makes the part of a name: called with all that is `given`, by name.
 
     The part's class is called with the options, and with what it has a parameter for of `given`.
+    Its method `check_options`, if it has one, is called at once, with the options and with what
+    that has a parameter for of `known`. It refuses what is wrong before anything is opened.
 
     Args:
         what: the part is, such as `sink`, for errors.
         registry: short name → `module:Class`, imported only where it is named.
         where: of the part's section, file and key, for errors.
         needs: what the part must have; methods end with `()`.
+        known: what is there already of `given`.
 
     Raises:
         ConfigError: there is no such class, or an option is missing or unknown. Calling what is
@@ -45,6 +50,15 @@ def find_named(
         signature.bind(**dict.fromkeys(takes), **options)
     except TypeError as error:
         raise ConfigError(f"{where}.options: {one_line(error)}") from None
+
+    if (check := getattr(make, "check_options", None)) is not None:
+        takes_known = inspect.signature(check).parameters.keys() & known.keys()
+        try:
+            check(**{name: known[name] for name in takes_known}, **options)
+        except UserError:
+            raise
+        except Exception as error:
+            raise ConfigError(f"{where}.options: {kind}: {_said(error)}") from None
 
     def make_named(**parts: Any) -> Any:
         try:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 EPHEMERAL = Path("/proc/sys/net/ipv4/ip_local_port_range")
 FIRST = 20_000
+MOST_PORT = 65_535
 
 _USUAL_EPHEMERAL = 32_768
 _TRIES = 100

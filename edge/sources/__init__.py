@@ -39,4 +39,5 @@ def find_source(config: Config) -> Callable[..., Source]:
     """
     kind, options, where = config.source.kind, config.source.options, config.at("source")
     given = ("config", "session")
-    return find_named("source", kind, options, REGISTRY, where, NEEDS, given)
+    known = {"config": config}
+    return find_named("source", kind, options, REGISTRY, where, NEEDS, given, known)
