@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
+from typing import NamedTuple
 
 from edge.bus.session import check_settings
 from edge.chat import ChatError, client_of
@@ -61,7 +62,7 @@ def check(config: Config) -> None:
         UserError: one line for each fault; the exit code is that of the first.
     """
     faults: list[UserError] = []
-    for part in (*_PARTS, *_models(config)):
+    for part in (*_PARTS, *(partial(_model, model) for model in named_models(config))):
         try:
             part(config)
         except UserError as error:
@@ -131,48 +132,57 @@ def _tasks(config: Config) -> None:
         script.version()
 
 
-_PARTS: tuple[Callable[[Config], object], ...] = (
-    find_source, find_sinks, _policy, _planner, _bus, _http, _translator, _choice, _tasks,
-)  # fmt: skip
+CLASSES: tuple[Callable[[Config], object], ...] = (find_source, find_sinks, _policy, _planner)
+"""Check that the classes that a configuration names are there, and take its options."""
+_PARTS = (*CLASSES, _bus, _http, _translator, _choice, _tasks)
 
 
-def _models(config: Config) -> Iterator[Callable[[Config], None]]:
-    """Yield a check for each model that the configuration names."""
+class NamedModel(NamedTuple):
+    """A model that a configuration names.
+
+    Attributes:
+        key: that names it.
+        name: of its card.
+        kind: of its card.
+        providers: that it is to run on.
+    """
+
+    key: str
+    name: str
+    kind: type[Card]
+    providers: Sequence[str]
+
+
+def named_models(config: Config) -> Iterator[NamedModel]:
+    """Yield each model that the configuration's perception names."""
     perception = config.perception
     detector, segmenter, choice = perception.detector, perception.segmenter, perception.choice
     providers: Sequence[str] = CPU_ALONE
     if isinstance(detector, DetectorOnnx):
         providers = detector.providers
-        key = "perception.detector.model"
-        yield partial(_model, key, detector.model, DetectCard, providers)
+        yield NamedModel("perception.detector.model", detector.model, DetectCard, providers)
     for i, rung in enumerate(perception.governor.ladder):
         if rung.model is not None:
             key = f"perception.governor.ladder.{i}.model"
-            yield partial(_model, key, rung.model, DetectCard, providers)
+            yield NamedModel(key, rung.model, DetectCard, providers)
     if isinstance(segmenter, SegmenterOnnx):
         key = "perception.segmenter.model"
-        yield partial(_model, key, segmenter.model, SegmentCard, segmenter.providers)
+        yield NamedModel(key, segmenter.model, SegmentCard, segmenter.providers)
     if perception.similarity is not None:
-        key = "perception.similarity"
-        yield partial(_model, key, perception.similarity, SimilarityCard, providers)
+        yield NamedModel("perception.similarity", perception.similarity, SimilarityCard, providers)
     if isinstance(choice, ChoiceOnnx):
-        key = "perception.choice.card"
-        yield partial(_model, key, choice.card, ChoiceCard, choice.providers)
+        yield NamedModel("perception.choice.card", choice.card, ChoiceCard, choice.providers)
 
 
-def _model(key: str, name: str, kind: type[Card], providers: Sequence[str], config: Config) -> None:
-    """Check the card that a key names and the cards that it names, their files and packages.
-
-    Args:
-        kind: of the card.
-        providers: that the model is to run on.
-    """
-    with _about(config, key):
-        cards = list(_cards(config, name, kind))
+def _model(model: NamedModel, config: Config) -> None:
+    """Check a model's card and the cards that it names, their files and packages."""
+    with _about(config, model.key):
+        cards = list(_cards(config, model.name, model.kind))
     if any(file.server is None for card in cards for file in card.files):
         # A model in a process of its own keeps onnxruntime out of this one.
-        look = config.perception.isolation == "thread" and tuple(providers) != CPU_ALONE
-        check_providers(providers, f"{key.rpartition('.')[0]}.providers", look)
+        isolated = config.perception.isolation == "process"
+        look = not isolated and tuple(model.providers) != CPU_ALONE
+        check_providers(model.providers, f"{model.key.rpartition('.')[0]}.providers", look)
 
 
 def _cards(config: Config, name: str, kind: type[Card]) -> Iterator[Card]:
