@@ -42,7 +42,6 @@ from edge.perception.masks.masker import make_masker
 from edge.perception.sim_detector import TruthAt
 from edge.perception.worker import DetectorWorker
 from edge.policies import find_policy
-from edge.preflight import check
 from edge.sinks import find_sinks
 from edge.sources import find_source
 from edge.sources.truth import make_truth
@@ -99,7 +98,6 @@ def open_service(
         BusError: the endpoint cannot be listened on, or another service has the prefix.
     """
     stop = stop or threading.Event()
-    check(config)
     make_source, make_sinks = find_source(config), find_sinks(config)
     make_policy = find_policy(config.policy, config.origin("policy"))
     with ExitStack() as stack:

@@ -26,7 +26,6 @@ LAYERS = (
     ("recording",),
     ("sources", "sinks", "report", "ros2_adapter", "fleet"),
     ("live",),
-    ("preflight",),
     ("launch",),
     ("sim",),
     ("eval",),

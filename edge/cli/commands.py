@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from edge.cli.console import ConsoleSink
+from edge.cli.preflight import check
 from edge.config import Config, Http
 from edge.errors import FAILED, Stopped
 from edge.host.credentials import read_token
@@ -63,15 +64,18 @@ def run_service(
         reload: None: the configuration stays.
 
     Raises:
-        UserError: no report can be written there (said before the run).
+        UserError: no report can be written there, or something that the configuration names is not
+            here (said before the run).
         Stopped: `stop` was set before the service was ready.
     """
-    _prepare(report)
+    _prepare(config, report)
     code = _conclude(_serve(config, stop, once, asked, formula, task, reload), report)
     return code if once else os.EX_OK
 
 
-def _prepare(report: str | None) -> None:
+def _prepare(config: Config, report: str | None) -> None:
+    """Refuse what cannot be run with, and a report that cannot be written."""
+    check(config)
     if report is not None:
         from edge.report.page import prepare
 
@@ -191,7 +195,7 @@ def run_demo(
         port = live or config.http.port or _live_port(config.http.host)
         http = config.http.model_copy(update={"port": port})
         config = config.model_copy(update={"http": http})
-    _prepare(report)
+    _prepare(config, report)
     record = None
     try:
         started = children(config, stop, ("sim", "--no-motion"), ("motion",))

@@ -33,13 +33,13 @@ from edge.cli.machine_checks import (
     check_speed,
 )
 from edge.cli.onnx_probe import CPU, probe
+from edge.cli.preflight import CLASSES, named_models
 from edge.config import Config, load
 from edge.errors import UserError
 from edge.host import resources
 from edge.perception.backends import cuda, tensorrt
 from edge.perception.backends.runtime import TENSORRT
 from edge.perception.card_types import ChoiceCard, FileCard
-from edge.preflight import CLASSES, named_models
 from edge.text import one_line, without_secrets
 
 LOOPBACK_S = 5.0

@@ -167,7 +167,7 @@ def _config(args: argparse.Namespace) -> int:
     config = load_config(args)
     shown = without_secrets(config.model_dump(mode="json"))
     print(json.dumps(shown, indent=2, ensure_ascii=False))
-    from edge.preflight import check, check_mission
+    from edge.cli.preflight import check, check_mission
 
     check(config)
     check_mission(config)

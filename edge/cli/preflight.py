@@ -1,8 +1,8 @@
 """Checks a configuration against this installation, before anything is loaded or compiled.
 
-The service starts with it, and `edge config` ends with it, so that both refuse the same with the
-same lines. Nothing is opened and nobody is asked: ports, servers and what a model's file holds are
-found out when the service opens them, which is before it compiles its kernels.
+`edge run` and `edge demo` start with it, and `edge config` ends with it, so that all refuse the
+same with the same lines. Nothing is opened and nobody is asked: ports, servers and what a model's
+file holds are found out when the service opens them, which is before it compiles its kernels.
 """
 
 from __future__ import annotations

@@ -11,10 +11,10 @@ from simulated import simulated
 
 from edge import launch
 from edge.cli.main import main
+from edge.cli.preflight import check, check_mission
 from edge.config import Config
 from edge.errors import UserError
 from edge.launch import open_service
-from edge.preflight import check, check_mission
 
 ONNX = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu"}
 CAMERA = {"kind": "zmq", "options": {"address": "tcp/127.0.0.1:5555"}}
