@@ -18,6 +18,7 @@ _URL = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]{0,31}://)(?:[^\s/?#]*@)?([^\s?#]*)(?
 _LOCATOR = re.compile(
     r"(?<![\w/])((?:tcp|udp|tls|quic|ws|serial|vsock|unixpipe|unixsock-stream)/)([^\s?#]*)[?#]\S*"
 )
+_BREAK = re.compile(r" *[^\S ]\s*")  # any white space but single-line spaces
 _SECRET_KEY = re.compile(
     r"(pass(word|wd|phrase)?|secret|token|api_?key|private_key)$", re.IGNORECASE
 )
@@ -83,10 +84,14 @@ def _repr_pieces(value: Any, limit: int) -> Iterator[str]:
 def shorten(text: str, length: int) -> str:
     """Printable text of at most `length` characters, its spaces kept; what does not print is `�`.
 
+    A line break and the spaces around it become one space: an instruction may have several lines.
+
     >>> shorten("tall white trash can", 10)
     'tall whit…'
+    >>> shorten("go to the bed,\\n    then  to the tv", 40)
+    'go to the bed, then  to the tv'
     """
-    text = "".join(c if c.isprintable() else "�" for c in text)
+    text = "".join(c if c.isprintable() else "�" for c in _BREAK.sub(" ", text))
     return text if len(text) <= length else f"{text[: length - 1]}…"
 
 

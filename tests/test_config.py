@@ -443,6 +443,64 @@ def test_a_wrong_override_is_an_error(write, environ, says):
         load(write(""), environ)
 
 
+BY = "environment EDGE__"
+
+
+@pytest.mark.parametrize(
+    ("environ", "named"),
+    [
+        ({"LOOP__HZ": "fast"}, f"{BY}LOOP__HZ: loop.hz: input should be a valid number"),
+        ({"POLICY": "{kind: hvll}"}, f"{BY}POLICY: policy.kind: unknown 'hvll'"),
+        ({"POLICY__KIND": "hvll"}, f"{BY}POLICY__KIND: policy.kind: unknown 'hvll'"),
+        ({"MISION__TARGET": "bed"}, f"{BY}MISION__TARGET: mision: unknown key (did you mean"),
+        ({"ROBOT__RADIUS": "1"}, f"{BY}ROBOT__RADIUS: robot.radius: unknown key"),
+        ({"SINKS": "[{knd: a}]"}, f"{BY}SINKS: sinks.0.kind: missing"),
+        # The file and the environment are at fault together.
+        ({"SIM__WORLD__KIND": "mesh"}, f"FILE, {BY}SIM__WORLD__KIND: sim.world.mesh: missing"),
+        ({"POLICY__KIND": "vlfm"}, f"{BY}POLICY__KIND, FILE: policy.kind: vlfm goes by"),
+        (
+            {"POLICY": "{kind: adaptive, by: prior}", "PERCEPTION__PRIOR": "none"},
+            f"{BY}POLICY, {BY}PERCEPTION__PRIOR: policy.by: prior: there is no prior",
+        ),
+        ({"ROBOT__NAME": "a"}, "FILE: robot.radius_m: "),
+    ],
+)
+def test_an_error_names_what_set_the_key(write, environ, named):
+    """Not the file, whose user would look there in vain."""
+    broken = "ROBOT__NAME" in environ
+    robot = {"robot": {"radius_m": "wide"}} if broken else {}
+    path = write(yaml.safe_dump({**SIM, **robot}))
+    with pytest.raises(ConfigError) as error:
+        load(path, {f"EDGE__{key}": value for key, value in environ.items()})
+    assert str(error.value).splitlines()[0].startswith(named.replace("FILE", path))
+
+
+def test_the_command_line_is_named_where_it_set_the_key(write):
+    path, environ = write(yaml.safe_dump(SIM)), {"EDGE__MISSION__TARGET": '""'}
+    with pytest.raises(ConfigError, match=r"^--target: mission\.target: "):
+        load(path, environ, {"EDGE__MISSION__TARGET": "--target"})
+
+
+def test_who_set_a_key_makes_no_other_configuration(write):
+    by_file = load(write(yaml.safe_dump({**SIM, "loop": {"hz": 10}})), {})
+    by_environment = load(write(yaml.safe_dump(SIM)), {"EDGE__LOOP__HZ": "10"})
+    assert by_environment == by_file
+
+
+def test_variables_that_nothing_reads_are_told_of_once(write, caplog):
+    unread = ("EDGE_FOO", "EDGE_POLICY__KIND", "edge__loop__hz", "EDGE_VOCABULARIES")
+    read = ("EDGE_CACHE_DIR", "EDGE_VOCABULARY", "EDGE_TRUST_CACHE", "EDGE__LOOP__HZ")
+    environ = dict.fromkeys((*unread, *read, "KNOWLEDGE_BASE", "LEDGER__A"), "3")
+    for _ in range(2):
+        load(write(yaml.safe_dump(SIM)), environ)
+    assert [record.getMessage() for record in caplog.records] == [
+        "environment EDGE_FOO: nothing reads it (keys are set by EDGE__SECTION__KEY)",
+        "environment EDGE_POLICY__KIND: nothing reads it (did you mean EDGE__POLICY__KIND?)",
+        "environment EDGE_VOCABULARIES: nothing reads it (did you mean EDGE_VOCABULARY?)",
+        "environment edge__loop__hz: nothing reads it (did you mean EDGE__LOOP__HZ?)",
+    ]
+
+
 def test_the_process_environment_is_the_default(write, monkeypatch):
     monkeypatch.setenv("EDGE__MISSION__TARGET", "lamp")
     assert load(write(yaml.safe_dump(SIM))).mission.target == "lamp"

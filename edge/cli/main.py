@@ -100,21 +100,26 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
     """
     from edge.config import load
 
-    environ = dict(os.environ)
+    environ, options = dict(os.environ), dict[str, str]()
+
+    def give(option: str, variable: str, value: object) -> None:
+        environ[variable], options[variable] = json.dumps(value), option
+
     if (target := getattr(args, "target", None)) is not None:
-        environ["EDGE__MISSION__TARGET"] = json.dumps(target)
-        environ["EDGE__MISSION__INSTRUCTION"] = "null"
+        give("--target", "EDGE__MISSION__TARGET", target)
+        give("--target", "EDGE__MISSION__INSTRUCTION", None)
     elif (instruction := getattr(args, "mission", None)) is not None:
-        environ["EDGE__MISSION__INSTRUCTION"] = json.dumps(instruction)
-        environ["EDGE__MISSION__READING"] = json.dumps(args.reading)  # no other instruction's
+        give("--mission", "EDGE__MISSION__INSTRUCTION", instruction)
+        give("--mission", "EDGE__MISSION__READING", args.reading)  # no other instruction's
     elif (reading := getattr(args, "reading", None)) is not None:
-        environ["EDGE__MISSION__READING"] = json.dumps(reading)
+        give("--reading", "EDGE__MISSION__READING", reading)
     if (policy := getattr(args, "policy", None)) is not None:
-        environ["EDGE__POLICY"] = json.dumps({"kind": policy})
+        give("--policy", "EDGE__POLICY", {"kind": policy})
         if args.config == "demo" and policy in _DEMO_SCORERS:
             key, scorer = _DEMO_SCORERS[policy]
-            environ.setdefault(key, json.dumps(scorer))
-    return load(args.config, environ)
+            if key not in environ:
+                give("--policy", key, scorer)
+    return load(args.config, environ, options)
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -158,7 +163,12 @@ def _config(args: argparse.Namespace) -> int:
 
     if args.schema:
         print(json.dumps(Config.model_json_schema(), indent=2))
-    else:
-        shown = without_secrets(load_config(args).model_dump(mode="json"))
-        print(json.dumps(shown, indent=2, ensure_ascii=False))
+        return 0
+    config = load_config(args)
+    shown = without_secrets(config.model_dump(mode="json"))
+    print(json.dumps(shown, indent=2, ensure_ascii=False))
+    from edge.cli.preflight import check, check_mission
+
+    check(config)
+    check_mission(config)
     return 0

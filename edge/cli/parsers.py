@@ -95,7 +95,10 @@ def _demo(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     text = "policy.kind; the configuration demo brings along what it goes by"
     demo.add_argument("--policy", metavar="KIND", help=text)
     demo.add_argument("--report", metavar="DIR", default="report", help="default: ./report")
-    text = "show a page of what happens, on this port (default: http.port, or a free one)"
+    text = (
+        "show a page of what happens until Ctrl-C, on this port (default: http.port, else 7480, or "
+        "a free one where that is taken)"
+    )
     demo.add_argument("--live", metavar="PORT", nargs="?", type=port, const=0, help=text)
     _trust(demo)
     return demo

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable
 from typing import Any, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -11,29 +12,41 @@ from edge.text import bounded_repr, one_line, without_secrets
 
 MOST_FAULTS = 20
 
+Origin = Callable[[str, tuple[str, ...]], str]
+"""Return what set a key, from the path of the file and the key's parts (`Origins.of`)."""
 
-def explain_all(error: ValidationError, path: str, root: type[BaseModel]) -> str:
+
+def _the_file(path: str, key: tuple[str, ...]) -> str:
+    return path
+
+
+def explain_all(
+    error: ValidationError, path: str, root: type[BaseModel], origin: Origin = _the_file
+) -> str:
     """Return a line for each fault, at most `MOST_FAULTS`, and one that counts the others."""
     faults = error.errors()
-    lines = [explain(fault, path, root) for fault in faults[:MOST_FAULTS]]
+    lines = [explain(fault, path, root, origin) for fault in faults[:MOST_FAULTS]]
     if len(faults) > MOST_FAULTS:
         lines.append(f"{path}: {len(faults) - MOST_FAULTS} more faults")
     return "\n".join(lines)
 
 
-def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
+def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _the_file) -> str:
     """One line for one fault of pydantic's list.
 
     Args:
         fault: as in `ValidationError.errors()`.
         path: of the file that was read.
         root: the model that was validated.
+        origin: names what set the key.
     """
     loc = [part for part in fault["loc"] if part != "[key]"]  # a fault of a key is told under it
     *sections, leaf = loc or ("",)
     shown, models = _walk(sections, root)
     key = one_line(".".join([*shown, str(leaf)])) or "it"
     kind, context = fault["type"], fault.get("ctx", {})
+    tag = ("kind",) if kind == "union_tag_invalid" else ()
+    path = origin(path, (*shown, str(leaf), *tag))
     given = without_secrets(fault.get("input"))
     if kind == "union_tag_invalid":
         choices = context["expected_tags"].replace("'", "")
@@ -90,11 +103,12 @@ def _walk(sections: list[Any], root: type[BaseModel]) -> tuple[list[str], list[A
         else:
             shown.append(part)
             fields = models[0].model_fields if models else {}
-            models = _models_in(fields[part].annotation) if part in fields else []
+            models = models_in(fields[part].annotation) if part in fields else []
     return shown, models
 
 
-def _models_in(annotation: Any) -> list[Any]:
+def models_in(annotation: Any) -> list[Any]:
+    """Return the models that a field's type is made of."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [m for arg in getattr(annotation, "__args__", ()) for m in _models_in(arg)]
+    return [m for arg in getattr(annotation, "__args__", ()) for m in models_in(arg)]

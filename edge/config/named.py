@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from operator import attrgetter
+from types import MappingProxyType
 from typing import Any
 
 from edge.errors import ConfigError, UserError
@@ -21,11 +22,14 @@ def find_named(
     needs: Sequence[str],
     given: Sequence[str] = (),
     functions: bool = False,
+    known: Mapping[str, Any] = MappingProxyType({}),
 ) -> Callable[..., Any]:
     """Return a function that makes the part of a name, from all that is `given`, by name.
 
     It calls the part's class with the options, and with what it has a parameter for of `given`. A
     class that lacks a method of `needs` is refused here, and never called: it may be any class.
+    Its method `check_options`, if it has one, is called at once, with the options and with what
+    that has a parameter for of `known`. It refuses what is wrong before anything is opened.
 
     Args:
         what: the part is, such as `sink`, for errors.
@@ -33,6 +37,7 @@ def find_named(
         where: of the part's section, file and key, for errors.
         needs: what the part must have; methods end with `()`.
         functions: take a function that makes the part, too.
+        known: what is there already of `given`.
 
     Raises:
         ConfigError: there is no such class, it is no such part, or an option is missing or unknown.
@@ -56,6 +61,15 @@ def find_named(
         signature.bind(**dict.fromkeys(takes), **options)
     except TypeError as error:
         raise ConfigError(f"{where}.options: {one_line(error)}") from None
+
+    if (check := getattr(make, "check_options", None)) is not None:
+        takes_known = inspect.signature(check).parameters.keys() & known.keys()
+        try:
+            check(**{name: known[name] for name in takes_known}, **options)
+        except UserError:
+            raise
+        except Exception as error:
+            raise ConfigError(f"{where}.options: {kind}: {_said(error)}") from None
 
     def make_named(**parts: Any) -> Any:
         try:

@@ -57,6 +57,10 @@ class Look:
         """By stage, of its row in the latency report."""
         return {row.name: value(row) for row in self.rows.stages}
 
+    def held(self, value: Callable[[Any], float]) -> dict[str, float]:
+        """Return the same of the stages that are held to a budget."""
+        return {row.name: value(row) for row in self.rows.stages if row.budget_ms is not None}
+
     def of_sinks(self, name: str) -> dict[str, int]:
         """By sink, of those that tell it as a number."""
         told = {sink: status.get(name) for sink, status in self.sinks.items()}
@@ -128,10 +132,11 @@ SERVICE: tuple[Metric[Look], ...] = (
     Metric("edge_stage_duration_seconds", "histogram",
            "Time that a stage took; detect runs beside the tick.",
            lambda s: s.histograms.stages, ("stage",)),
-    Metric("edge_stage_budget_seconds", "gauge", "What the 95th percentile should stay under.",
-           lambda s: s.stages(lambda row: _seconds(row.budget_ms)), ("stage",)),
+    Metric("edge_stage_budget_seconds", "gauge",
+           "What the 95th percentile should stay under; without a calibration only deadlines.",
+           lambda s: s.held(lambda row: _seconds(row.budget_ms)), ("stage",)),
     Metric("edge_stage_over_budget_total", "counter", "Runs of a stage over its budget.",
-           lambda s: s.stages(lambda row: row.overruns), ("stage",)),
+           lambda s: s.held(lambda row: row.overruns), ("stage",)),
     Metric("edge_stage_dropped_total", "counter",
            "What a stage let go: messages (ingest), images (detect), ticks that it failed in.",
            lambda s: s.stages(lambda row: row.drops), ("stage",)),

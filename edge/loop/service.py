@@ -496,9 +496,13 @@ class Service:
         if self.keeper is not None:
             self.keeper.places.jumped()
 
-    def event(self, text: str, now_ns: int) -> None:
-        """Tell log and sinks of something that a person would want to know."""
-        log.info(text)
+    def event(self, text: str, now_ns: int, level: int = logging.INFO) -> None:
+        """Tell log and sinks of something that a person would want to know.
+
+        Args:
+            level: of the log's line.
+        """
+        log.log(level, text)
         self._publisher.events.append(Event(now_ns, text))
 
     def _step_taken(self, step: Step) -> None:

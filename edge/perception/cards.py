@@ -139,6 +139,21 @@ def read_card(path: Path) -> Card:
     return card
 
 
+def check_here(card: Card) -> None:
+    """Refuse a card whose model has a file that is not here, unless a server has it.
+
+    Raises:
+        ModelError: it names the first such file and what to do.
+    """
+    for file in card.files:
+        if isinstance(file, ChoiceCard):
+            missing = [file.path_of(p) for p in file.parts if not os.path.isfile(file.path_of(p))]
+        else:
+            missing = [] if file.server is not None or file.is_here() else [file.path]
+        if missing:
+            raise ModelError(f"{missing[0]}: model {card.name} is not there; {how_to_get(file)}")
+
+
 def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
     """The model's file, sound as far as can be seen without running it.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from typing import Any
 
 import zenoh
 
@@ -13,7 +14,7 @@ from edge.geometry import SE2
 from edge.sources.decoder import KINDS, CdrDecoder
 from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.streams import KEPT
-from edge.sources.synchronizer import TimeSynchronizer
+from edge.sources.synchronizer import TimeSynchronizer, streams_of
 from edge.sources.tf import Frames
 from edge.types import Observation
 
@@ -41,6 +42,11 @@ class PolledSource(ABC):
         self._kept = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
         self._kept |= {topic: KEPT for topic, kind in KINDS.items() if kind.field in heard}
         """How many messages of each topic to keep between polls; odometry is drained first."""
+
+    @staticmethod
+    def check_options(config: Config, **options: Any) -> None:
+        """Refuse a configuration that no source could be made of; see `edge.config.named`."""
+        streams_of(config)
 
     @property
     def counters(self) -> dict[str, int]:

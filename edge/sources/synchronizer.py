@@ -55,7 +55,7 @@ def streams_of(config: Config) -> dict[str, Stream]:
     cloud_leads = config.mapping.input == "cloud"
     if lidar is None and (cloud_leads or perception.lift == "cloud"):
         key = "mapping.input" if cloud_leads else "perception.lift"
-        raise ConfigError(f"{config.path}: {key}: cloud needs sensors.lidar (where it is mounted)")
+        raise ConfigError(f"{config.at(key)}: cloud needs sensors.lidar (where it is mounted)")
     must = config.loop.lockstep or not cloud_leads
     half_frame_ns = int(0.5e9 / config.sensors.camera.rate_hz)
     streams = {}

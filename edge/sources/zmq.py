@@ -13,12 +13,14 @@ little-endian); `intrinsics`, in pixels, are needed once, and again when they ch
 from __future__ import annotations
 
 import logging
+import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import zenoh
@@ -27,6 +29,7 @@ from edge.bus import topics
 from edge.bus.wire import images
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
+from edge.host.interruptible import start_unjoined
 from edge.sources.messages import CameraInfo, DepthImage, Frame, Image, WrongSizeError
 from edge.sources.streams import KEPT
 from edge.sources.zenoh import ZenohSource
@@ -139,9 +142,23 @@ class ZmqSource(ZenohSource):
         self._clock = clock
         self._address = address
         self._look_s = 0.0
-        self._zmq, self._context, self._camera = _connect(config, address, self._max_bytes)
+        self.check_options(config, address)
+        self._zmq, self._context, self._camera = _socket(config, self._max_bytes)
+        # At the first poll: what came before would wait in queues, the camera's among them.
+        self._connected = False
+        start_unjoined("camera-name", _tell_of_no_address, address)
         self._hung_up = self._camera.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
         self._hung_up_told = False
+
+    @staticmethod
+    def check_options(config: Config, address: str, **options: Any) -> None:
+        """See `PolledSource.check_options`."""
+        ZenohSource.check_options(config)
+        _, context, camera = _socket(config, 0)
+        try:
+            _connect(config, camera, address)
+        finally:
+            context.destroy(linger=0)
 
     def close(self) -> None:
         super().close()
@@ -153,6 +170,9 @@ class ZmqSource(ZenohSource):
 
     def _drain_camera(self) -> int:
         """At most as many messages as the queue holds: a flood must not keep the loop."""
+        if not self._connected:
+            self._camera.connect(self._address)
+            self._connected = True
         for n in range(KEPT):
             try:
                 parts = self._camera.recv_multipart(self._zmq.NOBLOCK, copy=False)
@@ -203,24 +223,38 @@ class ZmqSource(ZenohSource):
             )  # fmt: skip
 
 
-def _connect(config: Config, address: str, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socket]:
-    where = f"{config.path}: source"
+def _socket(config: Config, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socket]:
     try:
         import zmq
     except ImportError:
-        raise ConfigError(f"{where}.kind: zmq needs pyzmq: pip install 'edge-vln[zmq]'") from None
+        where = config.at("source.kind")
+        raise ConfigError(f"{where}: zmq needs pyzmq: pip install 'edge-vln[zmq]'") from None
     context = zmq.Context()
-    socket = context.socket(zmq.SUB)
-    socket.setsockopt(zmq.MAXMSGSIZE, max_bytes)
-    socket.setsockopt(zmq.RCVHWM, KEPT)
-    socket.setsockopt(zmq.LINGER, 0)
-    socket.subscribe(b"")
+    camera = context.socket(zmq.SUB)
+    camera.setsockopt(zmq.MAXMSGSIZE, max_bytes)
+    camera.setsockopt(zmq.RCVHWM, KEPT)
+    camera.setsockopt(zmq.LINGER, 0)
+    camera.subscribe(b"")
+    return zmq, context, camera
+
+
+def _tell_of_no_address(address: str) -> None:
+    """Log it if no address is known for the camera's host: ZeroMQ says nothing and tries on."""
+    host = urlsplit(address).hostname
+    if not address.startswith("tcp://") or host is None:
+        return
     try:
-        socket.connect(address)
-    except (zmq.ZMQError, TypeError) as error:
-        context.destroy(linger=0)
+        socket.getaddrinfo(host, None)
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or error
+        log.warning("source.options.address: no address is known for %r (%s); it is tried again "
+                    "and again", one_line(host), one_line(why))  # fmt: skip
+
+
+def _connect(config: Config, camera: zmq.Socket, address: str) -> None:
+    try:
+        camera.connect(address)
+    except Exception as error:  # ZMQError, or whatever an address that is no text raises
         said = f"{one_line(address)}: {one_line(error)}"
-        raise ConfigError(
-            f"{where}.options.address: {said}; expected one like tcp://127.0.0.1:5555"
-        ) from None
-    return zmq, context, socket
+        where = config.at("source.options.address")
+        raise ConfigError(f"{where}: {said}; expected one like tcp://127.0.0.1:5555") from None

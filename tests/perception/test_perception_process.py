@@ -344,7 +344,7 @@ def test_a_swap_given_up_while_its_process_starts_ends_that(tmp_path, monkeypatc
         detector=config.DetectorOnnx(model="old", vocabulary=str(tmp_path / "script")),
     )
     worker = SimpleNamespace(detector=old, uses=lambda detector: False)
-    swapper = swaps.Swapper(perception, worker, lambda text, now_ns: None)
+    swapper = swaps.Swapper(perception, worker, lambda *_: None)
     others = set(psutil.Process().children())
     swapper.request("steered", False, 0)
     eventually(lambda: set(psutil.Process().children()) - others)

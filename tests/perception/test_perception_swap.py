@@ -76,7 +76,7 @@ class Bench:
         settings = {"images": 2, "probation": 5, "budget_ms": 20.0, **swap}
         self.swapper = Swapper(
             simulated({"perception": {"swap": settings}}).perception, self.worker,
-            lambda text, now_ns: self.said.append(text), self._make, lambda: self.clock_s,
+            lambda text, *_: self.said.append(text), self._make, lambda: self.clock_s,
         )  # fmt: skip
 
     def _make(self, perception, prompts, progress, cancelled):

@@ -180,6 +180,13 @@ def test_a_wrong_address_is_told_in_one_line(options, said):
         find_source(config)(config=config, session=standing())
 
 
+def test_a_host_without_an_address_is_told(caplog):
+    config = configured("tcp://no.such.host.invalid:5555")
+    source = find_source(config)(config=config, session=standing())
+    eventually(lambda: "no address is known for 'no.such.host.invalid'" in caplog.text)
+    source.close()
+
+
 def test_without_pyzmq_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "zmq", None)
     config = configured("tcp://127.0.0.1:5555")

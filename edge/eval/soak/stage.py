@@ -57,7 +57,8 @@ def staged(config: Config, out: Path) -> Config:
         UserError: it is one that replays the same, for which there is no real time.
     """
     if config.loop.lockstep or config.sim.lockstep:
-        raise UserError(f"{config.path}: loop.lockstep, sim.lockstep: a soak is in real time")
+        where = config.at("loop.lockstep", "sim.lockstep")
+        raise UserError(f"{where}, sim.lockstep: a soak is in real time")
     zenoh = {"endpoint": _endpoint(), "file": None, "client_file": None}
     http = {"host": "127.0.0.1", "port": free_port(), "token_file": None}
     checkpoint = {"checkpoint": str(out / "checkpoint.json")}

@@ -100,14 +100,15 @@ export const log = once(({ events, n_events }) => {
   say("log-note", n_events > events.length ? `newest ${events.length} of ${n_events}` : `${n_events}`);
 });
 
-export function latency({ stages, tick, deadline_ms }) {
-  const head = ["", "", "p95", "budget", "drops"].map((text) => make("th", { text }));
+export function latency({ stages, tick, deadline_ms, slowdown }) {
+  const limit = slowdown === null ? "deadline" : "budget"; // of a stage: once this computer was calibrated
+  const head = ["", "", "p95", limit, "drops"].map((text) => make("th", { text }));
   const rows = [...Object.entries(stages), ["tick", tick]].map(([name, row]) => {
     const cells = [
       make("td", { text: row.in_tick ? name : `${name} *`, title: row.in_tick ? "" : "beside the tick" }),
-      make("td", { class: "gauge" }, gauge(row)),
+      make("td", { class: "gauge" }, ...(row.budget_ms === null ? [] : [gauge(row)])),
       make("td", { text: row.n ? ms(row.p95_ms) : "–", class: row.verdict === "over" ? "bad" : "" }),
-      make("td", { text: ms(row.budget_ms) }),
+      make("td", { text: row.budget_ms === null ? "–" : ms(row.budget_ms) }),
       make("td", { text: String(row.drops) }),
     ];
     return make("tr", { class: name === "tick" ? "tick" : "" }, ...cells);

@@ -45,7 +45,8 @@ class Swapper:
     """Swaps the worker's detector; `request`, `step` and `close` are for the loop's thread.
 
     Args:
-        tell: called with a line for everything that happens, and the loop's time.
+        tell: called with a line for everything that happens, the loop's time, and the log's level
+            for it where a model was refused or rolled back.
         make: makes the new detector.
         clock: seconds, for `load_timeout_s`.
 
@@ -58,7 +59,7 @@ class Swapper:
         self,
         perception: Perception,
         worker: DetectorWorker,
-        tell: Callable[[str, int], None],
+        tell: Callable[..., None],
         make: Make = make_detector,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -169,7 +170,8 @@ class Swapper:
             "detail": detail,
         }  # fmt: skip
         self._let_go(attempt)
-        self._tell(f"model {attempt.model}: {state}: {detail}", now_ns)
+        level = logging.INFO if state == "kept" else logging.WARNING
+        self._tell(f"model {attempt.model}: {state}: {detail}", now_ns, level)
 
     def _let_go(self, attempt: _Attempt) -> None:
         """No swap is under way any more; the detector that is not at work is closed."""
