@@ -291,7 +291,7 @@ class Service:
         mission, task, pose = self.mission, self.task, observation.pose
         if not mission.started:
             mission.start(now_ns)
-        mission.observe(pose, now_ns, looking=task is None or task.looking)
+        mission.observe(pose, now_ns, self._looking)
         # What is driven past may get out of sight, and is not looked for again.
         mission.see(self._newest_ids(), now_ns, keep=task is not None and task.phase != "looking")
         if self._surveyor is not None and task is None:
@@ -306,6 +306,11 @@ class Service:
         mission.check_limits(now_ns)
         if not (self.goals.follows(mission) or mission.done):
             self._turn(observation, now_ns)
+
+    @property
+    def _looking(self) -> bool:
+        """Whether the active target is searched for: a task that is driven searches for none."""
+        return self.task is None or self.task.looking
 
     def _newest_ids(self) -> dict[str, int]:
         """For each target of which an instance is known, the highest id of them."""
@@ -449,7 +454,10 @@ class Service:
         self.goals.answered(answer)
 
     def idle(self, now_ns: int, pose: SE2 | None, dropped: Observation | None = None) -> None:
-        """No observation came: limits still hold, status still goes out, no one drives blind.
+        """Handle a beat without an observation: the status still goes out, no one drives blind.
+
+        The mission's time runs on, but only from its first observation on: a mission whose sensors
+        have gone must end, one whose sensors are yet to come must not.
 
         Args:
             pose: from the newest odometry; None before there was any.
@@ -460,9 +468,9 @@ class Service:
         if blind and pose is not None:
             self.pose = pose
         self._journal.note("idle", now_ns=now_ns, pose=pose if blind else None)
-        looking = self.pose is not None and not blind
         try:
-            self.mission.observe(self.pose, now_ns, looking)
+            if self.mission.observed or dropped is not None:
+                self.mission.observe(self.pose, now_ns, self._looking and not blind)
             self.mission.check_limits(now_ns)
         finally:  # whatever is the matter with the mission
             if self.pose is not None and (self.mission.done or self.mission.paused or blind):
