@@ -29,6 +29,7 @@ from edge.loop.publish import Publisher
 from edge.loop.result import Event, Sink, TickResult
 from edge.loop.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
+from edge.loop.source import InputRow
 from edge.loop.status import HealthWatch
 from edge.loop.task import TaskRun
 from edge.mission.brief import Brief, task_of
@@ -61,6 +62,7 @@ class Service:
         calibration: of this computer, for the budgets; None: they are the reference computer's.
         idle: the mission is not begun: the robot stands until one is asked for.
         journal: notes what comes in from beside the loop.
+        inputs: the source's table of inputs, for any thread; empty where it has none.
 
     Attributes:
         map: all that is known of the surroundings.
@@ -75,6 +77,7 @@ class Service:
             not in lockstep, where runs replay the same.
         blind_s: so long without an observation no one drives on.
         overruns: by what is listened to, how often more came than could be taken.
+        inputs: what each input of the source brings.
         faults: what stages, sinks and requests raised, and the loop outlived.
         stage: the one at work in a tick, or whose error ended it.
     """
@@ -92,10 +95,11 @@ class Service:
         calibration: Calibration | None = None,
         idle: bool = False,
         journal: Journal | None = None,
+        inputs: Callable[[], Sequence[InputRow]] = tuple,
     ) -> None:
         self.config = config
         self._journal = journal = journal or Journal()
-        self.keeper, self.overruns = keeper, overruns
+        self.keeper, self.overruns, self.inputs = keeper, overruns, inputs
         self.map = SemanticMap(config, brief.targets)
         self.mission = MissionRun(brief, config.mission, self._step_taken)
         self.task = self._task_of(self.mission)
@@ -117,7 +121,7 @@ class Service:
             self.governor = Governor(config.perception, worker, self.swapper, scorers, self.event)
         self._health = HealthWatch(
             worker, self.swapper, scorers, keeper, self.faults, overruns, self._governed,
-            self.event, sinks,
+            self.event, sinks, inputs,
         )  # fmt: skip
         self._publisher = Publisher(
             sinks, self.map, self.goals, scorers, journal, self.latency, self._health.status
