@@ -87,8 +87,8 @@ def inputs_status(rows: Sequence[InputRow]) -> dict[str, Any]:
 class Source(Protocol):
     """Yields what the robot sees; for one thread.
 
-    It may have a method `input_table()`, which returns its table of inputs (`InputRow`) to any thread:
-    readiness, status, console, live page and metrics then say which one is missing.
+    It may have a method `input_table()`, which returns its table of inputs (`InputRow`) to any
+    thread: readiness, status, console, live page and metrics then say which one is missing.
 
     Attributes:
         counters: for the report, by name; may be empty. What is not one of `NO_DROPS` is a reason

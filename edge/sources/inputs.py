@@ -5,6 +5,7 @@ The time synchronizer owns it, since every message and every drop passes there, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from edge.config import Config
@@ -28,6 +29,7 @@ class _Input:
         group: inputs of one group stand in for each other.
         needed: whether the robot cannot do its work without the group.
         expected_hz: as configured; 0 where it comes on events, and is never silent.
+        silent_ns: without a message for so long it is.
         came_ns, used_ns: when the newest message came, and when one was used; None: never.
         dropped: messages by reason; `reason` and `detail` of the drops since one was used.
         hz: measured over the last window, which began at `since_ns` and has `in_window` messages.
@@ -35,7 +37,7 @@ class _Input:
 
     __slots__ = (
         "came_ns", "detail", "dropped", "expected_hz", "group", "hz", "in_window", "name", "needed",
-        "reason", "received", "since_ns", "used_ns", "where",
+        "reason", "received", "silent_ns", "since_ns", "used_ns", "where",
     )  # fmt: skip
 
     def __init__(self, name: str, group: str, needed: bool, expected_hz: float) -> None:
@@ -47,11 +49,7 @@ class _Input:
         self.dropped: dict[str, int] = {}
         self.reason = self.detail = ""
         self.hz = 0.0
-
-    @property
-    def silent_ns(self) -> float:
-        hz = self.expected_hz
-        return max(SILENT_S, 3.0 / hz) * 1e9 if hz else float("inf")
+        self.silent_ns = max(SILENT_S, 3.0 / expected_hz) * 1e9 if expected_hz else math.inf
 
     def came(self, now_ns: int) -> None:
         if self.came_ns is None or now_ns - self.came_ns > self.silent_ns:
@@ -130,6 +128,12 @@ class InputTable:
             row.dropped[reason] = row.dropped.get(reason, 0) + 1
             if reason not in _NORMAL and reason != row.reason:
                 row.reason, row.detail = reason, detail
+
+    def unpaired(self, group: str, detail: str) -> None:
+        """Note that an observation goes without these inputs, which it may."""
+        for row in self._inputs:
+            if row.group == group and not row.reason:
+                row.reason, row.detail = "unpaired", detail
 
     # -- for any thread ---------------------------------------------------------------------------
 

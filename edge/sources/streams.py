@@ -44,17 +44,13 @@ class Stream:
 
     def near(self, stamp_ns: int) -> Frame | None:
         """The frame nearest to an instant, within the tolerance."""
-        best = self._nearest(stamp_ns)
+        best = self.nearest(stamp_ns)
         if best is None or abs(best.stamp_ns - stamp_ns) > self._tolerance_ns:
             return None
         return best
 
-    def nearest_ns(self, stamp_ns: int) -> int | None:
-        """Return the stamp of the frame nearest to an instant, however far; None: there is none."""
-        best = self._nearest(stamp_ns)
-        return None if best is None else best.stamp_ns
-
-    def _nearest(self, stamp_ns: int) -> Frame | None:
+    def nearest(self, stamp_ns: int) -> Frame | None:
+        """Return the frame nearest to an instant, however far; None: there is none."""
         return min(self._frames, key=lambda f: abs(f.stamp_ns - stamp_ns), default=None)
 
     def is_past(self, stamp_ns: int) -> bool:

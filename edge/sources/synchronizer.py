@@ -74,6 +74,13 @@ def streams_of(config: Config) -> dict[str, Stream]:
     return {leader: streams.pop(leader), **streams}
 
 
+def _apart(leader: Frame, name: str, nearest_ns: int | None) -> str:
+    if nearest_ns is None:
+        return f"no {name}"
+    ms = (nearest_ns - leader.stamp_ns) / 1e6
+    return f"the nearest {name} is {abs(ms):.0f} ms {'later' if ms > 0 else 'earlier'}"
+
+
 class TimeSynchronizer:
     """See the module. For one thread.
 
@@ -175,7 +182,7 @@ class TimeSynchronizer:
                 continue
             leading.drop(frame)  # at once: one that cannot be decoded must not come up again
             if T_map_base is None:
-                self.count(frame.topic, reason, self._apart(frame, reason))
+                self.count(frame.topic, reason, self._why(frame, reason))
                 continue
             observation = self._observe(frame, joined, T_map_base)
             if observation is None:
@@ -206,19 +213,20 @@ class TimeSynchronizer:
         reason = "" if T_map_base is not None else "stale" if missing == "too_old" else "no_pose"
         return joined, T_map_base, reason
 
-    def _apart(self, leader: Frame, reason: str) -> str:
+    def _why(self, leader: Frame, reason: str) -> str:
         """Say which input lacks a message for this frame, and how far its nearest one is."""
-        if reason == "unpaired":
-            fields = (field for field in self._others if self.streams[field].required)
-            streams = {field: self.streams[field] for field in fields}
-            field = next(f for f, s in streams.items() if s.near(leader.stamp_ns) is None)
-            name, nearest_ns = _NAMES[field], streams[field].nearest_ns(leader.stamp_ns)
-        else:
-            name, nearest_ns = Odometry.topic, self.odometry.newest_ns
-        if nearest_ns is None:
-            return f"no {name}"
-        ms = (nearest_ns - leader.stamp_ns) / 1e6
-        return f"the nearest {name} is {abs(ms):.0f} ms {'later' if ms > 0 else 'earlier'}"
+        if reason != "unpaired":
+            return _apart(leader, Odometry.topic, self.odometry.newest_ns)
+        required = (field for field in self._others if self.streams[field].required)
+        return self._apart(
+            leader, next(f for f in required if self.streams[f].near(leader.stamp_ns) is None)
+        )
+
+    def _apart(self, leader: Frame, field: str) -> str:
+        nearest = self.streams[field].nearest(leader.stamp_ns)
+        if nearest is None:
+            return _apart(leader, _NAMES[field], None)
+        return _apart(leader, nearest.topic, nearest.stamp_ns)
 
     def _observe(
         self, leader: Frame, joined: list[Frame], T_map_base: np.ndarray
@@ -246,6 +254,9 @@ class TimeSynchronizer:
         for frame in frames:
             if frame.field in fields:
                 self.inputs.used(frame.topic)
+        for field in self._others:
+            if field not in fields:  # an observation is one without it, too
+                self.inputs.unpaired(field, self._apart(leader, field))
         return Observation(
             seq=self._seq - 1,
             stamp_ns=leader.stamp_ns,

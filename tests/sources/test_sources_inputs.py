@@ -101,6 +101,19 @@ def test_what_is_late_is_told_with_by_how_much():
     assert why == "unpaired (the nearest camera/rgb is 433 ms earlier)"
 
 
+def test_pictures_that_never_fit_to_a_sweep_are_told_though_sweeps_are_enough():
+    robot = Robot(CLOUD).info()
+    for at_ns in range(S, 5 * S, 3 * FRAME_NS):
+        robot.wait(3 * FRAME_NS).odom(at_ns).cloud(at_ns).rgb(at_ns + 50 * MS).odom(at_ns + MS)
+        if (seen := robot.poll()) is not None:
+            assert seen.rgb is None
+            seen.release()
+    assert robot.synchronizer.counters["observations"] > 30
+    assert lacking(robot.synchronizer.inputs.rows()) == (
+        "every message on camera/rgb is dropped: unpaired (the nearest camera/rgb is 50 ms later)"
+    )
+
+
 def test_an_input_that_is_no_good_is_named_with_the_reason():
     robot = driven(Robot(), 3)
     for _ in range(60):

@@ -45,7 +45,7 @@ export function tellState({ service, silent_s, moment }, fault) {
   if (silent_s !== null && silent_s > 3) return banner("bad", `The loop has been silent for ${silent_s.toFixed(0)} s.`);
   if (!service.ready) return banner("warn", `Not ready: ${why}.`);
   if (moment?.paused && !isDone(moment)) return banner("info", "Paused: the robot stands until the mission is resumed.");
-  if (moment && !moment.controlled && moment.goal) return banner("warn", "No motion controller answers: the goal is not driven to.");
+  if (moment && !moment.controlled && moment.goal) return banner("warn", "No motion controller answers: a goal counts as reached when the robot stops there.");
   banner("", "");
 }
 
