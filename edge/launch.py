@@ -155,7 +155,7 @@ def open_service(
 
         service = Service(
             config, brief, worker, policy, every, keeper, scorers, overruns, calibration.load(),
-            idle,
+            idle, inputs=getattr(source, "input_table", tuple),
         )  # fmt: skip
         stack.callback(service.close)
         served = requests.served(service, partial(prepared, config), amiss)

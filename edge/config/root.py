@@ -103,6 +103,11 @@ class Config(Section):
         return lidar.rate_hz if by_lidar else camera.rate_hz
 
     @property
+    def goals_unanswered(self) -> bool:
+        """Whether goals go to a ROS 2 topic, which nobody answers."""
+        return self.ros2.goals == "topic" and any(sink.kind == "ros2" for sink in self.sinks)
+
+    @property
     def value_source(self) -> ValueSource | None:
         """The scorer that the value maps are written from: the one that the policy goes by.
 

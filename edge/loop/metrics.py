@@ -12,6 +12,7 @@ Texts of others (instructions, targets, errors) are no labels: each would be a s
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, get_args
@@ -46,7 +47,7 @@ class Look:
         service = running.service
         self.running, self.service, self.sinks = running, service, statuses(sinks)
         self.mission, self.goal = service.mission, service.goal
-        self.source = dict(running.source.counters)
+        self.source, self.inputs = dict(running.source.counters), service.inputs()
         self.rows = service.latency.report(last=1)
         self.histograms = service.latency.histograms()
         self.detector, self.images = running.worker.detector, running.worker.stats
@@ -148,6 +149,19 @@ SERVICE: tuple[Metric[Look], ...] = (
     Metric("edge_source_dropped_total", "counter",
            "Messages that became part of no observation, by reason.",
            lambda s: {why: n for why, n in s.source.items() if why not in NO_DROPS}, ("reason",)),
+    Metric("edge_input_dropped_total", "counter",
+           "Messages that became part of no observation, by input and reason.",
+           lambda s: {(row.name, why): n for row in s.inputs for why, n in row.dropped.items()},
+           ("input", "reason")),
+    Metric("edge_input_rate_hertz", "gauge", "How often messages of an input come.",
+           lambda s: {row.name: row.hz for row in s.inputs}, ("input",)),
+    Metric("edge_input_age_seconds", "gauge",
+           "Time since an input's newest message; infinite before the first.",
+           lambda s: {row.name: math.inf if row.age_s is None else row.age_s for row in s.inputs},
+           ("input",)),
+    Metric("edge_input_lacking", "gauge",
+           "Whether an input that is needed is missing, silent, or dropped whenever it comes.",
+           lambda s: {row.name: row.lacks for row in s.inputs}, ("input",)),
     Metric("edge_overruns_total", "counter",
            "Looks that found more than there was room for, by what is listened to.",
            lambda s: s.service.overruns(), ("ring",)),

@@ -26,6 +26,7 @@ import numpy as np
 import zenoh
 
 from edge.bus import topics
+from edge.bus.topics import Topic
 from edge.bus.wire import images
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
@@ -138,9 +139,9 @@ class ZmqSource(ZenohSource):
         address: str,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        super().__init__(config, session)
         self._clock = clock
         self._address = address
+        super().__init__(config, session)
         self._look_s = 0.0
         self.check_options(config, address)
         self._zmq, self._context, self._camera = _socket(config, self._max_bytes)
@@ -165,6 +166,9 @@ class ZmqSource(ZenohSource):
         self._camera.disable_monitor()
         self._context.destroy(linger=0)
 
+    def _where(self, topic: Topic) -> str:
+        return one_line(self._address) if topic in self.OTHERWISE else super()._where(topic)
+
     def _drain(self) -> int:
         return super()._drain() + self._drain_camera()
 
@@ -183,7 +187,6 @@ class ZmqSource(ZenohSource):
         return KEPT
 
     def _offer(self, parts: list[zmq.Frame]) -> None:
-        self._synchronizer.counters["received"] += 1
         topic = one_line(self._address)
         try:
             if len(parts) != 2:
@@ -192,9 +195,12 @@ class ZmqSource(ZenohSource):
                 raise ValueError(f"a header of {len(parts[0])} bytes, at most {MAX_HEADER}")
             header = parse_header(parts[0].bytes, len(parts[1]))
         except ValueError as error:
+            self._synchronizer.received(topic)
             self._synchronizer.count(topic, "malformed", str(error))
             return
+        self._synchronizer.received(header.topic)
         if header.camera is not None:
+            self._synchronizer.inputs.came(CameraInfo.topic)
             self._synchronizer.offer(CameraInfo(header.camera))
         into = partial(_into, parts[1].buffer, header.image)
         frame = _FRAMES[header.topic](header.image.stamp_ns, self._clock(), into)

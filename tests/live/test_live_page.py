@@ -13,7 +13,9 @@ from patience import eventually
 from simulated import simulated
 from task_facts import INSTRUCTION as TASK
 from task_facts import by_a_model, driving, looking
+from test_sources_synchronizer import Robot as Fed
 
+from edge.bus import topics
 from edge.host.pages import serve
 from edge.host.service_manager import ServiceManager
 from edge.live.view import LiveView
@@ -205,6 +207,20 @@ def test_without_sensors_it_says_what_to_look_at(page, house):
     page.says("#camera-note", "no new image for")
     house.robot.blind = False
     page.until("document.getElementById('banner').hidden")
+
+
+def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
+    robot = Fed({"perception": {"detector": {"kind": "sim"}, "lift": "depth"}}).info().rgb(1)
+    robot.decoder.offer(topics.ODOMETRY, b"<b>no odometry</b>")
+    house.service.inputs = house.service._health._inputs = robot.synchronizer.inputs.rows
+    house.robot.blind = True
+    page.says(
+        "#banner", "nothing to be seen: no message yet on camera/depth; every message on odom"
+    )
+    page.says("#health", "camera/depth\nno message yet\n")
+    page.says("#health", "odom\nall are dropped: malformed (")
+    assert page.run("document.querySelectorAll('#banner b, #health b').length") == 0
+    house.robot.blind = False
 
 
 def test_a_degraded_loop_is_told_and_its_words_are_no_markup(page, house):

@@ -525,6 +525,41 @@ def test_what_counts_as_reached(away_m, state, confirmed, phase, came_to):
     assert (case.goals.goal is None) == bool(came_to)
 
 
+@pytest.mark.parametrize(
+    ("off_m", "off_rad", "said", "steps_m", "reached"),
+    [
+        (0.0, 0.0, "", 0.0, True),
+        (0.25, 3.0, "", 0.0, True),  # many controllers do not turn at the end
+        (0.4, 0.0, "", 0.0, False),
+        (0.0, 0.0, "", 0.06, False),  # it is driving past
+        (0.0, 0.0, "accepted", 0.0, False),  # a controller that answers says when it is there
+    ],
+)
+def test_an_unanswered_goal_is_reached_where_the_robot_stops(
+    off_m, off_rad, said, steps_m, reached
+):
+    case = Case()
+    goal = case.choose(chair(9, 3.0, 0.8)).pose
+    if said:
+        case.answer(said)
+    for i in range(4):  # 0.5 s apart
+        pose = SE2(goal.x_m - off_m + i * steps_m, goal.y_m, goal.yaw_rad + off_rad)
+        case.judge(pose=pose, after_s=0.5)
+        assert case.goals.phase == "approaching"
+    case.judge(pose=SE2(pose.x_m + steps_m, pose.y_m, pose.yaw_rad), after_s=0.5)
+    assert case.goals.phase == ("verifying" if reached else "approaching")
+    assert case.goals.client.driving != reached
+
+
+@pytest.mark.parametrize(("turned_rad", "done"), [(0.0, False), (2.0, True), (2.6, False)])
+def test_an_unanswered_turn_is_done_where_the_robot_has_turned(turned_rad, done):
+    case = Case()
+    case.turn()
+    for _ in range(5):
+        case.judge(pose=SE2(0.0, 0.0, turned_rad), after_s=0.5)
+    assert (case.goals.goal is None) == done
+
+
 def test_what_is_out_of_reach_twice_from_one_place_is_left_alone():
     case = Case()
     case.things.sure = (9,)

@@ -229,6 +229,14 @@ def test_what_is_nowhere_fails_with_what_was_missed():
     assert states(loop) == ["driven", "not driven"]
 
 
+def test_beats_between_frames_are_no_search_while_a_task_is_driven():
+    loop = until(closed(mission={"search_limit_s": 1.0}), "driving")
+    while not loop.service.status.done:
+        loop.service.idle(loop.drive.motion.stamp_ns - 1, None)
+        loop.step()
+    assert "failed" not in {step.kind for step in loop.service.mission.steps}
+
+
 def test_the_same_observations_give_the_same_task(at_the_oven):
     again = closed(TO_THE_OVEN).run(200)
     assert again.service.mission.steps == at_the_oven.service.mission.steps

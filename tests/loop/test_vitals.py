@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import pytest
 from simulated import simulated
 from test_loops import blanks, running_of
+from test_sources_synchronizer import Robot
 
 from edge.eval.closed_loop import ClosedLoop
 from edge.host.service_manager import ServiceManager
@@ -90,6 +91,34 @@ def test_it_is_ready_once_it_sees(watched):
     watched.beat(2.0)
     assert watched.vitals.unseen_s == 2.0
     assert watched.page("/readyz")[0] == 503, "the camera is gone"
+
+
+def test_it_says_which_input_is_missing_and_logs_that_once(watched, caplog):
+    robot = Robot()
+    watched.running.service.inputs = robot.synchronizer.inputs.rows
+    watched.vitals.ready()
+    why = "nothing to be seen: no message yet on camera/rgb, camera/depth, camera/info, odom"
+    assert watched.beat()[-1] == f"STATUS=not ready: {why} (searching: bed)"
+    assert watched.page("/readyz")[1]["why"] == [why]
+    assert caplog.messages == [], "sensors may start a moment later"
+    for _ in range(20):
+        watched.beat(1.0)
+    assert caplog.messages == [why]
+    robot.odom(0).info()
+    for _ in range(20):
+        watched.beat(1.0)
+    assert caplog.messages[1:] == [why.replace(", camera/info, odom", "")]
+    watched.see()
+    watched.beat(1.0)
+    assert watched.page("/readyz")[0] == 200
+
+
+def test_a_source_that_cannot_tell_of_its_inputs_does_not_end_the_loop(watched):
+    watched.running.service.inputs = lambda: 1 / 0
+    watched.vitals.ready()
+    watched.beat()
+    assert watched.vitals.amiss() == ("nothing to be seen",)
+    assert watched.running.service.faults.failures == {"inputs: ZeroDivisionError": 1}
 
 
 def test_signs_of_life_come_from_beats_alone_and_no_oftener_than_need_be(watched):

@@ -28,6 +28,7 @@ from edge.config import Config, ConfigError
 from edge.config.yaml_text import parse_yaml
 from edge.geometry import CameraModel
 from edge.host.ports import free_port
+from edge.loop.source import lacking
 from edge.sources import find_source
 from edge.sources.zmq import ZmqSource, parse_header
 from edge.types import Observation
@@ -103,6 +104,30 @@ def test_colour_and_depth_become_an_observation_as_they_were_sent():
         np.testing.assert_array_equal(seen.rgb, bgr[..., ::-1])
         np.testing.assert_allclose(seen.depth_m, depth_mm * 1e-3, rtol=1e-6)
         seen.release()
+
+
+@pytest.mark.parametrize(
+    ("parts", "said"),
+    [
+        ((b"",), "every message on camera/rgb ({0}) is dropped: malformed (expected two parts"),
+        ((RGB, bytes(1536)), "no message yet on camera/depth ({0}), camera/info ({0})"),
+    ],
+)
+def test_what_a_camera_lacks_is_named_with_its_address(parts, said):
+    where = address()
+    with source_of(configured(where), standing()) as source:
+        source.poll()
+        every = ", ".join(f"camera/{name} ({where})" for name in ("rgb", "depth", "info"))
+        assert lacking(source.input_table()) == f"no message yet on {every}"
+        with camera_at(where) as send:
+
+            def told() -> bool:
+                send(*parts)
+                source.wait(0.05)
+                source.poll()
+                return said.format(where) in lacking(source.input_table())
+
+            eventually(told)
 
 
 BAD = [
