@@ -102,7 +102,7 @@ class ModelProcess(Section):
 class Swap(Section):
     """What a model must do to take another's place in the running service.
 
-    It is tried on the last `images` images: finite, at most `budget_ms` at the median, and, where
+    It is tried on the last `images` images: sound, at most `budget_ms` at the median, and, where
     both are of one family, `min_recall` of the boxes above `tau_det` that the old one finds. The
     old one is kept until the new one has run clean on `probation` images.
     """

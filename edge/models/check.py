@@ -12,6 +12,7 @@ import numpy as np
 
 from edge.models.make import with_file
 from edge.models.pull import cards_of
+from edge.perception import kernels
 from edge.perception.backends.runtime import DTYPES, open_session
 from edge.perception.card_types import (
     MARK_FIELDS,
@@ -28,6 +29,8 @@ from edge.perception.card_types import (
 from edge.perception.cards import ModelError, all_cards, verify_file, verify_model
 from edge.perception.choice.onnx_scorer import asked_of
 from edge.perception.choice.question import LETTERS, MAX_MARKS, SYSTEM
+from edge.perception.detector import UNSOUND
+from edge.perception.onnx_detector import far_px
 from edge.perception.onnx_file import MASK_OUTPUTS
 from edge.perception.remote.session import RemoteSession
 from edge.perception.vlm.model import FIRST_RUN_S, LanguageModel
@@ -116,8 +119,13 @@ def _check_detector(path: Path | str, session: Any, card: DetectCard) -> str:
     a = boxes.shape[1] if boxes.ndim == 3 else 0
     _hold_shape(path, "boxes", boxes, (1, a, 4))
     _hold_shape(path, "scores", scores, (1, a, _TEXTS))
-    if scores.size and (scores.min() < 0.0 or scores.max() > 1.0):
-        raise ModelError(f"{path}: scores must lie in 0..1 (after the sigmoid): export it again")
+    folded = np.empty_like(scores[0])
+    kernels.fold(scores[0], np.arange(_TEXTS, dtype=np.int32), folded)
+    if n := kernels.count_unsound(boxes[0], folded, far_px(card)):  # as in the running service
+        raise ModelError(
+            f"{path}: {n} of {a} boxes are {UNSOUND}: scores must lie in 0..1 (after the sigmoid), "
+            "boxes in pixels of the input: export it again"
+        )
     return f"{a} boxes, finite"
 
 

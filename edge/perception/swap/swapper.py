@@ -21,7 +21,7 @@ from edge.host.worker import LONGEST_ERROR
 from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.detector import Detector, Health
 from edge.perception.factory import make_detector
-from edge.perception.swap.trial import failure, judge, median_ms, not_finite, sample
+from edge.perception.swap.trial import failure, judge, median_ms, sample, unsound
 from edge.perception.worker import DetectorWorker
 from edge.text import one_line
 from edge.types import Detections, Observation
@@ -291,7 +291,7 @@ class _Attempt:
         if isinstance(outcome, Exception):
             self.fault = failure(outcome)
             return
-        self.fault = not_finite(self.detector, self._invalid, outcome)
+        self.fault = unsound(self.detector, self._invalid, outcome)
         self._latencies_ns.append(outcome.latency_ns)
 
     def _run(self) -> None:
