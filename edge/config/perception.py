@@ -83,7 +83,7 @@ class SegmenterOnnx(Section):
 
 
 class ModelProcess(Section):
-    """How a model in a process of its own is looked after (`isolation: process`).
+    """How a model in a process of its own is looked after (`isolation: process`; before a swap).
 
     A frame that takes longer than `timeout_s` counts as a hang; what its process waited for a core
     is added to that, at most as much again. A process that ended is started again after

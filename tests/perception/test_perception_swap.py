@@ -68,14 +68,17 @@ class Fake:
 class Bench:
     """A worker, a swapper, and a loop that steps once for every image."""
 
-    def __init__(self, make_observation, old, new, inline=True, **swap):
+    def __init__(self, make_observation, old, new, inline=True, isolation="process", **swap):
         self.clock_s, self.building = 0.0, None
         self.old, self.new, self.said, self.seq = old, new, [], 0
         self.worker = DetectorWorker(old, inline)
         self._make_observation = make_observation
         settings = {"images": 2, "probation": 5, "budget_ms": 20.0, **swap}
         self.swapper = Swapper(
-            simulated({"perception": {"swap": settings}}).perception, self.worker,
+            simulated({"perception": {"swap": settings}}).perception.model_copy(
+                update={"isolation": isolation}
+            ),
+            self.worker,
             lambda text, now_ns: self.said.append(text), self._make, lambda: self.clock_s,
         )  # fmt: skip
 
@@ -195,6 +198,24 @@ def test_a_model_that_does_badly_beside_the_running_one_is_refused(bench, new, r
     assert b.image() is not None
     b.swapper.close()
     assert b.old.closed == 0
+
+
+@pytest.mark.parametrize("fails", [True, False])
+def test_for_a_thread_a_model_is_tried_in_a_process_first(bench, fails):
+    """A model that never ends could not be killed in a thread."""
+    b, made = bench(isolation="thread"), []
+    error = RuntimeError("its process was killed")
+
+    def make(perception, prompts, progress, cancelled):
+        apart = perception.isolation == "process"
+        made.append(Fake(perception.isolation, **({"error": error} if fails and apart else {})))
+        return made[-1]
+
+    b.swapper._make = make
+    assert b.swap()[0] == ("refused" if fails else "kept")
+    eventually(lambda: made[0].closed)
+    assert [one.name for one in made] == ["process"] + ["thread"] * (not fails)
+    assert made[0].images == (1 if fails else 2)
 
 
 def test_a_refused_model_is_closed(bench):
