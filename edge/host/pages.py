@@ -177,6 +177,13 @@ class _Server(ThreadingMixIn, HTTPServer):
         self.server_address = self.socket.getsockname()
         self.server_name, self.server_port = self.server_address[:2]
 
+    def get_request(self) -> tuple[Any, Any]:
+        try:
+            return super().get_request()
+        except OSError:
+            time.sleep(_LOOK_S)  # with no descriptor left, it would be asked for again at once
+            raise
+
     def process_request(self, request: Any, client_address: Any) -> None:
         with self._hand:
             if len(self._open) >= MOST_OPEN:

@@ -6,17 +6,21 @@ the loop: where the loop hangs, signs of life stay out, and nothing else gives t
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Callable, Iterator
 from http import HTTPStatus
 from typing import Literal, get_args
 
+from edge.host.open_files import shortage
 from edge.host.pages import Page, Pages, json_page
 from edge.host.service_manager import ServiceManager
 from edge.loop.runner import Running
 from edge.loop.status import detector_health
 from edge.text import one_line
+
+log = logging.getLogger("edge.loop.vitals")
 
 STEP_S = 300.0
 """No step of the start takes longer without saying that it goes on."""
@@ -48,7 +52,7 @@ class Vitals:
         self.state: State = "starting"
         self._manager, self._clock = manager, clock
         self._amiss: tuple[str, ...] = ("starting",)
-        self._said = ""
+        self._said = self._short = ""
         self._beat_s = self._ping_s = self._look_s = clock()
         self._stamp_ns, self._seen_s = 0, -math.inf
         self._images, self._detected_s = 0, clock()
@@ -94,6 +98,12 @@ class Vitals:
         if images != self._images or running.worker.idle:
             self._images, self._detected_s = images, now_s
         self._amiss = tuple(_amiss(running, now_s - self._seen_s, now_s - self._detected_s))
+        if (short := shortage()) and short != self._short:
+            log.error("%s: what needs one fails until others are closed", short)
+        elif self._short and not short:
+            log.info("files and connections can be opened again")
+        self._short = short
+        self._amiss += (short,) * bool(short)
         status = running.service.status
         doing = status.reason if status.phase == "idle" else status.instruction
         said = f"{status.phase}: {one_line(doing, 100)}"
