@@ -19,6 +19,7 @@ from edge.cli.parsers import make_parser
 from edge.errors import Stopped, UserError
 from edge.host.interruptible import any_unjoined
 from edge.host.kernel_cache import kernel_cache
+from edge.host.open_files import claim
 from edge.host.outlet import unwaited_stderr
 from edge.host.signals import (
     break_off_on_signals,
@@ -123,6 +124,7 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
 
 
 def _run(args: argparse.Namespace) -> int:
+    claim()
     # First of all: it takes seconds to import what follows.
     stop = stop_on_signals(args.with_parent)
     hung_up = reload_on_hang_up()
@@ -137,6 +139,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _demo(args: argparse.Namespace) -> int:
+    claim()
     stop = stop_on_signals()
     from edge.cli.commands import run_demo
 
@@ -145,6 +148,7 @@ def _demo(args: argparse.Namespace) -> int:
 
 
 def _sim(args: argparse.Namespace) -> int:
+    claim()
     stop = stop_on_signals(args.with_parent)
     from edge.cli.commands import run_simulator
 
@@ -152,6 +156,7 @@ def _sim(args: argparse.Namespace) -> int:
 
 
 def _motion(args: argparse.Namespace) -> int:
+    claim()
     stop = stop_on_signals(args.with_parent)
     from edge.motion.process import main as run_motion
 

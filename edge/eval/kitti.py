@@ -16,6 +16,7 @@ import numpy as np
 
 from edge.errors import UserError
 from edge.geometry import FARTHEST_M, CameraModel, invert
+from edge.host.c_stderr import silenced
 from edge.host.files import read_regular
 from edge.tasks.chain import Chain
 from edge.tasks.objects import clusters, share_near, thin
@@ -124,7 +125,8 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> Frame:
         )
     path = folder / "image_2" / f"{number:06d}.png"
     png = np.frombuffer(_bytes(path), np.uint8)
-    bgr = cv2.imdecode(png, cv2.IMREAD_COLOR) if len(png) else None
+    with silenced():
+        bgr = cv2.imdecode(png, cv2.IMREAD_COLOR) if len(png) else None
     if bgr is None:
         raise KittiError(f"{path}: not an image")
     scan = _array(folder / "velodyne" / f"{number:06d}.bin", np.float32, 4).reshape(-1, 4)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from http import HTTPStatus
 from typing import Literal, get_args
 
+from edge.host.open_files import shortage
 from edge.host.pages import Page, Pages, json_page
 from edge.host.service_manager import ServiceManager
 from edge.loop.runner import Running
@@ -54,7 +55,7 @@ class Vitals:
         self.state: State = "starting"
         self._manager, self._clock = manager, clock
         self._amiss: tuple[str, ...] = ("starting",)
-        self._said = ""
+        self._said = self._short = ""
         self._beat_s = self._ping_s = self._look_s = self._ready_s = clock()
         self._stamp_ns, self._seen_s = 0, -math.inf
         self._images, self._detected_s = 0, clock()
@@ -103,6 +104,12 @@ class Vitals:
         unseen_s, at_one_image_s = now_s - self._seen_s, now_s - self._detected_s
         self._amiss = tuple(_amiss(running, unseen_s, at_one_image_s))
         self._tell_unseen(now_s)
+        if (short := shortage()) and short != self._short:
+            log.error("%s: what needs one fails until others are closed", short)
+        elif self._short and not short:
+            log.info("files and connections can be opened again")
+        self._short = short
+        self._amiss += (short,) * bool(short)
         status = running.service.status
         doing = status.reason if status.phase == "idle" else status.instruction
         said = f"{status.phase}: {one_line(doing, 100)}"

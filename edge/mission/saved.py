@@ -22,7 +22,7 @@ from edge.text import bounded_repr, one_line
 VERSION = 2
 MAX_BYTES = 8 << 20
 
-_FILE = Sealed(
+FILE = Sealed(
     "edge-mission", "checkpoint of a mission", VERSION, rb'"mission":(?P<body>.*)\}\n', MAX_BYTES
 )
 _STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
@@ -79,7 +79,7 @@ def encode(saved: Saved) -> bytes:
     """
     body = _MISSION.dump_json(saved)
     _check(body)
-    return _FILE.seal('"mission":', body, b"}\n")
+    return FILE.seal('"mission":', body, b"}\n")
 
 
 def decode(content: bytes) -> Saved:
@@ -88,7 +88,7 @@ def decode(content: bytes) -> Saved:
     Raises:
         ValueError: with one line that says what is wrong.
     """
-    _, body = _FILE.open(content)
+    _, body = FILE.open(content)
     return _check(bytes(body))
 
 

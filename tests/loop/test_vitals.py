@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import socket
 import threading
 from collections.abc import Iterator
@@ -202,3 +203,20 @@ def test_a_stop_is_told(watched):
     assert watched.page("/readyz") == (503, {"ok": False, "state": "stopping", "why": ["stopping"]})
     watched.now_s += 1e3
     assert watched.page("/healthz")[0] == 200
+
+
+def test_that_no_file_can_be_opened_is_told_once_and_makes_it_not_ready(
+    watched, monkeypatch, caplog
+):
+    short = "no file or connection can be opened (Too many open files; see `ulimit -n`)"
+    watched.vitals.ready()
+    for why, logged in ((short, short), (short, ""), ("", "can be opened again"), ("", "")):
+        caplog.clear()
+        monkeypatch.setattr("edge.loop.vitals.shortage", lambda why=why: why)
+        with caplog.at_level(logging.INFO, "edge.loop.vitals"):
+            watched.beat(after_s=1.0)
+        said = [r.message for r in caplog.records if r.name == "edge.loop.vitals"]
+        assert len(said) == bool(logged)
+        assert logged in "".join(said)
+        _, page = watched.page("/readyz")
+        assert (short in page["why"]) is bool(why)

@@ -17,6 +17,7 @@ from edge.host import machine, resources
 from edge.host.files import save
 from edge.models.bench.variants import RUNTIMES
 from edge.perception.cards import card_path
+from edge.perception.detector import UNSOUND
 
 Report = dict[str, Any]
 _CARD_WIDTH = 110
@@ -122,7 +123,7 @@ def _footnotes(report: Report) -> list[str]:
         lines.append("MB: what the process grew by + what the GPU's memory in use did")
     for row in ran:
         if row["invalid_boxes"]:
-            lines.append(f"{row['name']} on {row['on']}: {row['invalid_boxes']} boxes not finite")
+            lines.append(f"{row['name']} on {row['on']}: {row['invalid_boxes']} boxes {UNSOUND}")
     return lines
 
 

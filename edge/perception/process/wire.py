@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 import numpy as np
 
 from edge.perception.cards import ModelError
-from edge.perception.detector import Detector, Health
+from edge.perception.detector import Detector, Health, fault_of
 from edge.perception.text import PromptError
 from edge.text import bounded_repr, one_line
 from edge.types import ContextBoxes, Detections
@@ -127,10 +127,8 @@ def _unpacked(
     reals = np.frombuffer(block, "<f4").astype(np.float32)
     xyxy, score, rival = reals[: 4 * n].reshape(n, 4), reals[4 * n : 5 * n], reals[6 * n :]
     class_id = np.frombuffer(block, "<i4")[5 * n : 6 * n].astype(np.int32)
-    if not np.isfinite(xyxy).all():
-        raise ValueError("boxes that are not finite")
-    if not ((score >= 0) & (score <= 1) & (rival >= 0) & (rival <= 1)).all():  # NaN is neither
-        raise ValueError("scores that are not in 0 to 1")
+    if fault := fault_of(xyxy, score, rival):
+        raise ValueError(fault)
     if not ((class_id >= 0) & (class_id < len(words))).all():
         raise ValueError(f"classes that are not among {len(words)} prompts")
     return xyxy, score, class_id, rival
