@@ -16,7 +16,7 @@ import pytest
 import zenoh
 from edge_processes import Edge
 from fake_robots import LIMITS, FakeRobot, settings_of
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 from ros_router import router
 
 from edge.bus import presence
