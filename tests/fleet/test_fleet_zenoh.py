@@ -403,6 +403,8 @@ def test_of_two_services_with_one_prefix_the_second_is_refused_and_both_say_so(
 @pytest.mark.parametrize("order", ["together", "lower first", "lower last"])
 def test_of_two_that_start_at_the_same_moment_one_stays(port, robots, monkeypatch, order):
     monkeypatch.setattr(presence, "_YIELD_S", PATIENCE_S if order == "together" else 0.2)
+    if order == "together":  # on a busy machine a token takes longer to be seen
+        monkeypatch.setattr(presence, "_SETTLE_S", 2.0)
     two = [robots("anna", announced=False) for _ in range(2)]
     two.sort(key=lambda robot: robot.presence._own, reverse=order == "lower last")
 
