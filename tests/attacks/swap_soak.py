@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 from fresh_process import descriptors, resident_mb
-from patience import eventually
+from live_patience import eventually
 
 from edge.config import parse
 from edge.geometry import CameraModel

@@ -13,7 +13,7 @@ from typing import get_args
 import pytest
 import zenoh
 from fake_zenoh import Flooded
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 
 from edge.bus import session as bus
 from edge.bus import topics, zenoh_file

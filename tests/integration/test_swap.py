@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import yaml
 from edge_processes import write_config
-from patience import PATIENCE_S
+from live_patience import PATIENCE_S
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
 from onnx_bytes import DETECTOR, field, graph, interface, model, tensor

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 import pytest
 from chromium import Tab, open_chromium
 from live_house import HERE, TOKEN, House, open_house
-from patience import eventually
+from live_patience import eventually
 from simulated import simulated
 from task_facts import INSTRUCTION as TASK
 from task_facts import by_a_model, driving, looking

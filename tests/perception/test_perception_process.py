@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 import pytest
 from fake_model_process import ENGINE, EXIT, FAILURE, HANG, NAN, NO_MEMORY, SEGFAULT, TOO_MANY
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 
 from edge import config
 from edge.host import resources

@@ -19,7 +19,7 @@ import pytest
 from fake_zenoh import Flooded
 from hypothesis import given
 from hypothesis import strategies as st
-from patience import eventually
+from live_patience import eventually
 from simulated import simulated
 
 from edge.bus.session import zenoh_session
