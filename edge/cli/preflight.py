@@ -43,7 +43,7 @@ from edge.perception.card_types import (
 from edge.perception.cards import check_here, load_card, load_card_of
 from edge.perception.choice.mark_scorer import check_size
 from edge.perception.choice.scorer import make_server_choice
-from edge.perception.encoders import check_text_encoder
+from edge.perception.encoders import check_text_encoder, make_text_encoder
 from edge.perception.model_file import ModelError
 from edge.perception.similarity import is_running_detector
 from edge.perception.text import PromptError
@@ -77,19 +77,24 @@ def check(config: Config) -> None:
 
 
 def check_mission(config: Config) -> None:
-    """Refuse the configuration's own mission if it is not understood or cannot be done.
+    """Refuse the configuration's own mission if it is not understood, cannot be done, or names
+    what the detector does not know.
 
     Where a language model on a server might have to read it, or a checkpoint may hold another one,
     only the start of the service can tell.
 
     Raises:
-        UserError: one line; see `edge.tasks.brief.prepared`.
+        UserError: one line; see `edge.tasks.brief.prepared` and `TextEncoder.embed`.
     """
     mission = config.mission
     translator = mission.translator
     by_server = translator.kind == "llm" or getattr(translator, "llm", None) is not None
-    if mission.checkpoint is None and (mission.instruction is None or not by_server):
-        prepared(config)
+    if mission.checkpoint is not None or (mission.instruction is not None and by_server):
+        return
+    brief, detector = prepared(config), config.perception.detector
+    if isinstance(detector, DetectorOnnx):
+        card = load_card_of(DetectCard, detector.model)
+        make_text_encoder(card, detector.vocabulary).embed(brief.targets)
 
 
 def _policy(config: Config) -> None:

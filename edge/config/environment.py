@@ -38,8 +38,6 @@ class Origins(dict[tuple[str, ...], str]):
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Origins)
 
-    __hash__ = None  # type: ignore[assignment]
-
     def of(self, path: str, *keys: tuple[str, ...]) -> str:
         """Return what an error about keys should name: the file, a variable, an option, or several
         of these where each set a part of what is wrong.

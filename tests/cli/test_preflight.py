@@ -14,6 +14,7 @@ from edge.cli.main import main
 from edge.cli.preflight import check, check_mission
 from edge.config import Config
 from edge.errors import UserError
+from edge.host.ports import free_port
 from edge.launch import open_service
 
 ONNX = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu"}
@@ -124,6 +125,15 @@ def test_config_and_run_refuse_the_same_with_the_same_line(sections, says, capsy
     assert says in line
     assert "\n" not in line
     assert code != os.EX_OK
+    assert line_of("run", sections, capsys) == (code, line)
+
+
+def test_a_target_that_the_detector_does_not_know_is_refused_by_both(capsys, monkeypatch):
+    monkeypatch.setattr(launch, "warm_up", None)
+    sections = {**perception(detector=ONNX), "mission": {"target": "unicorn"}}
+    sections["zenoh"] = {"endpoint": f"tcp/127.0.0.1:{free_port()}"}
+    code, line = line_of("config", sections, capsys)
+    assert line.startswith("prompt 'unicorn': this model knows only")
     assert line_of("run", sections, capsys) == (code, line)
 
 
