@@ -13,13 +13,12 @@ from live_patience import eventually
 from simulated import simulated
 from task_facts import INSTRUCTION as TASK
 from task_facts import by_a_model, driving, looking
-from test_sources_synchronizer import Robot as Fed
 
-from edge.bus import topics
 from edge.host.pages import serve
 from edge.host.service_manager import ServiceManager
 from edge.live.view import LiveView
 from edge.loop.vitals import Vitals
+from edge.sources.synchronizer import TimeSynchronizer
 
 SLOWLY = {"max_speed_mps": 0.15}
 INSTRUCTION = "find the <b>sofa</b>"
@@ -210,9 +209,11 @@ def test_without_sensors_it_says_what_to_look_at(page, house):
 
 
 def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
-    robot = Fed({"perception": {"detector": {"kind": "sim"}, "lift": "depth"}}).info().rgb(1)
-    robot.decoder.offer(topics.ODOMETRY, b"<b>no odometry</b>")
-    house.service.inputs = house.service._health._inputs = robot.synchronizer.inputs.rows
+    inputs = TimeSynchronizer(house.closed.config, lambda: 0).inputs
+    for name in ("camera/rgb", "camera/info", "odom"):
+        inputs.came(name)
+    inputs.dropped("odom", "malformed", "<b>no odometry</b>")
+    house.service.inputs = house.service._health._inputs = inputs.rows
     house.robot.blind = True
     page.says(
         "#banner", "nothing to be seen: no message yet on camera/depth; every message on odom"

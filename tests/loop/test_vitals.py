@@ -11,7 +11,6 @@ from collections.abc import Iterator
 import pytest
 from simulated import simulated
 from test_loops import blanks, running_of
-from test_sources_synchronizer import Robot
 
 from edge.eval.closed_loop import ClosedLoop
 from edge.host.service_manager import ServiceManager
@@ -20,6 +19,7 @@ from edge.loop.runner import Running
 from edge.loop.vitals import HANGS_S, PROBES, Vitals
 from edge.perception.detector import Health
 from edge.perception.worker import DetectorWorker
+from edge.sources.synchronizer import TimeSynchronizer
 
 WATCHDOG_S = 8.0
 
@@ -95,8 +95,8 @@ def test_it_is_ready_once_it_sees(watched):
 
 
 def test_it_says_which_input_is_missing_and_logs_that_once(watched, caplog):
-    robot = Robot()
-    watched.running.service.inputs = robot.synchronizer.inputs.rows
+    inputs = TimeSynchronizer(watched.closed.config, lambda: 0).inputs
+    watched.running.service.inputs = inputs.rows
     watched.vitals.ready()
     why = "nothing to be seen: no message yet on camera/rgb, camera/depth, camera/info, odom"
     assert watched.beat()[-1] == f"STATUS=not ready: {why} (searching: bed)"
@@ -105,7 +105,8 @@ def test_it_says_which_input_is_missing_and_logs_that_once(watched, caplog):
     for _ in range(20):
         watched.beat(1.0)
     assert caplog.messages == [why]
-    robot.odom(0).info()
+    for name in ("odom", "camera/info"):
+        inputs.came(name)
     for _ in range(20):
         watched.beat(1.0)
     assert caplog.messages[1:] == [why.replace(", camera/info, odom", "")]
