@@ -30,7 +30,7 @@ from edge.policies.base import Similarity
 from edge.tasks.legs import Leg
 from edge.tasks.refine import Refined
 from edge.tasks.write import Round
-from edge.text import read_json, without_secrets
+from edge.text import bounded_repr, read_json, without_secrets
 from edge.types import ContextBoxes, Detections, Goal, GoalStatus, Observation
 
 FORMAT, VERSION = "edge-recording", 1
@@ -170,6 +170,9 @@ def observation_of(
     """
     rig.update(said.get("rig", {}))
     camera = rig["camera"]
+    for name in ("seq", "stamp_ns"):
+        if type(said[name]) is not int or not 0 <= said[name] < 1 << 63:
+            raise ValueError(f"{name}: {bounded_repr(said[name], 40)}")
     return Observation(
         said["seq"], said["stamp_ns"], _array_of(said["T_map_base"]), rgb, depth_m,
         None if camera is None else CameraModel(**camera), _array_of(rig["T_base_camera"]),

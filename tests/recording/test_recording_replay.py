@@ -343,6 +343,16 @@ def page(change):
     return changed
 
 
+@pytest.mark.parametrize("stamp_ns", [None, -1, 1 << 64, "1"])
+def test_a_frame_without_its_time_is_damage(drive, tmp_path, stamp_ns):
+    def change(told):
+        if told["observation"] is not None:
+            told["observation"]["stamp_ns"] = stamp_ns
+
+    with pytest.raises(RecordingError, match="damaged journal: ValueError: stamp_ns: "):
+        replay(Session(copied(drive, tmp_path / "edge-a.mcap", page(change))))
+
+
 def test_another_goal_then_is_a_difference_at_its_tick(drive, tmp_path, capsys):
     seen = []
 
