@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,9 +24,10 @@ SNAP_M = 1.0
 """How far a point of a way may be moved to where the robot can be."""
 BEYOND_RAD = math.radians(45)
 """A thing is past when it is so far behind the side that the robot passes it on."""
-OTHER_SIDE_RAD = -math.radians(95)
-"""A way that has come so far around a thing, against the side that was asked for, passes it on the
-other side."""
+SNAPPED_RAD = math.radians(20)
+"""By so much less a thing may be past where points were moved to where the robot can be."""
+PAST_RAD = math.pi / 2 + BEYOND_RAD - SNAPPED_RAD
+"""How far a way has come around a thing when it has passed it, see `_turned_rad`."""
 
 
 def carry_out(instruction: str, functions: Functions, which: slice = slice(None)) -> list[Step]:
@@ -107,14 +109,18 @@ def _segment(
 def _round(
     step: Step, following: Step | None, at: Point, functions: Functions, part: bool
 ) -> list[Point]:
-    """Past a thing or around it; where no side is said, the shorter way that does not turn back."""
+    """Past a thing or around it: the shortest way that does not turn back.
+
+    Where no side is said, on either; past a thing that is long, as far as around it.
+    """
     ways, why = [], []
     for side in [step.side] if step.side else ["left", "right"]:
-        try:
-            points = _beside_points(step, following, at, side, functions)
-            ways.append((side, _through(at, points, functions)))
-        except TrajectoryError as error:
-            why.append(str(error))
+        for kind in dict.fromkeys((step.kind, "around")):
+            try:
+                points = _beside_points(replace(step, kind=kind), following, at, side, functions)
+                ways.append((side, _through(at, points, functions)))
+            except TrajectoryError as error:
+                why.append(str(error))
     for side, way in sorted(ways, key=lambda one: _length_m(one[1])):
         try:
             _check_side(step, following, side, way, functions, part)
@@ -143,11 +149,11 @@ def _check_side(
     """
     thing = step.things[0]
     turned_rad = _turned_rad(thing, side, way)
-    if turned_rad.min() < OTHER_SIDE_RAD:
+    if turned_rad.min() < -PAST_RAD:
         raise CallError(
             f"the robot gets to the {side} of {called(thing)} only past its {OTHER[side]}"
         )
-    if part and turned_rad[-1] < math.pi / 2 + BEYOND_RAD - _SNAPPED_RAD:
+    if part and turned_rad[-1] < PAST_RAD:
         raise CallError(
             f"it is not known yet whether the robot gets past the {side} of {called(thing)}"
         )
@@ -160,7 +166,7 @@ def _check_side(
         (onward,) = _segment(following, None, here, functions)
     except TrajectoryError:
         return  # which is said of that step
-    if _turned_rad(thing, side, [*way, *onward]).min() < OTHER_SIDE_RAD:
+    if _turned_rad(thing, side, [*way, *onward]).min() < -PAST_RAD:
         raise CallError(
             f"from the {side} of {called(thing)} the robot would have to turn back and pass its "
             f"{OTHER[side]} to go on ({following})"
@@ -168,8 +174,6 @@ def _check_side(
 
 
 _FINE_M = 0.1
-_SNAPPED_RAD = math.radians(20)
-"""By so much less a thing may be past where a point was moved to where the robot can be."""
 
 
 def _turned_rad(thing: SceneObject, side: str, way: Sequence[Point]) -> np.ndarray:

@@ -391,6 +391,59 @@ def test_a_side_that_is_closed_is_refused():
     assert driven("drive past the right of the van", scene)[0] == "past the right of van 1"
 
 
+VAN, GATE, TREE = STREET[0], Thing("gate", 16.0, 2.0, (0.4, 3.0)), Thing("tree", -8.0, 0.0)
+BESIDE_IT = (9.0, 9.4, 0.9, 20.0)
+BEHIND_IT = (11.5, 11.9, -0.9, 20.0), (10.0, 11.9, -1.2, -0.8)
+
+
+@pytest.mark.parametrize(
+    ("walls", "instruction", "refused"),
+    [
+        # Closed beside the van: the robot would touch its left from behind only.
+        ((BESIDE_IT,), "go past the left of the van", "only past its right"),
+        ((BESIDE_IT,), "go around the left of the van, then to the gate", "only past its right"),
+        ((BESIDE_IT,), "go past the van, then stop at the gate", ""),
+        # Closed behind it.
+        (BEHIND_IT, "go past the left of the van, then stop at the gate", "turn back and pass its"),
+        (BEHIND_IT, "go around the left of the van, then to the gate", "turn back and pass its"),
+        (BEHIND_IT, "go past the van, then stop at the gate", ""),
+        (BEHIND_IT, "go past the right of the van, then stop at the gate", ""),
+        # It is asked to come back.
+        (BEHIND_IT, "go past the left of the van, then stop at the tree", ""),
+        (BEHIND_IT, "go past the left of the van, then past the right of it", ""),
+    ],
+)  # fmt: skip
+def test_a_way_past_a_side_does_not_turn_back_past_the_other(walls, instruction, refused):
+    scene = street(VAN, GATE, TREE, walls=walls)
+    if refused:
+        with pytest.raises(TrajectoryError, match=refused):
+            driven(instruction, scene)
+        return
+    driven(instruction, scene)
+
+
+def test_what_comes_next_is_not_known_before_the_robot_is_past():
+    """The corner beside the van is touched, and nothing leads on."""
+    scene = street(VAN, GATE, walls=((8.9, 9.3, 0.9, 20.0), (10.3, 10.7, -20.0, 0.9)))
+    functions = Functions(ground_of(scene, LIMITS.clearance_m), LIMITS)
+    with pytest.raises(TrajectoryError, match="not known yet whether the robot gets past the left"):
+        carry_out("go past the left of the van, then stop at the gate", functions, slice(0, 1))
+
+
+def test_ground_that_nobody_has_seen_is_not_called_full():
+    scene = street(VAN)
+    centres_m = scene.occupancy.centres_m(*np.indices(scene.occupancy.cells.shape))
+    hidden = (centres_m[..., 1] > 0.9) & (centres_m[..., 0] > 3.0)
+    scene.occupancy.cells[hidden], scene.regions_grid.cells[hidden] = -1, 0
+    for words in ("stop left of the van", "go past the left of the van"):
+        with pytest.raises(TrajectoryError, match="nobody has seen yet whether there is room"):
+            driven(words, scene)
+    scene.occupancy.cells[:, 120:] = -1
+    scene.regions_grid.cells[:, 120:] = 0
+    with pytest.raises(TrajectoryError, match=r"was not seen any farther than 4\.0 m"):
+        driven("go straight for 5 metres", scene)
+
+
 def test_the_other_side_of_a_wall_is_not_beside_a_thing():
     """A sofa along a wall, with a table before it: behind the wall is the place nearest to it."""
     sofa = Thing("sofa", 8.0, 2.5, (3.0, 1.0), nearest=False)
