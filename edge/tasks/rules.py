@@ -113,21 +113,22 @@ def _round(
 
     Where no side is said, on either; past a thing that is long, as far as around it.
     """
-    ways, why = [], []
-    for side in [step.side] if step.side else ["left", "right"]:
-        for kind in dict.fromkeys((step.kind, "around")):
+    why: list[str] = []
+    for kind in dict.fromkeys((step.kind, "around")):
+        ways = []
+        for side in [step.side] if step.side else ["left", "right"]:
             try:
                 points = _beside_points(replace(step, kind=kind), following, at, side, functions)
                 ways.append((side, _through(at, points, functions)))
             except TrajectoryError as error:
                 why.append(str(error))
-    for side, way in sorted(ways, key=lambda one: _length_m(one[1])):
-        try:
-            _check_side(step, following, side, way, functions, part)
-        except TrajectoryError as error:
-            why.append(str(error))
-        else:
-            return way
+        for side, way in sorted(ways, key=lambda one: _length_m(one[1])):
+            try:
+                _check_side(step, following, side, way, functions, part)
+            except TrajectoryError as error:
+                why.append(str(error))
+            else:
+                return way
     raise CallError(why[0])
 
 
