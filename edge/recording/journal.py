@@ -341,13 +341,14 @@ def _draft(d: Draft) -> dict[str, Any]:
         "refined": None if d.refined is None else _refined(d.refined), "error": d.error,
         "hopeless": d.hopeless, "mistakable": d.mistakable, "speed_mps": d.speed_mps,
         "coarse_m": None if d.coarse_m is None else _array(d.coarse_m),
-        "stops_at": d.stops_at, "upto": d.upto, "understood": d.understood, "prompt": d.prompt,
+        "stops_at": d.stops_at, "stops": d.stops, "upto": d.upto,
+        "understood": d.understood, "prompt": d.prompt,
         "rounds": [asdict(r) for r in d.rounds],
     }  # fmt: skip
 
 
 def draft_of(said: dict[str, Any]) -> Draft:
-    """See `edge.loop.draft.Draft`; recordings of before there was `mistakable` have none."""
+    """See `edge.loop.draft.Draft`; older recordings have no `mistakable`, or no `stops`."""
     refined, coarse_m, stops_at = said["refined"], said["coarse_m"], said["stops_at"]
     same = {name: said[name] for name in ("error", "hopeless", "upto", "understood", "prompt")}
     return Draft(
@@ -356,6 +357,10 @@ def draft_of(said: dict[str, Any]) -> Draft:
         coarse_m=None if coarse_m is None else _array_of(coarse_m),
         speed_mps=said["speed_mps"],
         stops_at=None if stops_at is None else (stops_at[0], stops_at[1]),
+        stops=tuple(
+            tuple((number, label) for number, label in step)
+            for step in said.get("stops", () if stops_at is None else ((stops_at,),))
+        ),
         rounds=tuple(Round(**r) for r in said["rounds"]),
         **same,
     )
