@@ -20,7 +20,7 @@ import httpx
 from edge.config import TranslatorLlm, WriterModel
 from edge.errors import UnavailableError
 from edge.host.http import Exchange, GivenUpError, Reply, explanation, failure
-from edge.text import one_line, split_url
+from edge.text import bounded_repr, one_line, split_url
 
 MOST_TOKENS = 20  # OpenAI and vLLM give no more log-probabilities for one place
 ROUNDING = 1e-3  # how far above 0 a log-probability may be
@@ -211,7 +211,7 @@ class ChatClient:
         for token, logprob in pairs:
             number = isinstance(logprob, (int, float)) and not isinstance(logprob, bool)
             if not (isinstance(token, str) and number and logprob <= ROUNDING):  # false for NaN
-                shown = self._quote(f"{token!r:.40}: {logprob!r:.40}")
+                shown = self._quote(f"{bounded_repr(token, 40)}: {bounded_repr(logprob, 40)}")
                 raise self._error(f"the answer has a logprob that is none, {shown}; check it")
         return [(token, float(max(logprob, LEAST))) for token, logprob in pairs]
 

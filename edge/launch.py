@@ -20,6 +20,7 @@ from edge.bus.presence import Presence
 from edge.bus.requests import RequestServer
 from edge.bus.session import ENVELOPE_BYTES, zenoh_session
 from edge.config import Config
+from edge.config.environment import READ, is_ours
 from edge.errors import UserError
 from edge.host import calibration, resources
 from edge.host.children import python_module
@@ -98,7 +99,7 @@ def open_service(
     """
     stop = stop or threading.Event()
     make_source, make_sinks = find_source(config), find_sinks(config)
-    make_policy = find_policy(config.policy, config.path)
+    make_policy = find_policy(config.policy, config.origin("policy"))
     with ExitStack() as stack:
         mission, keeper, brief = config.mission, None, None
         if mission.checkpoint is not None:
@@ -124,6 +125,12 @@ def open_service(
         presence = Presence(session, config.zenoh)
         stack.callback(presence.close)
         policy = unless_stopped(make_policy, stop)
+        # Made before what takes long: a port may be taken, and one's own may fail.
+        every = [*(make(config=config, session=session) for make in make_sinks), *sinks]
+        for sink in every:
+            stack.callback(sink.close)
+        source = make_source(config=config, session=session)
+        stack.callback(source.close)
         lockstep = config.loop.lockstep
         masker = unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
         progress("loading the detector")
@@ -136,11 +143,6 @@ def open_service(
             stack.callback(scorers.close)
         unless_stopped(partial(warm_up, config, progress), stop)
         raise_if_stopped(stop)
-        source = make_source(config=config, session=session)
-        stack.callback(source.close)
-        every = [*(make(config=config, session=session) for make in make_sinks), *sinks]
-        for sink in every:
-            stack.callback(sink.close)
         servers: dict[str, RequestServer] = {}
 
         def overruns() -> dict[str, int]:
@@ -153,7 +155,7 @@ def open_service(
 
         service = Service(
             config, brief, worker, policy, every, keeper, scorers, overruns, calibration.load(),
-            idle,
+            idle, inputs=getattr(source, "input_table", tuple),
         )  # fmt: skip
         stack.callback(service.close)
         served = requests.served(service, partial(prepared, config), amiss)
@@ -211,7 +213,7 @@ def children(
     """`edge COMMAND` processes with this configuration; they end with the block.
 
     A child gets the whole configuration in a file, since the environment's overrides and `--target`
-    are already in it.
+    are already in it. Variables of the environment that nothing reads were told of here.
 
     Args:
         stop: set when a child ends before the block does: there is nothing to go on with.
@@ -219,7 +221,7 @@ def children(
     Raises:
         UserError: a child could not be started, or ended by itself.
     """
-    environ = {k: v for k, v in os.environ.items() if not k.startswith("EDGE__")}
+    environ = {k: v for k, v in os.environ.items() if k in READ or not is_ours(k)}
     started: list[subprocess.Popen[bytes]] = []
     with _in_memory(config) as file:
         path = f"/proc/self/fd/{file.fileno()}"

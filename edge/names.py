@@ -81,6 +81,7 @@ ALIASES: dict[str, tuple[str, ...]] = {
         "picture", "picture frame", "portrait", "desk portrait", "photo frame", "photograph",
         "wall art", "artwork", "framed picture",
     ),
+    "parking meter": (),
     "person": ("man", "woman", "human", "people", "pedestrian", "child"),
     "piano": (),
     "pillow": (),
@@ -99,6 +100,7 @@ ALIASES: dict[str, tuple[str, ...]] = {
     "sports ball": ("ball", "soccer ball", "football"),
     "statue": ("sculpture", "figurine"),
     "stool": ("bar stool", "barstool"),
+    "stop sign": (),
     "stove": ("cooker", "gas stove", "hob", "cooktop", "stovetop", "range"),
     "street light": (
         "streetlight", "street lamp", "streetlamp", "lamp post", "lamppost", "lamp pole",

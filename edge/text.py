@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
@@ -18,6 +18,7 @@ _URL = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]{0,31}://)(?:[^\s/?#]*@)?([^\s?#]*)(?
 _LOCATOR = re.compile(
     r"(?<![\w/])((?:tcp|udp|tls|quic|ws|serial|vsock|unixpipe|unixsock-stream)/)([^\s?#]*)[?#]\S*"
 )
+_BREAK = re.compile(r" *[^\S ]\s*")  # any white space but single-line spaces
 _SECRET_KEY = re.compile(
     r"(pass(word|wd|phrase)?|secret|token|api_?key|private_key)$", re.IGNORECASE
 )
@@ -34,17 +35,63 @@ def one_line(text: object, limit: int = MAX_CHARS) -> str:
     'stuck 12:00 info mission: [31m reached'
     """
     # Ten times the limit is looked at: a novel costs no more than a letter.
-    line = " ".join(_printable(str(text)[: 10 * limit]).split())
+    is_data = type(text) is int or type(text) in _BRACKETS
+    said = bounded_repr(text, 10 * limit) if is_data else str(text)[: 10 * limit]
+    line = " ".join(_printable(said).split())
     return line if len(line) <= limit else line[: limit - 1] + "…"
+
+
+def bounded_repr(value: object, limit: int = 80) -> str:
+    """Return `repr` of data from outside, cut to `limit` characters; what is cut ends in `…`.
+
+    It costs no more than what is shown: `f"{value!r:.80}"` builds all of it first, and raises for
+    an integer of more than 4300 digits.
+
+    >>> bounded_repr({"a": [1, None, "x" * 9_000_000]}, 24)
+    "{'a': [1, None, 'xxxxxx…"
+    """
+    line, pieces = "", _repr_pieces(value, limit)
+    while len(line) <= limit and (piece := next(pieces, None)) is not None:
+        line += piece
+    return line if len(line) <= limit else line[: limit - 1] + "…"
+
+
+_BRACKETS: dict[type, tuple[str, str]] = {
+    list: ("[", "]"), tuple: ("(", ")"), set: ("{", "}"), dict: ("{", "}")
+}  # fmt: skip
+
+
+def _repr_pieces(value: Any, limit: int) -> Iterator[str]:
+    """Yield the parts of `repr`: at least one character for each level of nesting."""
+    if isinstance(value, (str, bytes)):
+        yield repr(value[:limit])
+    elif isinstance(value, int) and (unseen := value.bit_length() // 4 - limit) > 0:
+        yield ("-" if value < 0 else "") + hex(abs(value) >> 4 * unseen)  # its first digits
+    elif (brackets := _BRACKETS.get(type(value))) is not None:
+        yield brackets[0]
+        for k, item in enumerate(value):
+            if k:
+                yield ", "
+            yield from _repr_pieces(item, limit)
+            if isinstance(value, dict):
+                yield ": "
+                yield from _repr_pieces(value[item], limit)
+        yield brackets[1]
+    else:
+        yield repr(value)
 
 
 def shorten(text: str, length: int) -> str:
     """Printable text of at most `length` characters, its spaces kept; what does not print is `�`.
 
+    A line break and the spaces around it become one space: an instruction may have several lines.
+
     >>> shorten("tall white trash can", 10)
     'tall whit…'
+    >>> shorten("go to the bed,\\n    then  to the tv", 40)
+    'go to the bed, then  to the tv'
     """
-    text = "".join(c if c.isprintable() else "�" for c in text)
+    text = "".join(c if c.isprintable() else "�" for c in _BREAK.sub(" ", text))
     return text if len(text) <= length else f"{text[: length - 1]}…"
 
 
@@ -74,12 +121,19 @@ def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else " " for c in text)
 
 
-def read_json(text: bytes | str) -> Any:
-    """What JSON text from outside says.
+def read_json(text: bytes | str, most: int | None = None) -> Any:
+    """Return the data of a JSON text from outside.
+
+    Args:
+        most: values and commas that are taken; each value takes some twenty times its characters.
 
     Raises:
-        ValueError: it is no JSON, or nested too deeply.
+        ValueError: it is no JSON, nested too deeply, or of too many values.
     """
+    if most is not None:
+        marks = (b",", b"[", b"{") if isinstance(text, bytes) else (",", "[", "{")
+        if sum(map(text.count, marks)) > most:
+            raise ValueError(f"more than {most} values")
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -142,13 +196,14 @@ def aligned(rows: Sequence[Sequence[object]], left: int | None = None) -> str:
     )
 
 
-def without_secrets(data: Any) -> Any:
+def without_secrets(data: Any, depth: int = 100) -> Any:
     """The same without what may be secret: in a URL user and password, and what comes after its
     path; in an endpoint of Zenoh what comes after its address; and whatever lies under a key that
     says so (`password`, `token`, `api_key`, …).
 
     Args:
         data: text, or JSON types with texts in them. Keys of objects stay as they are.
+        depth: of nesting; what lies deeper is left out.
 
     >>> without_secrets({"url": "https://me:pw@host/v1?key=42", "n": [1, "a://b"]})
     {'url': 'https://host/v1?***', 'n': [1, 'a://b']}
@@ -157,14 +212,18 @@ def without_secrets(data: Any) -> Any:
     """
     if isinstance(data, str):
         return _LOCATOR.sub(r"\1\2?***", _URL.sub(_plain, data))
+    if not isinstance(data, (dict, list, tuple)):
+        return data
+    if depth == 0:
+        return "…"
     if isinstance(data, dict):
         return {
-            key: "***" if value and _SECRET_KEY.search(str(key)) else without_secrets(value)
+            key: "***"
+            if value and _SECRET_KEY.search(str(key))
+            else without_secrets(value, depth - 1)
             for key, value in data.items()
         }
-    if isinstance(data, (list, tuple)):
-        return [without_secrets(value) for value in data]
-    return data
+    return [without_secrets(value, depth - 1) for value in data]
 
 
 def _plain(url: re.Match[str]) -> str:

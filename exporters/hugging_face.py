@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
 
-import yaml
-
+from edge.config.yaml_text import parse_yaml
 from edge.host.files import read_regular
 from edge.text import one_line, read_json_object
 from exporters.files import ExportError, sha256_of
@@ -98,8 +97,8 @@ def license_of(folder: Path) -> str:
     try:
         text = read_regular(folder / "README.md").decode("utf-8")
         _, front, _ = text.split("---", 2)
-        found = yaml.safe_load(front).get("license")
-    except (OSError, ValueError, AttributeError, yaml.YAMLError):
+        found = parse_yaml(front).get("license")
+    except (OSError, ValueError, AttributeError):
         return LICENSE_UNKNOWN
     return found if isinstance(found, str) and found else LICENSE_UNKNOWN
 

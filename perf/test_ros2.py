@@ -22,8 +22,8 @@ import zenoh
 ROOT = Path(__file__).resolve().parents[1]
 sys.path += [str(ROOT / "tests"), str(ROOT / "tests" / "ros2_adapter")]
 
+from live_patience import eventually  # noqa: E402
 from live_ros import ROS_PYTHON, make_environ  # noqa: E402, of the tests
-from patience import eventually  # noqa: E402
 from results import result  # noqa: E402
 
 from edge.bus import topics  # noqa: E402

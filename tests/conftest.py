@@ -9,7 +9,7 @@ import logging
 import os
 import subprocess
 import sys
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TextIO
 
@@ -39,6 +39,11 @@ SHARED = HERE.parents[1] / "shared"
 # happen.
 LIVE = ("integration", "attacks")
 LIVE_LIMIT_S = 900
+# Folders with tests that wait for a service or a part of it, in a process or on a thread.
+SERVICES = {
+    *LIVE, "eval", "live", "loop", "motion", "perception", "recording", "ros2_adapter", "sim",
+    "sinks", "sources",
+}  # fmt: skip
 
 # pytest-timeout ends a test by an exception in its main thread: it does nothing for a kernel or a
 # library that never returns to Python, nor once more for a fixture that then hangs as well. After
@@ -91,12 +96,31 @@ _rewriting: list[TextIO] = []
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_setupnodes(config: pytest.Config) -> None:
     all_are_run = config.args_source is pytest.Config.ArgsSource.TESTPATHS
-    compiled = f"*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
-    if all_are_run and not any((HERE.parent / "edge" / "mapping").rglob(compiled)):
-        for code in (EPISODE, PERCEPTION):
-            _compiling.append(subprocess.Popen([sys.executable, "-c", code], cwd=HERE))
+    if all_are_run and _start_compiling():
         _rewriting.append(open(__file__))  # noqa: SIM115
         fcntl.flock(_rewriting[0], fcntl.LOCK_EX)
+
+
+def _start_compiling() -> bool:
+    """Compile the kernels in the background if this checkout has none."""
+    compiled = f"*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
+    if _compiling or any((HERE.parent / "edge" / "mapping").rglob(compiled)):
+        return False
+    for code in (EPISODE, PERCEPTION):
+        _compiling.append(subprocess.Popen([sys.executable, "-c", code], cwd=HERE))
+    return True
+
+
+def _compile_for(tests: Iterable[str]) -> None:
+    """Wait until the kernels are compiled, if one of the tests waits for a service.
+
+    Otherwise the service compiles them while the test loses its patience.
+    """
+    folders = {test.partition("/")[0] for test in tests}
+    if folders & SERVICES:
+        _start_compiling()
+    for process in _compiling:
+        process.wait()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -127,10 +151,16 @@ def _unfreeze() -> None:
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_node_collection_finished() -> None:
+def pytest_xdist_node_collection_finished(ids: Sequence[str]) -> None:
     _let_others_collect()
-    for process in _compiling:
-        process.wait()
+    _compile_for(id.removeprefix("tests/") for id in ids)
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    # For a worker, its controller does it.
+    if not (hasattr(session.config, "workerinput") or session.config.option.collectonly):
+        inside = [item.path for item in session.items if HERE in item.path.parents]
+        _compile_for(str(path.relative_to(HERE)) for path in inside)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from patience import PATIENCE_S
+from live_patience import PATIENCE_S
 
 from edge.host.ports import free_port
 

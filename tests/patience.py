@@ -1,4 +1,4 @@
-"""Waiting for what another thread or process does."""
+"""Waiting for another thread; for a process see `live_patience`."""
 
 from __future__ import annotations
 
@@ -8,13 +8,20 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-PATIENCE_S = 240.0  # only a failing test waits this long
+PATIENCE_S = 20.0  # only a failing test waits this long
 
 
-def eventually(what: Callable[[], T], otherwise: str | Callable[[], str] = "never happened") -> T:
-    """The first truthy answer; fails when none comes in `PATIENCE_S`, with what `otherwise` says
-    by then."""
-    deadline_s = time.monotonic() + PATIENCE_S
+def eventually(
+    what: Callable[[], T],
+    otherwise: str | Callable[[], str] = "never happened",
+    patience_s: float = PATIENCE_S,
+) -> T:
+    """Return the first truthy answer; fail if none comes in time.
+
+    Args:
+        otherwise: the reason to fail with; a function if it depends on what happened meanwhile.
+    """
+    deadline_s = time.monotonic() + patience_s
     while not (answer := what()):
         if time.monotonic() >= deadline_s:
             raise AssertionError(otherwise() if callable(otherwise) else otherwise)

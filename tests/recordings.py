@@ -12,7 +12,7 @@ from edge.recording.rolling import files_of
 from edge.sinks.mcap import McapSink
 
 
-def small(**sections: dict) -> Config:
+def small(**sections: dict | list) -> Config:
     """A simulated run in lockstep, with small pictures."""
     base = {
         "loop": {"lockstep": True},
@@ -21,7 +21,9 @@ def small(**sections: dict) -> Config:
         "mission": {"target": "bed"},
     }
     merged = {**base, **sections}
-    return simulated({k: {**base.get(k, {}), **v} for k, v in merged.items()})
+    return simulated(
+        {k: {**base.get(k, {}), **v} if isinstance(v, dict) else v for k, v in merged.items()}
+    )
 
 
 class Recording:

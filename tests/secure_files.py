@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from patience import eventually
+from live_patience import eventually
 
 from edge.bus import client
 from edge.config import Zenoh

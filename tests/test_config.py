@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,8 @@ from pydantic import ValidationError
 from simulated import simulated
 
 from edge import config
-from edge.config import Config, ConfigError, load, parse
+from edge.config import Config, ConfigError, Mapping, Robot, load, parse
+from edge.config.yaml_text import parse_yaml
 from edge.geometry import MIN_FOCAL
 from edge.host import resources
 
@@ -129,6 +131,12 @@ FAULTS = [
     (
         {"perception": {**SIM["perception"], "governor": {"ladder": [{"rest": "choice"}]}}},
         "f.yaml: perception: governor: ladder: 0: rest: choice: no such model is asked",
+    ),
+    ({"robot": {"radius_m": "0.5"}, "mapping": None}, "f.yaml: mapping: expected a section"),
+    ({"robot": {"radius_m": 0.5}, "mapping": []}, "f.yaml: mapping: expected a section"),
+    (
+        {"robot": {"radius_m": "0.5"}, "mapping": {"extent_m": 12}},
+        "f.yaml: mapping: extent_m: must be over twice range_m plus inflation",
     ),
     ({"mapping": {"extent_m": 3}}, "f.yaml: mapping: extent_m: must be over twice range_m"),
     (
@@ -283,6 +291,84 @@ def test_a_file_that_is_no_configuration(write, content, says):
     assert "\n" not in str(error.value)
 
 
+def nested(first: str, more: str) -> str:
+    """YAML in which each line stands for nine of the line before, nine times over."""
+    return first + "".join(
+        more.format(name=name, nine=", ".join(["*" + before] * 9))
+        for before, name in pairwise("abcdefghij")
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (nested("a: &a [x, x]\n", "{name}: &{name} [{nine}]\n"), "more than 20000 keys and values"),
+        (nested("a: &a {x: 1}\n", "{name}: &{name} {{<<: [{nine}]}}\n"), "more than 20000"),
+        ("a: &a " + "x" * 500_000 + "\nb: [*a, *a, *a]", "line 2: more than 20000"),
+        ("robot: [" + "1, " * 20_000 + "]", "line 1: more than 20000"),
+        ("robot: &a\n  name: [*a]", "line 2: an alias inside what it stands for"),
+        ("robot: &a\n  <<: *a", "line 2: an alias inside what it stands for"),
+        ("".join(f"- &a{i + 1} [*a{i}]\n" for i in range(1, 99)), "undefined alias 'a1'"),
+        ("- &a0 x\n" + "".join(f"- &a{i + 1} [*a{i}]\n" for i in range(99)), "nested too deeply"),
+        ("{a: " * 100, "nested too deeply"),
+        ("? " * 1000, "nested too deeply"),
+        ("".join(" " * i + "a:\n" for i in range(100)), "nested too deeply"),
+        ("loop: {hz: 1" + ":1" * 100_000 + "}", "line 1: a number of more than 100 characters"),
+        ("loop: {hz: 0x" + "f" * 5000 + "}", "line 1: a number of more than 100 characters"),
+        ("a" * ((1 << 20) + 1), "Longer than 1048576 bytes"),
+        ("robot: !!python/object/apply:os.system [x]", "not YAML: could not determine"),
+        ("robot:\n  name: a\n  radius_m: 1\n  name: b", "line 4: robot.name: given twice, first in"
+         " line 2: keep one"),
+        ("sinks:\n- {kind: zenoh, kind: mcap}", "line 2: sinks.0.kind: given twice, first in"),
+        ("zenoh: {}\nloop: {}\n'zenoh': {}", "line 3: zenoh: given twice, first in line 1"),
+        ("on: 1\nyes: 2", "line 2: yes: given twice, first in line 1"),
+        ("1: 1\n0x1: 2", "line 2: 0x1: given twice, first in line 1"),
+        ("a: &a {x: 1}\nb:\n  <<: *a\n  <<: *a", "line 4: b.<<: given twice, first in line 3"),
+    ],
+)  # fmt: skip
+def test_yaml_that_nobody_means_is_refused_at_once(write, content, says):
+    path = write(content)
+    with pytest.raises(ConfigError) as error:
+        load(path, {})
+    assert str(error.value).startswith(f"{path}: ")
+    assert says in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_what_comes_again_by_an_alias_is_read(write):
+    content = """
+    x: &sim {kind: sim, miss_rate: 0.2}
+    perception: {detector: {<<: *sim, miss_rate: 0.3}}
+    """
+    with pytest.raises(ConfigError, match=r"x: unknown key") as error:
+        load(write(content), {})
+    assert "\n" not in str(error.value)
+    assert parse_yaml(content)["perception"] == {"detector": {"kind": "sim", "miss_rate": 0.3}}
+
+
+def test_all_yaml_is_read_by_one_reader():
+    package = Path(config.__file__).parents[1]
+    text = {p: p.read_text(encoding="utf-8") for p in package.rglob("*.py")}
+    assert [p.name for p in text if "SafeLoader" in text[p]] == ["yaml_text.py"]
+    assert [p for p in text if "yaml.safe_load" in text[p] or "yaml.load" in text[p]] == []
+
+
+def test_what_is_huge_is_not_echoed_in_full(write):
+    """A value is shown as far as it is shown; nothing is made of the rest."""
+    for value in ("[" + "x, " * 1500 + "]", "x" * 90_000, "[" * 60 + "]" * 60):
+        with pytest.raises(ConfigError) as error:
+            load(write(f"robot: {{name: {value}}}"), {})
+        assert max(map(len, str(error.value).splitlines())) < 400
+
+
+def test_of_many_faults_the_first_are_told():
+    with pytest.raises(ConfigError) as error:
+        parse({**SIM, "sinks": [3] * 1000}, "f.yaml")
+    lines = str(error.value).splitlines()
+    assert len(lines) == 21
+    assert lines[-1] == "f.yaml: 980 more faults"
+
+
 def test_a_missing_file_lists_the_ready_ones():
     with pytest.raises(ConfigError) as error:
         load("no/such/file.yaml", {})
@@ -305,6 +391,14 @@ OVERRIDES = [
     ),
     ({"EDGE__ROBOT__RADIUS_M": "0.3"}, lambda c: c.robot.radius_m, 0.3),
     ({"EDGE__ROBOT__RADIUS_M": "0.3"}, lambda c: c.mapping.inflation_m, 0.32),
+    ({"EDGE__ROBOT__RADIUS_M": "5e-1"}, lambda c: c.mapping.inflation_m, 0.52),
+    ({"EDGE__ROBOT": "{radius_m: '0.5'}"}, lambda c: c.mapping.inflation_m, 0.52),
+    ({"EDGE__ROBOT": "{radius_m: '0.5'}"}, lambda c: c.tasks.trajectory.clearance_m, 0.6),
+    (
+        {"EDGE__ROBOT": "{radius_m: '0.5'}", "EDGE__TASKS__TRAJECTORY": "{max_points: 9}"},
+        lambda c: (c.tasks.trajectory.clearance_m, c.tasks.trajectory.max_points),
+        (0.6, 9),
+    ),
     ({"EDGE__ROBOT__RADIUS_M": "0.1"}, lambda c: c.mapping.inflation_m, 0.22),
     (
         {"EDGE__ROBOT__RADIUS_M": "0.3", "EDGE__MAPPING__INFLATION_M": "0.3"},
@@ -349,9 +443,76 @@ def test_a_wrong_override_is_an_error(write, environ, says):
         load(write(""), environ)
 
 
+BY = "environment EDGE__"
+
+
+@pytest.mark.parametrize(
+    ("environ", "named"),
+    [
+        ({"LOOP__HZ": "fast"}, f"{BY}LOOP__HZ: loop.hz: input should be a valid number"),
+        ({"POLICY": "{kind: hvll}"}, f"{BY}POLICY: policy.kind: unknown 'hvll'"),
+        ({"POLICY__KIND": "hvll"}, f"{BY}POLICY__KIND: policy.kind: unknown 'hvll'"),
+        ({"MISION__TARGET": "bed"}, f"{BY}MISION__TARGET: mision: unknown key (did you mean"),
+        ({"ROBOT__RADIUS": "1"}, f"{BY}ROBOT__RADIUS: robot.radius: unknown key"),
+        ({"SINKS": "[{knd: a}]"}, f"{BY}SINKS: sinks.0.kind: missing"),
+        # The file and the environment are at fault together.
+        ({"SIM__WORLD__KIND": "mesh"}, f"FILE, {BY}SIM__WORLD__KIND: sim.world.mesh: missing"),
+        ({"POLICY__KIND": "vlfm"}, f"{BY}POLICY__KIND, FILE: policy.kind: vlfm goes by"),
+        (
+            {"POLICY": "{kind: adaptive, by: prior}", "PERCEPTION__PRIOR": "none"},
+            f"{BY}POLICY, {BY}PERCEPTION__PRIOR: policy.by: prior: there is no prior",
+        ),
+        ({"ROBOT__NAME": "a"}, "FILE: robot.radius_m: "),
+    ],
+)
+def test_an_error_names_what_set_the_key(write, environ, named):
+    """Not the file, whose user would look there in vain."""
+    broken = "ROBOT__NAME" in environ
+    robot = {"robot": {"radius_m": "wide"}} if broken else {}
+    path = write(yaml.safe_dump({**SIM, **robot}))
+    with pytest.raises(ConfigError) as error:
+        load(path, {f"EDGE__{key}": value for key, value in environ.items()})
+    assert str(error.value).splitlines()[0].startswith(named.replace("FILE", path))
+
+
+def test_the_command_line_is_named_where_it_set_the_key(write):
+    path, environ = write(yaml.safe_dump(SIM)), {"EDGE__MISSION__TARGET": '""'}
+    with pytest.raises(ConfigError, match=r"^--target: mission\.target: "):
+        load(path, environ, {"EDGE__MISSION__TARGET": "--target"})
+
+
+def test_who_set_a_key_makes_no_other_configuration(write):
+    by_file = load(write(yaml.safe_dump({**SIM, "loop": {"hz": 10}})), {})
+    by_environment = load(write(yaml.safe_dump(SIM)), {"EDGE__LOOP__HZ": "10"})
+    assert by_environment == by_file
+
+
+def test_variables_that_nothing_reads_are_told_of_once(write, caplog):
+    unread = ("EDGE_FOO", "EDGE_POLICY__KIND", "edge__loop__hz", "EDGE_VOCABULARIES")
+    read = ("EDGE_CACHE_DIR", "EDGE_VOCABULARY", "EDGE_TRUST_CACHE", "EDGE__LOOP__HZ")
+    environ = dict.fromkeys((*unread, *read, "KNOWLEDGE_BASE", "LEDGER__A"), "3")
+    for _ in range(2):
+        load(write(yaml.safe_dump(SIM)), environ)
+    assert [record.getMessage() for record in caplog.records] == [
+        "environment EDGE_FOO: nothing reads it (keys are set by EDGE__SECTION__KEY)",
+        "environment EDGE_POLICY__KIND: nothing reads it (did you mean EDGE__POLICY__KIND?)",
+        "environment EDGE_VOCABULARIES: nothing reads it (did you mean EDGE_VOCABULARY?)",
+        "environment edge__loop__hz: nothing reads it (did you mean EDGE__LOOP__HZ?)",
+    ]
+
+
 def test_the_process_environment_is_the_default(write, monkeypatch):
     monkeypatch.setenv("EDGE__MISSION__TARGET", "lamp")
     assert load(write(yaml.safe_dump(SIM))).mission.target == "lamp"
+
+
+def test_objects_keep_as_far_away_as_what_is_read():
+    """Whichever way the robot and the sections are given."""
+    made = Config(
+        perception=SIM["perception"], robot=Robot(radius_m=0.5), mapping=Mapping(range_m=3.0)
+    )
+    assert (made.mapping.inflation_m, made.mapping.range_m) == (0.52, 3.0)
+    assert made.tasks.trajectory.clearance_m == 0.6
 
 
 def test_objects_are_frozen():

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.text import MAX_CHARS, one_line, read_json_object, without_secrets
+from edge.text import MAX_CHARS, bounded_repr, one_line, read_json_object, without_secrets
 
 
 @pytest.mark.parametrize(
@@ -31,6 +31,55 @@ def test_it_is_printable_short_and_says_no_more_the_second_time(text, limit):
     assert line.isprintable()
     assert len(line) <= limit
     assert one_line(line, limit) == line
+
+
+class Silent:
+    def __repr__(self) -> str:
+        raise AssertionError("what is not shown is not looked at")
+
+
+def deep(levels: int) -> list:
+    inner: list = []
+    for _ in range(levels):
+        inner = [inner]
+    return inner
+
+
+@pytest.mark.parametrize(
+    "value",
+    [None, True, 0, -1.5, "a", "it's", b"\x00", [], (), {}, [1, "b", None], (1, 2), {"a": [1]},
+     {1: {"b": (2.5, "c")}}, {3}, {"k": -1}],
+)  # fmt: skip
+def test_what_is_short_is_shown_as_it_is(value):
+    assert bounded_repr(value) == repr(value)
+
+
+@pytest.mark.parametrize(
+    ("value", "begins"),
+    [
+        (["x" * 1000, Silent()], "['xxx"),
+        ({"a": "x" * 1000, "b": Silent()}, "{'a': 'xxx"),
+        ([0] * 1000 + [Silent()], "[0, 0, 0"),
+        ("x" * 10_000_000, "'xxx"),
+        (b"\x00" * 10_000_000, "b'\\x00"),
+        (deep(100_000), "[[[["),
+        (1 << 100_000, "0x1"),
+        (-1 << 100_000, "-0x1"),
+        ([1 << 100_000], "[0x1"),
+    ],
+    ids=range(9),  # pytest would show the values
+)
+def test_no_more_is_made_than_is_shown(value, begins):
+    shown = bounded_repr(value, 40)
+    assert shown.startswith(begins)
+    assert len(shown) == 40
+    assert shown.endswith("…")
+    assert one_line(value, 30).startswith(begins.strip("'")[:5])
+    assert len(one_line(value, 30)) == 30
+
+
+def test_secrets_are_looked_for_however_deep():
+    assert str(without_secrets(deep(100_000))).count("[") == 100
 
 
 def test_a_novel_is_cut_before_it_is_looked_through():

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 from prometheus_client.parser import text_string_to_metric_families
 from simulated import simulated
 

@@ -56,6 +56,8 @@ def connect(
         return open_session(settings, "connect", enough)
     except NotTakenIn as error:
         where = settings.address
+        if error.unknown is not None:
+            raise RequestError(f"{what}: {where}: {error.unknown}") from None
         if error.refused is not None:
             raise RequestError(f"{what}: refused at {where}: {error.refused}") from None
         raise RequestError(f"{what}: no {whom} at {where}; start one with `{start}`") from None

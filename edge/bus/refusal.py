@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import socket
 import ssl
+import threading
 
 import zenoh
 
@@ -49,6 +50,10 @@ _NOT_TAKEN_IN_TLS = (
 )
 
 
+class UnknownHostError(Exception):
+    """No address is known for the host of an endpoint; its message says for which, and why."""
+
+
 def why_refused(endpoint: str, found: zenoh.Config, file: str) -> str | None:
     """Why there is no session with who is at an endpoint; None: nobody is there.
 
@@ -58,26 +63,44 @@ def why_refused(endpoint: str, found: zenoh.Config, file: str) -> str | None:
         endpoint: such as `tls/robot.local:7447`.
         found: what the session was to be opened with.
         file: where its user would look, for the line: a path, or the key that would name one.
+
+    Raises:
+        UnknownHostError: no address is known for the endpoint's host.
     """
     if (lacks := unreadable(found, listens=False)) is not None:
         return lacks
     if protocol(endpoint) not in ("tcp", "tls") or not host_and_port(endpoint)[1]:
         return None
-    said: list[str | None] = []
+    said: list[str | UnknownHostError | None] = []
     # A name that nobody knows may be looked for during half a minute.
-    probe = start_unjoined("probe", lambda: said.append(_probe(endpoint, found, file)))
+    known = threading.Event()
+    probe = start_unjoined("probe", lambda: said.append(_probe(endpoint, found, file, known)))
     probe.join(_NAME_S + 2 * PROBE_S)
-    return said[0] if said else None
+    answer = said[0] if said else None
+    if not said and not known.is_set():
+        host = one_line(host_and_port(endpoint)[0])
+        answer = UnknownHostError(f"no address is known for {host!r}: the name service is silent")
+    if isinstance(answer, UnknownHostError):
+        raise answer
+    return answer
 
 
-def _probe(endpoint: str, found: zenoh.Config, file: str) -> str | None:
+def _probe(
+    endpoint: str, found: zenoh.Config, file: str, known: threading.Event
+) -> str | UnknownHostError | None:
+    """Try the endpoint; set `known` once its host has an address."""
     host, port = host_and_port(endpoint)
     try:
+        socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        known.set()
         with socket.create_connection((host, port), PROBE_S) as plain:
             if protocol(endpoint) == "tcp":
                 return _NOT_TAKEN_IN.format(file=file)
             return _tls_refusal(plain, host, endpoint, found, file)
-    except (OSError, UnicodeError):  # UnicodeError: a label that no host name may have
+    except (socket.gaierror, UnicodeError) as error:  # UnicodeError: a label no name may have
+        why = getattr(error, "strerror", None) or "no such name can be"
+        return UnknownHostError(f"no address is known for {one_line(host)!r} ({one_line(why)})")
+    except OSError:
         return None
 
 

@@ -3,7 +3,8 @@
 The service listens, everything else connects to it as a client: a listening peer passes messages
 on between its clients, never between peers, so the simulator hears the controller only this way.
 Multicast discovery is off: it is not to be relied on in containers and closed networks. A
-connector that finds nobody, or is refused, keeps trying, for ever.
+connector that finds nobody, or is refused, keeps trying, for ever. It gives up after `HOST_S` if no
+address is known for the endpoint's host.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import logging
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Literal
@@ -20,9 +22,10 @@ import zenoh
 
 from edge import config
 from edge.bus.certificate import judge
-from edge.bus.refusal import why_refused
+from edge.bus.refusal import UnknownHostError, why_refused
 from edge.bus.topics import Qos, Topic
 from edge.bus.zenoh_file import (
+    fault_of,
     get,
     lay_over,
     open_to,
@@ -37,6 +40,8 @@ from edge.text import one_line, without_secrets
 log = logging.getLogger("edge.bus.session")
 
 CLOSE_S = 2.0
+HOST_S = 30.0
+"""A computer that is just starting may have no name service yet."""
 OPEN = "{} is open: whoever reaches it may command the robot; see docs/security.md"
 SHUT = "access_control allows nothing below {}/ (zenoh.prefix): nobody is heard or told anything"
 ENVELOPE_BYTES = 65536
@@ -78,12 +83,13 @@ class NotTakenIn(Stopped):
 
     Attributes:
         refused: why whoever is at the endpoint takes no session; None: nobody was there.
+        unknown: why no address is known for the endpoint's host; None: one is known.
     """
 
-    def __init__(self, address: str, refused: str | None) -> None:
+    def __init__(self, address: str, refused: str | None, unknown: str | None = None) -> None:
         while_what = f"nobody was at {address}" if refused is None else f"refused at {address}"
         super().__init__(f"zenoh.endpoint: stopped while {while_what}")
-        self.refused = refused
+        self.refused, self.unknown = refused, unknown
 
 
 def session_config(
@@ -106,6 +112,8 @@ def session_config(
         ConfigError: the file cannot be read, or says another mode.
         BusError: the endpoint is none.
     """
+    if (fault := fault_of(settings.endpoint)) is not None:
+        raise BusError(_explain(settings.address, role, fault))
     key, name = zenoh_file_of(settings, role)
     listens = role == "route" or (role == "listen" and settings.mode == "peer")
     mode = "router" if role == "route" else "peer" if listens else "client"
@@ -118,6 +126,18 @@ def session_config(
         raise ConfigError(f"{key}: {name}: {error}") from None
     except zenoh.ZError as error:
         raise BusError(_explain(settings.address, role, str(error))) from None
+
+
+def check_settings(settings: config.Zenoh, role: Role) -> None:
+    """Refuse settings that no session could be opened with, whoever is at the endpoint.
+
+    Raises:
+        ConfigError, BusError: see `session_config`; a file with a certificate or a password cannot
+            be read.
+    """
+    found = session_config(settings, role)
+    if (lacks := unreadable(found, listens=bool(get(found, "listen/endpoints")))) is not None:
+        raise BusError(_explain(settings.address, role, lacks))
 
 
 def zenoh_file_of(settings: config.Zenoh, role: Role) -> tuple[str, str | None]:
@@ -180,7 +200,7 @@ def open_session(
 
     Raises:
         ConfigError: Zenoh's own file cannot be used.
-        BusError: the endpoint is taken or is no endpoint.
+        BusError: the endpoint is taken or is no endpoint, or no address is known for its host.
         NotTakenIn: `stop` was set.
     """
     _init_zenoh_log()
@@ -195,6 +215,7 @@ def open_session(
         log.warning("%s: listen_certificate: %s", key, fault)
     told: set[str | None] = set()
     before: str | None = None
+    known_s = time.monotonic()  # when the host's name was last known
     while True:
         try:
             return zenoh.open(found)
@@ -203,18 +224,29 @@ def open_session(
                 lacks = unreadable(found, listens=bool(get(found, "listen/endpoints")))
                 cause = str(error) if lacks is None else lacks
                 raise BusError(_explain(settings.address, role, cause)) from None
-        refused = why_refused(settings.endpoint, found, name or key)
+        refused = unknown = None
+        try:
+            refused = why_refused(settings.endpoint, found, name or key)
+            known_s = time.monotonic()
+        except UnknownHostError as error:
+            unknown = str(error)
         level, what = logging.WARNING, f"refused at {settings.address}: {refused}; trying on"
-        if refused is None:
+        if unknown is not None:
+            what = f"zenoh.endpoint: {settings.address}: {unknown}"
+            if time.monotonic() - known_s >= HOST_S:
+                raise BusError(f"{what}; correct it, or give an address")
+            what += f"; trying for {HOST_S:g} s"
+        elif refused is None:
             level, what = logging.INFO, f"waiting for somebody at {settings.address}"
         tell(what)
         # Who is just starting, or busy, refuses once.
-        if refused not in told and refused == before:
-            told.add(refused)
+        why = unknown or refused
+        if why not in told and why == before:
+            told.add(why)
             log.log(level, what)
-        before = refused
+        before = why
         if stop.wait(_PAUSE_S):
-            raise NotTakenIn(settings.address, refused)
+            raise NotTakenIn(settings.address, refused, unknown)
 
 
 def declare_publisher(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from edge.text import one_line, read_json_object
+from edge.text import bounded_repr, one_line, read_json_object
 
 log = logging.getLogger(__name__)
 
@@ -51,7 +51,7 @@ def read_request(payload: bytes, verbs: Mapping[str, Verb]) -> tuple[str, dict]:
     if not isinstance(do, str) or do not in verbs:
         raise ValueError(f"do: unknown {shown(do)} (choices: {', '.join(verbs)})")
     if unknown := sorted(data.keys() - set(verbs[do].fields)):
-        raise ValueError(f"{unknown[0]!r:.40}: not taken with do: {do}")
+        raise ValueError(f"{bounded_repr(unknown[0], 40)}: not taken with do: {do}")
     return do, verbs[do].read(data)
 
 
@@ -85,7 +85,7 @@ def check_flag(name: str, fields: Mapping[str, object]) -> bool:
 def shown(value: object) -> str:
     """For a message; what is nested is not shown, since it may be nested very deep."""
     plain = value is None or isinstance(value, (str, int, float))
-    return f"{value!r:.40}" if plain else f"a {type(value).__name__}"
+    return bounded_repr(value, 40) if plain else f"a {type(value).__name__}"
 
 
 Finish = Callable[[Iterable[Any], bytes, bool], None]

@@ -26,7 +26,7 @@ import zenoh
 from edge.config.loop import KEY_IN_ENDPOINT
 from edge.errors import ConfigError
 from edge.host.credentials import handed_over, open_to_others
-from edge.host.ports import is_loopback
+from edge.host.ports import MOST_PORT, is_loopback
 from edge.text import one_line
 
 BLOCKED_S = 1.0
@@ -48,6 +48,10 @@ DEFAULTS: dict[str, Any] = {
     "transport/unicast/max_sessions": SESSIONS,
 }
 
+_BY_HOST = ("tcp", "tls", "udp", "quic", "ws")
+_OTHERWISE = ("serial", "unixsock-stream", "unixpipe", "vsock")
+"""Protocols whose addresses are hosts and ports, and the others that Zenoh has."""
+_HOST_PORT = re.compile(r"(\[[^][\s/]+\]|[^][\s/:]+):(?P<port>[0-9]{1,5})")
 _WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
 _MESSAGE = "transport/link/rx/max_message_size"
 _SHARED_MEMORY = "transport/shared_memory/enabled"
@@ -181,6 +185,23 @@ def host_and_port(endpoint: str) -> tuple[str, int]:
     place = re.split(r"[?#]", endpoint.partition("/")[2], maxsplit=1)[0]
     host, _, port = place.rpartition(":")
     return host.strip("[]"), int(port) if port.isdecimal() else 0
+
+
+def fault_of(endpoint: str) -> str | None:
+    """Return what is wrong with an endpoint as it is written; None: nothing.
+
+    Zenoh says so only to who listens; who connects would wait for ever.
+    """
+    kind, slash, rest = endpoint.partition("/")
+    place = re.split(r"[?#]", rest, maxsplit=1)[0]
+    if not slash or not place:
+        return "expected PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447"
+    if kind not in (*_BY_HOST, *_OTHERWISE):
+        return f"unknown protocol {one_line(kind, 40)!r} ({', '.join((*_BY_HOST, *_OTHERWISE))})"
+    found = _HOST_PORT.fullmatch(place)
+    if kind in _BY_HOST and (found is None or int(found["port"]) > MOST_PORT):
+        return f"expected HOST:PORT behind {kind}/, the port from 0 to {MOST_PORT}"
+    return None
 
 
 def protocol(endpoint: str) -> str:

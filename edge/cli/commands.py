@@ -8,15 +8,15 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from edge.cli.console import ConsoleSink
+from edge.cli.preflight import check
 from edge.config import Config, Http
 from edge.errors import FAILED, Stopped
 from edge.host.credentials import read_token
 from edge.host.pages import Forms, Pages, serve
-from edge.host.ports import free_port
+from edge.host.ports import free_port, is_free
 from edge.host.service_manager import ServiceManager
 from edge.launch import children, on_a_free_port, open_service
 from edge.live.view import PUBLIC, LiveView
@@ -31,6 +31,9 @@ from edge.text import one_line
 from edge.types import MissionStatus
 
 log = logging.getLogger("edge")
+
+LIVE_PORT = 7480
+"""Default port of the demo's live view: the same each time, so that a browser's tab can stay."""
 
 
 @dataclass(frozen=True)
@@ -61,15 +64,18 @@ def run_service(
         reload: None: the configuration stays.
 
     Raises:
-        UserError: no report can be written there (said before the run).
+        UserError: no report can be written there, or something that the configuration names is not
+            here (said before the run).
         Stopped: `stop` was set before the service was ready.
     """
-    _prepare(report)
+    _prepare(config, report)
     code = _conclude(_serve(config, stop, once, asked, formula, task, reload), report)
     return code if once else os.EX_OK
 
 
-def _prepare(report: str | None) -> None:
+def _prepare(config: Config, report: str | None) -> None:
+    """Refuse what cannot be run with, and a report that cannot be written."""
+    check(config)
     if report is not None:
         from edge.report.page import prepare
 
@@ -84,13 +90,20 @@ def _serve(
     formula: str | None,
     task: str | None,
     reload: Reload | None = None,
+    stay: bool = False,
 ) -> RunRecord:
+    """Run the service; return the record of its run.
+
+    Args:
+        stay: after a mission's end go on until `stop` is set, so that the live view can still be
+            looked at. The record is then that of the mission's end.
+    """
     recorder, vitals = Recorder(config), Vitals(ServiceManager())
     live, metrics, traced = LiveView(config, vitals), Metrics(vitals), TracePage()
     sinks = [ConsoleSink(), recorder, live.sink]
     pages = {**vitals.pages(), **metrics.pages(), **traced.pages(), **live.pages()}
     with (
-        _served(pages, live.forms(), config.http),
+        _served(pages, live.forms(), config.http) as url,
         open_service(
             config, sinks, asked, formula, task, stop, vitals.starting, vitals.amiss
         ) as running,
@@ -104,22 +117,37 @@ def _serve(
         doing = mission.reason if mission.idle else one_line(mission.brief.translation.instruction)
         log.info("ready: %s, on %s", doing, config.zenoh.address)
         vitals.ready()
-        loop(running, stop, once, partial(vitals.beat, running))
+        ended: RunRecord | None = None
+
+        def record() -> RunRecord:
+            return recorder.record(running.service.result(), running.source.counters)
+
+        def each() -> None:
+            nonlocal ended
+            vitals.beat(running)
+            if not stay or not running.service.status.done:
+                ended = None
+            elif ended is None:
+                ended = record()
+                log.info("%s; %s stays until Ctrl-C", running.service.status.phase, url)
+
+        loop(running, stop, once and not stay, each)
         vitals.stopping()
-        return recorder.record(running.service.result(), running.source.counters)
+        return ended or record()
 
 
 @contextmanager
-def _served(pages: Pages, forms: Forms, http: Http) -> Iterator[None]:
-    """The pages over HTTP, as is configured; see `edge.host.pages.serve`."""
+def _served(pages: Pages, forms: Forms, http: Http) -> Iterator[str | None]:
+    """Serve the pages as configured (see `edge.host.pages.serve`); yield the page's address."""
     if http.port is None:
-        yield
+        yield None
         return
     token = None if http.token_file is None else read_token("http.token_file", http.token_file)
     with serve(pages, http.host, http.port, token, PROBES, forms, PUBLIC) as port:
         host = f"[{http.host}]" if ":" in http.host else http.host
-        log.info("live view: http://%s:%s/", one_line(host), port)
-        yield
+        url = f"http://{one_line(host)}:{port}/"
+        log.info("live view: %s", url)
+        yield url
 
 
 def _conclude(record: RunRecord, report: str | None) -> int:
@@ -153,25 +181,38 @@ def run_demo(
     task: str | None = None,
     live: int | None = None,
 ) -> int:
-    """Simulated robot, reference controller and service on this machine; ends with the mission.
+    """Run simulated robot, reference controller and service on this machine.
+
+    It ends with the mission; with a live view it goes on until `stop` is set.
 
     Args:
         asked, formula, task: see `run_service`.
-        live: port for the live view; 0: `http.port`, or a free one; None: only `http.port`.
+        live: port for the live view; 0: `http.port`, else `LIVE_PORT`, else a free one; None: only
+            `http.port`.
     """
     config = on_a_free_port(config)
     if live is not None:
-        http = config.http.model_copy(update={"port": live or config.http.port or free_port()})
+        port = live or config.http.port or _live_port(config.http.host)
+        http = config.http.model_copy(update={"port": port})
         config = config.model_copy(update={"http": http})
-    _prepare(report)
+    _prepare(config, report)
     record = None
     try:
         started = children(config, stop, ("sim", "--no-motion"), ("motion",))
         with started, suppress(Stopped):  # `started` says it when a child that ended was the cause
-            record = _serve(config, stop, True, asked, formula, task)
+            stay = live is not None
+            record = _serve(config, stop, True, asked, formula, task, stay=stay)
     finally:  # a child's failure must not cost the report
         code = 0 if record is None else _conclude(record, report)
     return code
+
+
+def _live_port(host: str) -> int:
+    if is_free(host, LIVE_PORT):
+        return LIVE_PORT
+    port = free_port()
+    log.warning("live view: port %d is taken, port %d is used instead", LIVE_PORT, port)
+    return port
 
 
 def run_simulator(config: Config, stop: threading.Event, motion: bool) -> int:

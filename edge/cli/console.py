@@ -66,6 +66,10 @@ def line_of(result: TickResult) -> str:
     and, of a task that is driven,
 
     `12.3s driving go past the sofa | step 1 of 2 | 3.1 of 7.4 m | map 40 m2 | tick p95 1.9 ms | …`
+
+    and, while an input is lacking,
+
+    `0.0s waiting for sensors: no message yet on edge/camera/depth | looking for chair | …`
     """
     status, pose, task = result.status, result.pose, result.task()
     latency = result.latency(last=_RECENT)
@@ -75,6 +79,10 @@ def line_of(result: TickResult) -> str:
         parts = [f"{phase} {_ahead(result)}", *_sought(result)]
     else:
         parts = _of_task(task, result)
+    if lacks := result.health().get("inputs", {}).get("detail"):
+        parts[0] = parts[0].removeprefix("waiting for sensors, ")
+        # First, since a terminal may be narrow.
+        parts.insert(0, lacks if pose is not None else f"waiting for sensors: {lacks}")
     parts[0] = f"{status.elapsed_s:.1f}s {parts[0]}"
     parts.append(f"map {result.known_m2():.0f} m2")
     if tick.n:

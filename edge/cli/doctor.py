@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from importlib import metadata, util
+from pathlib import Path
 from urllib.parse import urlsplit
 
 from edge.cli.machine_checks import (
@@ -32,11 +33,13 @@ from edge.cli.machine_checks import (
     check_speed,
 )
 from edge.cli.onnx_probe import CPU, probe
+from edge.cli.preflight import CLASSES, named_models
 from edge.config import Config, load
 from edge.errors import UserError
 from edge.host import resources
 from edge.perception.backends import cuda, tensorrt
 from edge.perception.backends.runtime import TENSORRT
+from edge.perception.card_types import ChoiceCard, FileCard
 from edge.text import one_line, without_secrets
 
 LOOPBACK_S = 5.0
@@ -236,27 +239,54 @@ def _split(error: Exception) -> tuple[str, str]:
     return what, todo
 
 
-def check_models(config: Config) -> Iterator[Finding]:
-    """Every card's files; the configured ones must be there and whole."""
-    from edge.perception.cards import ModelError, card_names, load_card, verify_model
+def check_classes(config: Config) -> Iterator[Finding]:
+    """The source, the sinks, the policy and the planner that the configuration names are here."""
+    for check in CLASSES:
+        try:
+            check(config)
+        except UserError as error:
+            what, todo = _split(error)
+            yield Finding("fail", what, todo or "correct the configuration")
 
-    detector = config.perception.detector
-    segmenter = config.perception.segmenter
-    needed = [part.model for part in (detector, segmenter) if part.kind == "onnx"]
-    names = card_names()
-    names += [name for name in needed if name not in names]
+
+def check_models(config: Config) -> Iterator[Finding]:
+    """The models that the configuration names are here and whole; so is what else is here."""
+    from edge.perception.cards import ModelError, card_names, check_here, load_card
+
+    needed = {model.name for model in named_models(config)}
+    names = sorted({*card_names(), *needed})
     if not names:
         yield Finding("warn", "no model cards", "this installation lacks models/: reinstall")
+    away = 0
     for name in names:
         try:
-            files = load_card(name).files
-            served = [file.server for file in files if file.server is not None]
-            paths = [verify_model(file) for file in files if file.server is None]
+            card = load_card(name)
+            served = [file.server for file in card.files if file.server is not None]
+            try:
+                check_here(card)
+            except ModelError:
+                if name in needed:
+                    raise
+                away += 1
+                continue
+            paths = [_verified(file) for file in card.files if file.server is None]
         except ModelError as error:
             yield Finding("fail" if name in needed else "warn", *_split(error))
         else:
             yield from (Finding("ok", f"model {name}: {path}") for path in paths)
             yield from (_remote(name, server.url) for server in served)
+    if away:
+        what = f"{away} other models are not here, and not named by this configuration"
+        yield Finding("ok", f"{what} (`edge models list`)")
+
+
+def _verified(file: FileCard | ChoiceCard) -> Path:
+    from edge.perception.cards import verify_model, verify_parts
+
+    if not isinstance(file, ChoiceCard):
+        return verify_model(file)
+    verify_parts(file)
+    return file.path
 
 
 def _remote(name: str, url: str) -> Finding:
@@ -398,6 +428,7 @@ CHECKS: tuple[Check, ...] = (
     check_strangers,
     check_onnxruntime,
     check_tensorrt,
+    check_classes,
     check_models,
     check_mission,
     check_vocabulary,

@@ -59,18 +59,22 @@ def show(args: argparse.Namespace) -> int:
 
 def table(robots: Iterable[Robot]) -> str:
     """A line a robot."""
-    rows = [["robot", "phase", "mission", "target", "pose", "health"]]
-    rows += [list(_cells(robot).values()) for robot in robots]
-    return aligned(
-        [[*(one_line(cell, _CELL) for cell in row[:-1]), one_line(row[-1])] for row in rows]
-    )
+    rows = [["robot", "phase", "mission", "target", "pose", "health", "reason"]]
+    rows += [_shortened(_cells(robot).values()) for robot in robots]
+    return aligned(rows)
+
+
+def _shortened(cells: Iterable[str]) -> list[str]:
+    """Cut what is only a reminder; show what is wrong in full."""
+    *others, health, reason = cells
+    return [*(one_line(cell, _CELL) for cell in others), one_line(health), one_line(reason)]
 
 
 def _cells(robot: Robot) -> dict[str, str]:
     account = robot.account
     if account is None:
         return {"robot": robot.name, **dict.fromkeys(("phase", "mission", "target", "pose"), "?"),
-                "health": robot.problem}  # fmt: skip
+                "health": robot.problem, "reason": "-"}  # fmt: skip
     body, idle = account.robot, account.phase == "idle"
     amiss = [*body.amiss, *(["controller silent"] if body.controller == "silent" else [])]
     pose = "?" if body.pose is None else "{:.1f} {:.1f} m {:.0f}°".format(
@@ -83,6 +87,7 @@ def _cells(robot: Robot) -> dict[str, str]:
         "target": "-" if idle else account.target or "-",
         "pose": pose,
         "health": "; ".join(amiss) or "ok",
+        "reason": account.reason if account.phase in ("reached", "failed") else "-",
     }
 
 
@@ -120,8 +125,8 @@ def _changes(
             gone = {"robot": name, "problem": "gone", "answer": None}
             print(json.dumps(_data(robots[name]) if name in robots else gone), flush=True)
         else:
-            cells = told.get(name, {"robot": name, "phase": "gone"})
-            _say("  ".join(one_line(cell, _CELL) for cell in cells.values()))
+            cells = _shortened(told[name].values()) if name in told else [one_line(name), "gone"]
+            _say("  ".join(cells))
     return told
 
 

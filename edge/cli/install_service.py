@@ -28,10 +28,17 @@ from edge.loop.vitals import HANGS_S
 
 UNITS = Path("/etc/systemd/system")
 STATE = Path("/var/lib")
+OF_SYSTEMD = "of systemd's making"
 _GROUPS = ("video", "render")
 _HOMES = ("/home", "/root", "/run/user")
 _TEMPORARY = ("/tmp", "/var/tmp")  # of which the service has its own
-_UNREADABLE = "{path}: user {user} cannot read it; put it where all can (such as /opt), {instead}"
+_PYTHON = (
+    "the Python of this environment, {}",
+    "make the environment with one that all can read (such as /usr/bin/python3 -m venv /opt/edge)",
+)
+_INSTALLED = "the package, {}", "install it where all can read it (such as /opt/edge)"
+_NAMED = "{}", "put it where all can (such as /opt)"
+"""How a path is named that the service's user cannot read, and what to do."""
 _DEVICES = (
     "char-nvidia", "char-nvidia-uvm", "/dev/nvmap", "/dev/nvhost-ctrl", "/dev/nvhost-ctrl-gpu",
     "/dev/nvhost-gpu", "/dev/nvhost-as-gpu", "/dev/nvhost-prof-gpu", "char-drm",
@@ -242,9 +249,18 @@ def _check_readable(paths: tuple[Path, ...], user: str | None) -> None:
                 raise UserError(f"{place}: the service has a /tmp of its own; put it elsewhere")
             for step in (*place.parents, place):
                 if not _may_read(step, uid, gids):
-                    raise UserError(_UNREADABLE.format(
-                        path=step, user=user or "of systemd's making", instead=instead
-                    ))  # fmt: skip
+                    named, todo = _about(path)
+                    why = "" if step == place else f", who may not go through {step},"
+                    raise UserError(
+                        f"{named.format(place)}: user {user or OF_SYSTEMD}{why} cannot read it; "
+                        f"{todo}, {instead}"
+                    )
+
+
+def _about(path: Path) -> tuple[str, str]:
+    if path in (Path(sys.executable), Path(sys.base_prefix)):
+        return _PYTHON
+    return _INSTALLED if path == resources.PACKAGE else _NAMED
 
 
 def _may_read(path: Path, uid: int | None, gids: frozenset[int]) -> bool:

@@ -74,7 +74,7 @@ def check_speed(config: Config) -> Iterator[Finding]:
     if kept is not None:
         yield Finding("ok", f"{kept.machine}: {kept}")
     else:
-        todo = f"stages are held to the reference computer's budgets; {calibration.HINT}"
+        todo = f"until it is, only deadlines are shown; {calibration.HINT}"
         yield Finding("warn", "how fast this computer is was never measured", todo)
 
 

@@ -19,6 +19,7 @@ from edge.cli.parsers import make_parser
 from edge.errors import Stopped, UserError
 from edge.host.interruptible import any_unjoined
 from edge.host.kernel_cache import kernel_cache
+from edge.host.open_files import claim
 from edge.host.outlet import unwaited_stderr
 from edge.host.signals import (
     break_off_on_signals,
@@ -100,24 +101,30 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
     """
     from edge.config import load
 
-    environ = dict(os.environ)
+    environ, options = dict(os.environ), dict[str, str]()
+
+    def give(option: str, variable: str, value: object) -> None:
+        environ[variable], options[variable] = json.dumps(value), option
+
     if (target := getattr(args, "target", None)) is not None:
-        environ["EDGE__MISSION__TARGET"] = json.dumps(target)
-        environ["EDGE__MISSION__INSTRUCTION"] = "null"
+        give("--target", "EDGE__MISSION__TARGET", target)
+        give("--target", "EDGE__MISSION__INSTRUCTION", None)
     elif (instruction := getattr(args, "mission", None)) is not None:
-        environ["EDGE__MISSION__INSTRUCTION"] = json.dumps(instruction)
-        environ["EDGE__MISSION__READING"] = json.dumps(args.reading)  # no other instruction's
+        give("--mission", "EDGE__MISSION__INSTRUCTION", instruction)
+        give("--mission", "EDGE__MISSION__READING", args.reading)  # no other instruction's
     elif (reading := getattr(args, "reading", None)) is not None:
-        environ["EDGE__MISSION__READING"] = json.dumps(reading)
+        give("--reading", "EDGE__MISSION__READING", reading)
     if (policy := getattr(args, "policy", None)) is not None:
-        environ["EDGE__POLICY"] = json.dumps({"kind": policy})
+        give("--policy", "EDGE__POLICY", {"kind": policy})
         if args.config == "demo" and policy in _DEMO_SCORERS:
             key, scorer = _DEMO_SCORERS[policy]
-            environ.setdefault(key, json.dumps(scorer))
-    return load(args.config, environ)
+            if key not in environ:
+                give("--policy", key, scorer)
+    return load(args.config, environ, options)
 
 
 def _run(args: argparse.Namespace) -> int:
+    claim()
     # First of all: it takes seconds to import what follows.
     stop = stop_on_signals(args.with_parent)
     hung_up = reload_on_hang_up()
@@ -132,6 +139,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _demo(args: argparse.Namespace) -> int:
+    claim()
     stop = stop_on_signals()
     from edge.cli.commands import run_demo
 
@@ -140,6 +148,7 @@ def _demo(args: argparse.Namespace) -> int:
 
 
 def _sim(args: argparse.Namespace) -> int:
+    claim()
     stop = stop_on_signals(args.with_parent)
     from edge.cli.commands import run_simulator
 
@@ -147,6 +156,7 @@ def _sim(args: argparse.Namespace) -> int:
 
 
 def _motion(args: argparse.Namespace) -> int:
+    claim()
     stop = stop_on_signals(args.with_parent)
     from edge.motion.process import main as run_motion
 
@@ -158,7 +168,12 @@ def _config(args: argparse.Namespace) -> int:
 
     if args.schema:
         print(json.dumps(Config.model_json_schema(), indent=2))
-    else:
-        shown = without_secrets(load_config(args).model_dump(mode="json"))
-        print(json.dumps(shown, indent=2, ensure_ascii=False))
+        return 0
+    config = load_config(args)
+    shown = without_secrets(config.model_dump(mode="json"))
+    print(json.dumps(shown, indent=2, ensure_ascii=False))
+    from edge.cli.preflight import check, check_mission
+
+    check(config)
+    check_mission(config)
     return 0

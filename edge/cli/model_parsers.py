@@ -61,6 +61,10 @@ def _quantize(action: argparse.ArgumentParser) -> None:
 def _check(action: argparse.ArgumentParser) -> None:
     action.add_argument("name", nargs="?", help=f"{_CARD}; default: all whose file is there")
     action.add_argument("--file", type=Path, help="hold this file against the card")
+    action.add_argument(
+        "--timeout", type=positive, default=120.0, metavar="S",
+        help="how long each model may take before it is killed; default: %(default)g",
+    )  # fmt: skip
 
 
 def _bench(action: argparse.ArgumentParser) -> None:

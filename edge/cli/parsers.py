@@ -95,7 +95,10 @@ def _demo(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     text = "policy.kind; the configuration demo brings along what it goes by"
     demo.add_argument("--policy", metavar="KIND", help=text)
     demo.add_argument("--report", metavar="DIR", default="report", help="default: ./report")
-    text = "show a page of what happens, on this port (default: http.port, or a free one)"
+    text = (
+        "show a page of what happens until Ctrl-C, on this port (default: http.port, else 7480, or "
+        "a free one where that is taken)"
+    )
     demo.add_argument("--live", metavar="PORT", nargs="?", type=port, const=0, help=text)
     _trust(demo)
     return demo
@@ -175,6 +178,12 @@ def _replay(commands) -> None:  # type: ignore[no-untyped-def]
     replay.add_argument("--config", help=f"another configuration than was recorded: {CONFIG}")
     replay.add_argument(
         "--detect", action="store_true", help="run the detector anew on the recorded pictures"
+    )
+    replay.add_argument(
+        "--trust",
+        action="store_true",
+        help="run the classes and read the files that the recorded configuration names: they run "
+        "as your own programs do",
     )
     replay.set_defaults(handler=lazy("edge.recording.commands", "replay"))
 

@@ -108,6 +108,12 @@ def _phase(answer: dict) -> str:
     return "; ".join(filter(None, [paused, _text("phase")(answer), _text("reason")(answer)]))
 
 
+def _amiss(answer: dict) -> str:
+    """Return why the robot is not ready, as `/readyz` has it."""
+    robot = answer.get("robot")
+    return _text("amiss", "; ")(robot) if isinstance(robot, dict) else ""
+
+
 def _reading(answer: dict) -> str:
     """Which of its readings an ambiguous instruction was given."""
     reading, readings = answer.get("reading"), answer.get("readings")
@@ -170,6 +176,7 @@ _ROWS: dict[str, Callable[[dict], str]] = {
     "warning": _text("warnings"),
     "state": _state,
     "phase": _phase,
+    "not ready": _amiss,
     "target": _text("target"),
     "why": _text("why"),
     "plan": _text("plan", ", then "),

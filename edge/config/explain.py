@@ -3,45 +3,69 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable
 from typing import Any, get_origin
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
-from edge.text import one_line, without_secrets
+from edge.text import bounded_repr, one_line, without_secrets
+
+MOST_FAULTS = 20
+
+Origin = Callable[[str, tuple[str, ...]], str]
+"""Return what set a key, from the path of the file and the key's parts (`Origins.of`)."""
 
 
-def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
+def _the_file(path: str, key: tuple[str, ...]) -> str:
+    return path
+
+
+def explain_all(
+    error: ValidationError, path: str, root: type[BaseModel], origin: Origin = _the_file
+) -> str:
+    """Return a line for each fault, at most `MOST_FAULTS`, and one that counts the others."""
+    faults = error.errors()
+    lines = [explain(fault, path, root, origin) for fault in faults[:MOST_FAULTS]]
+    if len(faults) > MOST_FAULTS:
+        lines.append(f"{path}: {len(faults) - MOST_FAULTS} more faults")
+    return "\n".join(lines)
+
+
+def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _the_file) -> str:
     """One line for one fault of pydantic's list.
 
     Args:
         fault: as in `ValidationError.errors()`.
         path: of the file that was read.
         root: the model that was validated.
+        origin: names what set the key.
     """
     loc = [part for part in fault["loc"] if part != "[key]"]  # a fault of a key is told under it
     *sections, leaf = loc or ("",)
     shown, models = _walk(sections, root)
     key = one_line(".".join([*shown, str(leaf)])) or "it"
     kind, context = fault["type"], fault.get("ctx", {})
+    tag = ("kind",) if kind == "union_tag_invalid" else ()
+    path = origin(path, (*shown, str(leaf), *tag))
     given = without_secrets(fault.get("input"))
     if kind == "union_tag_invalid":
         choices = context["expected_tags"].replace("'", "")
-        return f"{path}: {key}.kind: unknown {context['tag']!r:.80} (choices: {choices})"
+        return f"{path}: {key}.kind: unknown {bounded_repr(context['tag'])} (choices: {choices})"
     no_section = kind == "union_tag_not_found" and not isinstance(fault["input"], dict)
     if no_section or kind in ("model_type", "model_attributes_type"):
-        return f"{path}: {key}: expected a section of keys, got {given!r:.80}"
+        return f"{path}: {key}: expected a section of keys, got {bounded_repr(given)}"
     if kind in ("missing", "union_tag_not_found"):
         return f"{path}: {key}{_missing(fault['loc'], models, root)}"
     if kind == "literal_error":
         choices = context["expected"].replace("'", "").replace(" or ", ", ")
-        return f"{path}: {key}: unknown {given!r:.80} (choices: {choices})"
+        return f"{path}: {key}: unknown {bounded_repr(given)} (choices: {choices})"
     if kind == "extra_forbidden":
         names = sorted({name for model in models for name in model.model_fields} - {"path"})
         close = difflib.get_close_matches(str(leaf), names, n=1)
         hint = f"did you mean {close[0]!r}?" if close else f"choices: {', '.join(names)}"
         return f"{path}: {key}: unknown key ({hint})"
     message = fault["msg"].removeprefix("Value error, ")
-    got = "" if isinstance(given, dict) else f", got {given!r:.80}"
+    got = "" if isinstance(given, dict) else f", got {bounded_repr(given)}"
     return f"{path}: {key}: {message[0].lower()}{message[1:]}{got}"
 
 
@@ -79,11 +103,12 @@ def _walk(sections: list[Any], root: type[BaseModel]) -> tuple[list[str], list[A
         else:
             shown.append(part)
             fields = models[0].model_fields if models else {}
-            models = _models_in(fields[part].annotation) if part in fields else []
+            models = models_in(fields[part].annotation) if part in fields else []
     return shown, models
 
 
-def _models_in(annotation: Any) -> list[Any]:
+def models_in(annotation: Any) -> list[Any]:
+    """Return the models that a field's type is made of."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [m for arg in getattr(annotation, "__args__", ()) for m in _models_in(arg)]
+    return [m for arg in getattr(annotation, "__args__", ()) for m in models_in(arg)]

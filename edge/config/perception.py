@@ -83,7 +83,7 @@ class SegmenterOnnx(Section):
 
 
 class ModelProcess(Section):
-    """How a model in a process of its own is looked after (`isolation: process`).
+    """How a model in a process of its own is looked after (`isolation: process`; before a swap).
 
     A frame that takes longer than `timeout_s` counts as a hang; what its process waited for a core
     is added to that, at most as much again. A process that ended is started again after
@@ -102,7 +102,7 @@ class ModelProcess(Section):
 class Swap(Section):
     """What a model must do to take another's place in the running service.
 
-    It is tried on the last `images` images: finite, at most `budget_ms` at the median, and, where
+    It is tried on the last `images` images: sound, at most `budget_ms` at the median, and, where
     both are of one family, `min_recall` of the boxes above `tau_det` that the old one finds. The
     old one is kept until the new one has run clean on `probation` images.
     """

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import os
+from collections.abc import Mapping as Map
+from types import MappingProxyType
 from typing import Any, Literal
 
-from pydantic import ValidationError, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, field_validator
 
-from edge.config.explain import explain
+from edge.config.environment import Origins, override, warn_of_unread
+from edge.config.explain import explain_all
 from edge.config.loop import Http, Loop, Report, Sink, Sinks, Source, Zenoh
 from edge.config.mapping import Mapping
 from edge.config.mission import Mission
@@ -19,16 +21,14 @@ from edge.config.ros2 import Ros2
 from edge.config.section import Section
 from edge.config.sim import Sim
 from edge.config.tasks import Tasks, TrajectoryLimits
-from edge.config.yaml_text import parse_yaml, read_yaml
+from edge.config.yaml_text import read_yaml
 from edge.errors import ConfigError
 from edge.host import resources
-from edge.text import without_secrets
 
 MARGIN_M = 0.02
 """Obstacles are inflated by so much more than the robot's radius, unless told otherwise."""
 CLEARANCE_M = 0.1
 """A trajectory stays so much farther from obstacles than the robot's radius."""
-ENV_PREFIX = "EDGE__"
 
 ValueSource = Literal["similarity", "choice"]
 _GOES_BY: dict[str, ValueSource] = {"vlfm": "similarity", "directional": "choice"}
@@ -48,30 +48,47 @@ class Config(Section):
     ros2: Ros2 = Ros2()
     source: Source = Source()
     loop: Loop = Loop()
-    mapping: Mapping = Mapping()
+    mapping: Mapping = Field(default=Mapping(), validate_default=True)
     perception: Perception
     policy: Policy = PolicyHvl()
     mission: Mission = Mission()
-    tasks: Tasks = Tasks()
+    tasks: Tasks = Field(default=Tasks(), validate_default=True)
     motion: Motion = Motion()
     sim: Sim = Sim()
     report: Report = Report()
     http: Http = Http()
     sinks: Sinks = (Sink(kind="zenoh"),)
+    _origins: Origins = PrivateAttr(default_factory=Origins)
 
-    @model_validator(mode="before")
+    @field_validator("mapping", "tasks", mode="before")
     @classmethod
-    def _wide_as_the_robot(cls, data: Any) -> Any:
-        """Around a wider robot obstacles are inflated by more, and its trajectories keep farther
-        from them, where `mapping.inflation_m` and `tasks.trajectory.clearance_m` are not set."""
-        robot = data.get("robot") if isinstance(data, dict) else None
-        radius_m = robot.get("radius_m") if isinstance(robot, dict) else None
-        if not isinstance(radius_m, (int, float)) or not math.isfinite(radius_m):
-            return data
-        inflation_m = max(Mapping().inflation_m, round(radius_m + MARGIN_M, 3))
-        clearance_m = max(TrajectoryLimits().clearance_m, round(radius_m + CLEARANCE_M, 3))
-        data = _with_default(data, ("mapping", "inflation_m"), inflation_m)
-        return _with_default(data, ("tasks", "trajectory", "clearance_m"), clearance_m)
+    def _wide_as_the_robot(cls, section: Any, info: ValidationInfo) -> Any:
+        """Inflate obstacles by more around a wider robot, and keep its trajectories farther from
+        them, where `mapping.inflation_m` and `tasks.trajectory.clearance_m` are not set.
+
+        The robot comes before both sections, so that its radius is already a number here, however
+        the file writes it.
+        """
+        robot = info.data.get("robot")
+        if robot is None:  # it is at fault itself
+            return section
+        if info.field_name == "mapping":
+            inflation_m = max(Mapping().inflation_m, round(robot.radius_m + MARGIN_M, 3))
+            return _with_default(section, ("inflation_m",), inflation_m)
+        clearance_m = max(TrajectoryLimits().clearance_m, round(robot.radius_m + CLEARANCE_M, 3))
+        return _with_default(section, ("trajectory", "clearance_m"), clearance_m)
+
+    def origin(self, *keys: str) -> str:
+        """Return what set keys, for errors: the file, a variable of the environment, or several."""
+        return self._origins.of(self.path, *(tuple(key.split(".")) for key in keys))
+
+    def at(self, key: str, *others: str) -> str:
+        """Return how an error about a key begins: `FILE: KEY`, or `environment VARIABLE: KEY`.
+
+        Args:
+            others: keys that the error is about, too.
+        """
+        return f"{self.origin(key, *others)}: {key}"
 
     @property
     def robot_name(self) -> str:
@@ -84,6 +101,11 @@ class Config(Section):
         camera, lidar = self.sensors.camera, self.sensors.lidar
         by_lidar = self.mapping.input == "cloud" and lidar is not None
         return lidar.rate_hz if by_lidar else camera.rate_hz
+
+    @property
+    def goals_unanswered(self) -> bool:
+        """Whether goals go to a ROS 2 topic, which nobody answers."""
+        return self.ros2.goals == "topic" and any(sink.kind == "ros2" for sink in self.sinks)
 
     @property
     def value_source(self) -> ValueSource | None:
@@ -111,27 +133,32 @@ class Config(Section):
         source, kind = self.value_source, self.policy.kind
         if source is not None and source not in self._scorers_there():
             raise ConfigError(
-                f"{self.path}: policy.kind: {kind} goes by the {source} scorer, and none is "
-                f"configured: set {_SCORER[source]}"
+                f"{self.at('policy.kind', f'perception.{source}')}: {kind} goes by the {source} "
+                f"scorer, and none is configured: set {_SCORER[source]}"
             )
         by_prior = {
-            "policy.by: prior": getattr(self.policy, "by", None) == "prior",
-            "perception.choice.kind: cooccurrence": self.perception.choice.kind == "cooccurrence",
+            "policy.by": getattr(self.policy, "by", None),
+            "perception.choice.kind": self.perception.choice.kind,
         }
-        for key, needed in by_prior.items():
-            if needed and self.perception.prior == "none":
+        for key, value in by_prior.items():
+            if value in ("prior", "cooccurrence") and self.perception.prior == "none":
                 raise ConfigError(
-                    f"{self.path}: {key}: there is no prior: set perception.prior to "
-                    "cooccurrence, rooms or both"
+                    f"{self.at(key, 'perception.prior')}: {value}: there is no prior: set "
+                    "perception.prior to cooccurrence, rooms or both"
                 )
 
 
-def load(name_or_path: str, environ: dict[str, str] | None = None) -> Config:
+def load(
+    name_or_path: str,
+    environ: Map[str, str] | None = None,
+    options: Map[str, str] = MappingProxyType({}),
+) -> Config:
     """Read a configuration, apply the environment's overrides, validate.
 
     Args:
         name_or_path: a YAML file, or the name of a ready configuration (`demo`).
         environ: where overrides are looked for; the process's environment by default.
+        options: of the command line that set variables of `environ`, by variable.
 
     Raises:
         ConfigError: with one line per fault: file, key, what is wrong, what would be right.
@@ -142,45 +169,36 @@ def load(name_or_path: str, environ: dict[str, str] | None = None) -> Config:
         data = {}
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: expected sections (robot:, sensors:, …) at the top")
-    _override(data, os.environ if environ is None else environ)
-    return parse(data, str(path))
+    environ = os.environ if environ is None else environ
+    origins = override(data, environ, options)
+    warn_of_unread(environ, Config)
+    return parse(data, str(path), origins)
 
 
-def parse(data: dict[str, Any], path: str = "<defaults>") -> Config:
-    """Validate a mapping; see `load`."""
+def parse(data: dict[str, Any], path: str = "<defaults>", origins: Origins | None = None) -> Config:
+    """Validate a mapping; see `load`.
+
+    Args:
+        origins: what set the keys that the file at `path` did not set.
+    """
+    origins = Origins() if origins is None else origins
     try:
         # An empty section, so that its fault is the key that it lacks.
         config = Config.model_validate({"perception": {}, **data, "path": path})
     except ValidationError as error:
-        raise ConfigError("\n".join(explain(f, path, Config) for f in error.errors())) from None
+        raise ConfigError(explain_all(error, path, Config, origins.of)) from None
+    config._origins = origins
     config.check_policy()
     return config
 
 
-def _with_default(data: dict[str, Any], path: tuple[str, ...], value: float) -> dict[str, Any]:
-    """The data with a value where nothing is set there; as they are where a section is none."""
+def _with_default(section: Any, path: tuple[str, ...], value: float) -> Any:
+    """Return the section with a value where none is set there; what is no section as it is."""
+    if isinstance(section, Section):
+        section = {name: getattr(section, name) for name in section.model_fields_set}
+    if not isinstance(section, dict):
+        return section
     key, *rest = path
-    if not rest:
-        return {key: value, **data}
-    below = data.get(key) or {}
-    if not isinstance(below, dict):
-        return data
-    return {**data, key: _with_default(below, tuple(rest), value)}
-
-
-def _override(data: dict[str, Any], environ: dict[str, str] | os._Environ[str]) -> None:
-    """Put `EDGE__A__B=value` (value read as YAML) into data[a][b], in place."""
-    for key in sorted(k for k in environ if k.startswith(ENV_PREFIX)):
-        *sections, leaf = key[len(ENV_PREFIX) :].lower().split("__")
-        node = data
-        for section in sections:
-            child = node.get(section)
-            if not isinstance(child, dict):
-                child = node[section] = {}
-            node = child
-        try:
-            node[leaf] = parse_yaml(environ[key])
-        except ValueError:
-            raise ConfigError(
-                f"environment {key}: not a YAML value: {without_secrets(environ[key])!r:.80}"
-            ) from None
+    if rest:
+        return {**section, key: _with_default(section.get(key, {}), tuple(rest), value)}
+    return {key: value, **section}

@@ -58,7 +58,7 @@ class Ros2(Section):
     `map_frame` is where goals and the map are; odometry in another frame is taken there by tf.
     `mounts`: where the sensors sit, by `tf`, or as `sensors` of this configuration says.
     `goals`: the action NavigateToPose, whose result is the goal's answer, or a PoseStamped on
-    the topic `goal`, which nobody answers.
+    the topic `goal`, which nobody answers: a goal is then reached when the robot stops there.
     """
 
     via: Literal["rmw_zenoh", "bridge", "adapter"] = "rmw_zenoh"

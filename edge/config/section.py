@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -42,3 +43,17 @@ def kind_of(section: Any) -> str | None:
 
 class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def own_kinds(section: Section, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the key and the value of each `kind` in a section that names a class of one's own."""
+    for name in type(section).model_fields:
+        value = getattr(section, name)
+        if name == "kind" and kind_of(section) == MODULE_CLASS:
+            yield f"{prefix}{name}", value
+        elif isinstance(value, Section):
+            yield from own_kinds(value, f"{prefix}{name}.")
+        elif isinstance(value, tuple):
+            for i, part in enumerate(value):
+                if isinstance(part, Section):
+                    yield from own_kinds(part, f"{prefix}{name}.{i}.")

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Union
 
 from pydantic import Field
 
-from edge.config.section import NonNegative, OwnKind, Positive, Section
+from edge.config.section import OwnKind, Positive, Section
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -27,15 +27,15 @@ class ScriptLimits(Section):
 class TrajectoryLimits(Section):
     """What a trajectory has to keep to, as it is written and as it is refined. The robot's middle
     stays `clearance_m` from the rim of what is occupied; where it is not set, a wider robot keeps
-    farther away. Two points are at most `max_jump_m` apart; `max_speed_mps` is what may be asked
-    for at most, whatever the robot can do."""
+    farther away. Two points are at most `max_jump_m` apart; a speed that is asked for is from
+    0.05 to `max_speed_mps`, whatever the robot can do."""
 
-    clearance_m: NonNegative = 0.3
-    max_jump_m: Positive = 2.0
-    max_length_m: Positive = 500.0
+    clearance_m: Annotated[float, Field(ge=0, le=10)] = 0.3
+    max_jump_m: Annotated[float, Field(ge=0.1, le=100)] = 2.0
+    max_length_m: Annotated[float, Field(ge=0.1, le=1e6)] = 500.0
     max_points: Count = 5_000
     max_segments: Count = 50
-    max_speed_mps: Positive = 2.0
+    max_speed_mps: Annotated[float, Field(ge=0.05, le=100)] = 2.0
 
 
 class WriterRules(Section):

@@ -11,33 +11,123 @@ from edge.errors import ConfigError
 from edge.host.files import read_regular
 from edge.text import one_line
 
+MAX_YAML_BYTES = 1 << 20
+MAX_NODES = 20_000
+"""Most keys and values of a text, each alias counted as all that it stands for."""
+MAX_DEPTH = 64
+_CHARS_PER_NODE = 64  # a long text counts as several nodes
+_MAX_PLAIN_CHARS = 100  # of a number, a date or whatever else is no text
+_TOO_DEEP = "not YAML: nested too deeply"
+_TEXT = "tag:yaml.org,2002:str"
+_MERGE = "tag:yaml.org,2002:merge"
+
 
 def read_yaml(path: Path) -> Any:
-    """What a YAML file says.
+    """Read a YAML file; see `parse_yaml`.
 
     Raises:
-        ConfigError: it cannot be read, or is not YAML; one line.
+        ConfigError: it cannot be read, or is refused; one line.
     """
     try:
-        return parse_yaml(read_regular(path))
+        return parse_yaml(read_regular(path, MAX_YAML_BYTES))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}") from None
     except ValueError as error:
-        raise ConfigError(f"{path}: not YAML: {error}") from None
+        raise ConfigError(f"{path}: {error}") from None
 
 
 def parse_yaml(text: str | bytes) -> Any:
-    """What a YAML text says, without tags of Python's.
+    """Return the data of a YAML text; Python's own tags are refused.
 
     Raises:
-        ValueError: it is not YAML, not UTF-8, or has a value that is not of its type (2024-13-45);
-            the message is one line.
+        ValueError: it is not YAML, not UTF-8, has a value that is not of its type (2024-13-45),
+            gives a key twice, or is larger than any text that a person writes; one line.
     """
+    if len(text) > MAX_YAML_BYTES:
+        raise ValueError(f"longer than {MAX_YAML_BYTES} bytes")
     try:
-        return yaml.safe_load(text)
+        loader = _Loader(text)
+        try:
+            return loader.get_single_data()
+        finally:
+            loader.dispose()
+    except _RefusedError:
+        raise
     except (yaml.YAMLError, ValueError) as error:
-        raise ValueError(one_line(error, 400)) from None
+        raise ValueError(f"not YAML: {one_line(error, 400)}") from None
     except RecursionError:
-        raise ValueError("nested too deeply") from None
+        raise ValueError(_TOO_DEEP) from None
     except (AttributeError, IndexError, KeyError):  # PyYAML's at `!!timestamp x`, `!!int ""`
-        raise ValueError("a value is not what its tag says") from None
+        raise ValueError("not YAML: a value is not what its tag says") from None
+
+
+class _RefusedError(ValueError):
+    """YAML that is not taken; one line."""
+
+
+class _Loader(yaml.SafeLoader):
+    """Refuses, before anything is built, what is too large and keys that are given twice.
+
+    Aliases are shared by what is built, so that a text of 1 kB can stand for billions of values;
+    whatever walks through them afterwards would not return.
+    """
+
+    def __init__(self, text: str | bytes) -> None:
+        super().__init__(text)
+        self._path: list[Any] = []  # keys and places, of the node that is read
+        self._nodes = self._height = 0
+        self._known: dict[int, tuple[int, int]] = {}  # by id of a node: its nodes, its height
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        is_alias = self.check_event(yaml.AliasEvent)
+        line = self.peek_event().start_mark.line + 1
+        if index is not None:
+            self._path.append(index.value if isinstance(index, yaml.ScalarNode) else index)
+        before, outer, self._height = self._nodes, self._height, 0
+        if len(self._path) > MAX_DEPTH:
+            raise _RefusedError(_TOO_DEEP)
+        node = super().compose_node(parent, index)
+        if is_alias:
+            if id(node) not in self._known:  # it is still being read
+                raise _RefusedError(f"line {line}: an alias inside what it stands for")
+            nodes, height = self._known[id(node)]
+        else:
+            nodes, height = 1, self._height
+            if isinstance(node, yaml.ScalarNode):
+                nodes += len(node.value) // _CHARS_PER_NODE
+                self._check_plain(node, line)
+        self._nodes += nodes
+        if self._nodes > MAX_NODES:
+            raise _RefusedError(
+                f"line {line}: more than {MAX_NODES} keys and values, aliases in full"
+            )
+        if len(self._path) + height > MAX_DEPTH:
+            raise _RefusedError(_TOO_DEEP)
+        self._known[id(node)] = self._nodes - before, height
+        self._height = max(outer, height + 1)
+        if index is not None:
+            self._path.pop()
+        return node
+
+    def compose_mapping_node(self, anchor: str | None) -> yaml.MappingNode:
+        node = super().compose_mapping_node(anchor)
+        first: dict[Any, int] = {}
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            # As it will be read: `on` and `yes` are one key, and so are 1 and 0x1.
+            read = key.value if key.tag == _MERGE else self.construct_object(key)
+            line = key.start_mark.line + 1
+            if read in first:
+                name = one_line(".".join(map(str, [*self._path, key.value])))
+                raise _RefusedError(
+                    f"line {line}: {name}: given twice, first in line {first[read]}: keep one"
+                )
+            first[read] = line
+        return node
+
+    def _check_plain(self, node: yaml.ScalarNode, line: int) -> None:
+        if node.tag != _TEXT and len(node.value) > _MAX_PLAIN_CHARS:
+            raise _RefusedError(
+                f"line {line}: a number of more than {_MAX_PLAIN_CHARS} characters: quote a text"
+            )

@@ -90,7 +90,7 @@ class ClosedLoop:
         self.scorers = make_scorers(config, brief.targets)
         sinks = [self.notes, *self.sinks]
         truth = {"world": world, "robot_radius_m": config.robot.radius_m}
-        policy = make_policy(config.policy, config.path, truth)
+        policy = make_policy(config.policy, config.origin("policy"), truth)
         self.service = Service(config, brief, self.worker, policy, sinks, scorers=self.scorers)
         self.controller = Controller(config)
         self._seq = 0

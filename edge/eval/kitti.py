@@ -13,9 +13,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from edge.errors import UserError
 from edge.geometry import FARTHEST_M, CameraModel, invert
+from edge.host.c_stderr import silenced
 from edge.host.files import read_regular
 from edge.tasks.chain import Chain
 from edge.tasks.objects import clusters, share_near, thin
@@ -39,6 +41,8 @@ THINGS = {
     252: "car", 253: "cyclist", 254: "person", 255: "motorcyclist", 256: "train", 257: "bus",
     258: "truck", 259: "vehicle",
 }  # fmt: skip
+MOVING = 250
+"""Labels from there on are of things that moved."""
 PLANT, TRUNK, TREE_M = 70, 71, 3.0
 """Vegetation that is as high, or over a trunk, is called a tree: scans end low above a near one."""
 REACH_M = {50: 1.5, 51: 1.0, 70: 0.8}
@@ -124,7 +128,8 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> Frame:
         )
     path = folder / "image_2" / f"{number:06d}.png"
     png = np.frombuffer(_bytes(path), np.uint8)
-    bgr = cv2.imdecode(png, cv2.IMREAD_COLOR) if len(png) else None
+    with silenced():
+        bgr = cv2.imdecode(png, cv2.IMREAD_COLOR) if len(png) else None
     if bgr is None:
         raise KittiError(f"{path}: not an image")
     scan = _array(folder / "velodyne" / f"{number:06d}.bin", np.float32, 4).reshape(-1, 4)
@@ -185,6 +190,29 @@ def _is_tree(plant_m: np.ndarray, trunks_m: np.ndarray) -> bool:
     high = float(np.ptp(plant_m[:, 2])) >= TREE_M
     flat = np.array([1.0, 1.0, 0.0], np.float32)
     return high or share_near(thin(trunks_m) * flat, thin(plant_m) * flat) > 0.0
+
+
+def solid_m(frames: Sequence[Frame]) -> np.ndarray:
+    """Return the points of labelled things that a robot would run into: (n, 2) float64 in `map`.
+
+    These are as high over the ground next to them as `OUTDOORS` has it. Things that move are left
+    out: another frame shows them where they are not.
+    """
+    things = np.isin(np.arange(1 << 16), [label for label in THINGS if label < MOVING])
+    ground, solid = [np.empty((0, 3))], [np.empty((0, 3))]
+    for frame in frames:
+        seen = frame.observation
+        T = seen.T_map_base @ seen.T_base_lidar
+        points_m = seen.cloud_m @ T[:3, :3].T + T[:3, 3]
+        ground.append(thin(points_m[frame.ground_kind > 0].astype(np.float32)).astype(np.float64))
+        solid.append(points_m[things[frame.semantic]])
+    floor_m, found_m = np.concatenate(ground), np.concatenate(solid)
+    if not len(floor_m):
+        return found_m[:, :2]
+    _, nearest = cKDTree(floor_m[:, :2]).query(found_m[:, :2])
+    height_m = found_m[:, 2] - floor_m[nearest, 2]
+    low_m, high_m = OUTDOORS.obstacle_min_m, OUTDOORS.obstacle_max_m
+    return found_m[(height_m >= low_m) & (height_m <= high_m), :2]
 
 
 def oracle(frames: Sequence[Frame]) -> Chain:

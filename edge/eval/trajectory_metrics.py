@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.spatial import cKDTree
 
 from edge.eval.metrics import REACHED_M
 from edge.geometry import Grid
@@ -123,6 +124,18 @@ def contacts(path_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0) -> i
     touches = np.zeros(len(points) + 1, bool)
     columns, rows = cells[inside].T
     touches[1:][inside] = closed_cells(occupancy, clearance_m)[rows, columns]
+    return int((touches[1:] & ~touches[:-1]).sum())
+
+
+def point_contacts(path_m: np.ndarray, solid_m: np.ndarray, clearance_m: float) -> int:
+    """How many stretches of a path lie nearer than `clearance_m` to a point of what is there.
+
+    Args:
+        solid_m: (n, 2) float64.
+    """
+    points = resample(_points(path_m), 0.05)
+    away_m, _ = cKDTree(solid_m.reshape(-1, 2)).query(points)
+    touches = np.append(False, away_m < clearance_m)
     return int((touches[1:] & ~touches[:-1]).sum())
 
 

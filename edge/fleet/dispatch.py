@@ -8,12 +8,12 @@ import secrets
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from edge.bus.client import RefusedError, RequestError
 from edge.config import Mission
-from edge.fleet.orders import DOUBLED, Cancel, Give, Orders, Outcome, Part, decide
+from edge.fleet.orders import DOUBLED, Cancel, Give, Orders, Outcome, Part, decide, holds
 from edge.fleet.roster import OVER, Robot, Roster
 from edge.mission.brief import Brief
 from edge.mission.language.english import describe
@@ -94,9 +94,13 @@ def _unfinished(
     for run in sorted(runs):
         parts = make(f"{digest}.{run}")
         orders = decide(parts, robots, {})
-        if len(orders.outcomes) < len(parts) and not orders.failed:
+        if not _is_over(parts, orders):
             return run
     return None
+
+
+def _is_over(parts: Sequence[Part], orders: Orders) -> bool:
+    return len(orders.outcomes) == len(parts) or (orders.failed and not orders.under_way)
 
 
 class Dispatcher:
@@ -105,7 +109,8 @@ class Dispatcher:
     Args:
         tell: hears what happens, a line each.
         patience_s: how long a robot that is gone, or gives no account, is hoped to come back;
-            counted from the first look that misses it.
+            counted from the first look that misses it. A part that no robot there may do fails
+            only after it stayed so for as long, since one look may lack a robot that is there.
     """
 
     def __init__(
@@ -120,7 +125,10 @@ class Dispatcher:
         self._patience_s, self._clock = patience_s, clock
         self._at: dict[str, str] = {}  # who was last known to be at a part
         self._missed: dict[str, float] = {}  # since when a robot is gone, or gives no account
+        self._lost: dict[str, float] = {}  # since when no robot that is there may do a part
         self._refused: Counter[tuple[str, str]] = Counter()
+        self._forgot: Counter[tuple[str, str]] = Counter()
+        self._has: set[tuple[str, str]] = set()  # which robot took, or reported, which part
         self._settled: dict[str, Outcome] = {}
         self._gave: set[tuple[str, str]] = set()
         self._told: dict[str, object] = {}
@@ -140,13 +148,21 @@ class Dispatcher:
         if robots is None:
             self._once("router", "the router is gone; robots go on, trying to reach it")
             self._missed.clear()
+            self._lost.clear()
             return None
         self._once("router", None, "the router is back")
         for at in [at for at in self._refused if at[1] in robots and robots[at[1]].busy_with]:
             del self._refused[at]  # it refused since it is another's by now
-        orders = decide(self._plan.parts, robots, self._away(robots), self._refused, self._settled)
-        self._settled = dict(orders.outcomes)
-        self._report(orders, robots)
+        self._count_forgotten(robots)
+        orders = decide(
+            self._plan.parts, robots, self._away(robots), self._refused, self._settled,
+            self._forgot,
+        )  # fmt: skip
+        self._settled = {k: o for k, o in orders.outcomes.items() if k not in orders.lost}
+        hoped = self._hoped(orders)
+        outcomes = {k: o for k, o in orders.outcomes.items() if k not in hoped}
+        orders = replace(orders, outcomes=outcomes, lost=orders.lost.difference(hoped))
+        self._report(orders, robots, hoped)
         self._roster.each(
             [*(partial(self._give, g) for g in orders.give),
              *(partial(self._cancel, c) for c in orders.cancel)]
@@ -154,8 +170,31 @@ class Dispatcher:
         return orders
 
     def _is_over(self, orders: Orders) -> bool:
-        parts = self._plan.parts
-        return len(orders.outcomes) == len(parts) or (orders.failed and not orders.under_way)
+        return _is_over(self._plan.parts, orders)
+
+    def _count_forgotten(self, robots: Mapping[str, Robot]) -> None:
+        """Count the robots that had a part and now report that they never did.
+
+        Such a robot lost its memory in a restart, or lies: others get the part first.
+        """
+        for part in self._plan.parts:
+            for name, robot in robots.items():
+                if holds(part, robot):
+                    self._has.add((part.id, name))
+                elif robot.account is not None and (part.id, name) in self._has:
+                    self._has.remove((part.id, name))
+                    self._forgot[part.id, name] += 1
+                    self._tell(f"{_safe(name)} forgot what it was given: {part.english}")
+
+    def _hoped(self, orders: Orders) -> dict[str, Outcome]:
+        """The outcomes of parts that have been lost for less than the patience, by id."""
+        now_s = self._clock()
+        self._lost = {id: self._lost.get(id, now_s) for id in orders.lost}
+        return {
+            id: orders.outcomes[id]
+            for id, since_s in self._lost.items()
+            if now_s - since_s < self._patience_s
+        }
 
     def _away(self, robots: Mapping[str, Robot]) -> dict[str, str]:
         now_s, away = self._clock(), {}
@@ -173,9 +212,13 @@ class Dispatcher:
 
     # -- what is told --------------------------------------------------------------------------
 
-    def _report(self, orders: Orders, robots: Mapping[str, Robot]) -> None:
+    def _report(
+        self, orders: Orders, robots: Mapping[str, Robot], hoped: Mapping[str, Outcome]
+    ) -> None:
         for k, part in enumerate(self._plan.parts, start=1):
             what = f"part {k} of {len(self._plan.parts)} ({part.english})"
+            if part.id not in orders.outcomes:
+                self.ended_ns.pop(part.id, None)
             if (outcome := orders.outcomes.get(part.id)) is not None:
                 self.ended_ns.setdefault(part.id, time.time_ns())
                 told = f"{what}: {outcome.phase} by {_safe(outcome.by)}: {one_line(outcome.reason)}"
@@ -187,6 +230,9 @@ class Dispatcher:
                             f"{self._patience_s:g} s")  # fmt: skip
                 elif robots[name].account is None:
                     told = f"{what}: {_safe(name)} gives no account: {robots[name].problem}"
+            elif (outcome := hoped.get(part.id)) is not None:
+                told = (f"{what}: {one_line(outcome.reason)}; failed unless another robot comes "
+                        f"within {self._patience_s:g} s")  # fmt: skip
             else:
                 told = None
             self._once(part.id, told)
@@ -219,6 +265,7 @@ class Dispatcher:
             self._tell(f"{refused}{one_line(error)}")
         else:
             self._gave.add((give.part.id, give.robot))
+            self._has.add((give.part.id, give.robot))
             self._at[give.part.id] = give.robot
             self._tell(f"{_safe(give.robot)} gets: {give.part.english}: {give.why}")
 

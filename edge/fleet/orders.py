@@ -7,8 +7,9 @@ another.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
@@ -20,7 +21,7 @@ from edge.text import one_line
 DOUBLED = "another robot is at it"
 """Why a robot's part was cancelled that two had: no failure, and it may have it again."""
 TRIES = 3
-"""A robot that refused a part so often does not get it."""
+"""A robot that refused or forgot a part so often does not get it."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,8 @@ class Orders:
         outcomes: of the parts that are over, by id.
         under_way: who is at it, of the others, by id.
         waits: why each robot that is there cannot take a part that waits; empty where none does.
+        lost: ids of the `outcomes` that hold only for the robots that are there now: another
+            robot may still do the part.
     """
 
     outcomes: Mapping[str, Outcome]
@@ -78,6 +81,7 @@ class Orders:
     give: tuple[Give, ...]
     cancel: tuple[Cancel, ...]
     waits: Mapping[str, str]
+    lost: frozenset[str] = frozenset()
 
     @property
     def failed(self) -> bool:
@@ -101,6 +105,7 @@ def decide(
     away: Mapping[str, str],
     refused: Mapping[tuple[str, str], int] = MappingProxyType({}),
     settled: Mapping[str, Outcome] = MappingProxyType({}),
+    forgot: Mapping[tuple[str, str], int] = MappingProxyType({}),
 ) -> Orders:
     """The orders for a mission.
 
@@ -110,7 +115,11 @@ def decide(
             it is hoped to come back.
         refused: how often, by part and robot.
         settled: outcomes from before, which stand whatever became of the robots since.
+        forgot: how often a robot that had a part reported next that it never had it, by part and
+            robot.
     """
+    tries = Counter(refused) + Counter(forgot)
+    lost: set[str] = set()
     outcomes: dict[str, Outcome] = {}
     under_way: dict[str, str] = {}
     cancel: list[Cancel] = []
@@ -131,18 +140,26 @@ def decide(
             under_way[part.id] = at_it[0].robot
         elif part.id in away:
             under_way[part.id] = away[part.id]
-        elif (lost := _lost(part, robots, failed, refused)) is not None:
-            outcomes[part.id] = lost
+        elif (outcome := _stopped(part, failed)) is not None:
+            outcomes[part.id] = outcome
+        elif (outcome := _lost(part, robots, failed, tries, forgot)) is not None:
+            outcomes[part.id] = outcome
+            lost.add(part.id)
         else:
-            waiting[part.id] = [name for name in _may(part, robots, refused) if name not in failed]
-    orders = Orders(outcomes, under_way, (), tuple(cancel), {})
+            waiting[part.id] = [name for name in _may(part, robots, tries) if name not in failed]
+    orders = Orders(outcomes, under_way, (), tuple(cancel), {}, frozenset(lost))
     if orders.failed or not waiting:
         return orders
     open_parts = [part for part in parts if part.id in waiting]
-    give = tuple(_given(open_parts, waiting, robots, refused))
+    give = tuple(_given(open_parts, waiting, robots, tries))
     waits = {name: robot.busy_with for name, robot in robots.items() if robot.busy_with}
     still = waits if len(give) < len(open_parts) else {}
-    return Orders(outcomes, under_way, give, tuple(cancel), still)
+    return replace(orders, give=give, waits=still)
+
+
+def holds(part: Part, robot: Robot) -> bool:
+    """Whether a robot reports a part, under way or over."""
+    return any(True for _ in _held(part, {robot.name: robot}))
 
 
 def _held(part: Part, robots: Mapping[str, Robot]) -> Iterator[_Held]:
@@ -157,28 +174,36 @@ def _held(part: Part, robots: Mapping[str, Robot]) -> Iterator[_Held]:
 
 
 def _may(
-    part: Part, robots: Mapping[str, Robot], refused: Mapping[tuple[str, str], int]
+    part: Part, robots: Mapping[str, Robot], tries: Mapping[tuple[str, str], int]
 ) -> list[str]:
     may = [part.only] if part.only is not None else sorted(robots)
-    return [name for name in may if name in robots and refused.get((part.id, name), 0) < TRIES]
+    return [name for name in may if name in robots and tries.get((part.id, name), 0) < TRIES]
+
+
+def _stopped(part: Part, failed: Mapping[str, str]) -> Outcome | None:
+    """The failure that no other robot can undo; None while there is none."""
+    for name, reason in failed.items():
+        # A person's word: no other robot sets out for it.
+        if reason == CANCELLED or name == part.only:
+            return Outcome("failed", name, reason)
+    return None
 
 
 def _lost(
     part: Part,
     robots: Mapping[str, Robot],
     failed: Mapping[str, str],
-    refused: Mapping[tuple[str, str], int],
+    tries: Mapping[tuple[str, str], int],
+    forgot: Mapping[tuple[str, str], int],
 ) -> Outcome | None:
-    """Why nobody will do a part; None while somebody may."""
-    for name, reason in failed.items():
-        if reason == CANCELLED:  # a person's word: no other robot sets out for it
-            return Outcome("failed", name, CANCELLED)
+    """Why no robot that is there will do a part; None while one may."""
     if part.only is not None and part.only not in robots:
         return Outcome("failed", part.only, "it is not there")
-    tried = set(failed) | {name for id, name in refused if id == part.id}
-    if not tried or any(name not in failed for name in _may(part, robots, refused)):
+    tried = {name for id, name in tries if id == part.id}
+    if not tried | failed.keys() or any(n not in failed for n in _may(part, robots, tries)):
         return None
-    why = dict.fromkeys(sorted(tried), "it refused") | dict(failed)
+    why = {n: "it forgot it" if (part.id, n) in forgot else "it refused" for n in tried}
+    why = dict(sorted((why | failed).items()))
     return Outcome("failed", ", ".join(why), "; ".join(f"{n}: {w}" for n, w in why.items()))
 
 
@@ -186,14 +211,14 @@ def _given(
     parts: Sequence[Part],
     candidates: Mapping[str, Sequence[str]],
     robots: Mapping[str, Robot],
-    refused: Mapping[tuple[str, str], int],
+    tries: Mapping[tuple[str, str], int],
 ) -> Iterator[Give]:
     """Each free robot gets one part at most: the pair that suits best first."""
     free = {name for name, robot in robots.items() if not robot.busy_with}
     left = list(parts)
     while True:
         pairs = [
-            (refused.get((part.id, name), 0), *_cost(part, robots[name].account), k, name, part)
+            (tries.get((part.id, name), 0), *_cost(part, robots[name].account), k, name, part)
             for k, part in enumerate(left)
             for name in candidates[part.id]
             if name in free

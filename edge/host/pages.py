@@ -39,6 +39,8 @@ MOST_BYTES = 65536
 """Of what is posted."""
 _PATIENCE_S = 5.0
 _LOOK_S = 0.1  # for the end of the block
+_STRANGER, _KNOWN, _BUSY = range(3)
+"""States of a connection: no request on it bore the token; one did; one that did is under way."""
 _ELSEWHERE = HTTPStatus.MISDIRECTED_REQUEST
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -150,15 +152,18 @@ def serve(
 
 
 class _Server(ThreadingMixIn, HTTPServer):
-    """A thread for each connection, of which there are few: the oldest makes room for a new one,
-    so that whoever keeps connections open, or sends a byte now and then, locks nobody out."""
+    """A thread for each connection, of which there are few: one makes room for a new one, so that
+    whoever keeps connections open, or sends a byte now and then, locks nobody out.
+
+    The oldest stranger goes first, then the oldest that bore the token and asks for nothing now.
+    """
 
     daemon_threads, block_on_close = True, False
     request_queue_size = 4 * MOST_OPEN
 
     def __init__(self, site: Site, port: int) -> None:
         self.site = site
-        self._open: dict[socket.socket, None] = {}
+        self._open: dict[socket.socket, int] = {}
         self._hand = threading.Lock()
         self._faulty: set[str] = set()
         family, *_, address = socket.getaddrinfo(site.host, port, type=socket.SOCK_STREAM)[0]
@@ -172,15 +177,32 @@ class _Server(ThreadingMixIn, HTTPServer):
         self.server_address = self.socket.getsockname()
         self.server_name, self.server_port = self.server_address[:2]
 
+    def get_request(self) -> tuple[Any, Any]:
+        try:
+            return super().get_request()
+        except OSError:
+            time.sleep(_LOOK_S)  # with no descriptor left, it would be asked for again at once
+            raise
+
     def process_request(self, request: Any, client_address: Any) -> None:
         with self._hand:
-            self._open[request] = None
-            if len(self._open) > MOST_OPEN:
-                oldest = next(iter(self._open))
-                del self._open[oldest]  # the next of a burst makes room of another
+            if len(self._open) >= MOST_OPEN:
+                first = min(self._open, key=self._open.__getitem__)  # of those alike, the oldest
+                if self._open[first] == _BUSY:
+                    first = request
+                self._open.pop(first, None)  # the next of a burst makes room of another
                 with suppress(OSError):  # it may have been closed by now
-                    oldest.shutdown(socket.SHUT_RDWR)
+                    first.shutdown(socket.SHUT_RDWR)
+            if len(self._open) < MOST_OPEN:
+                self._open[request] = _STRANGER
         super().process_request(request, client_address)
+
+    def mark(self, request: Any, state: int) -> bool:
+        """Set the state of a connection. Return False if it has made room for another."""
+        with self._hand:
+            if request in self._open:
+                self._open[request] = state
+            return request in self._open
 
     def hang_up(self) -> None:
         """Whoever keeps a connection open is answered nothing more."""
@@ -224,6 +246,12 @@ class _Handler(BaseHTTPRequestHandler):
     # An answer is one packet, and goes out at once: else its second part waits for the reader to
     # confirm the first, 40 ms.
     wbufsize, disable_nagle_algorithm = -1, True
+
+    def handle_one_request(self) -> None:
+        self._bore_token = False
+        super().handle_one_request()
+        if self._bore_token:
+            self.server.mark(self.connection, _KNOWN)
 
     def do_GET(self) -> None:
         site, path = self.server.site, self.path.partition("?")[0]
@@ -284,6 +312,10 @@ class _Handler(BaseHTTPRequestHandler):
                 return _RefusedError(_ELSEWHERE, "asked for another host than this one")
         elif not site.token.is_borne_by(self.headers.get("Authorization", "")):
             return _RefusedError(HTTPStatus.UNAUTHORIZED, "who asks must know the token")
+        else:
+            self._bore_token = True
+            if not self.server.mark(self.connection, _BUSY):  # no answer would arrive
+                return _RefusedError(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections")
         return None
 
     def _body_length(self, most: int) -> int:
@@ -342,6 +374,12 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command != "HEAD":
             self.wfile.write(page.body)
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Answer what the base class refuses with a page like any other."""
+        status = HTTPStatus(code)
+        self.close_connection, self.request_version = True, self.protocol_version
+        self._answer(_page(one_line(message or status.phrase), status))
 
     def log_message(self, format: str, *args: Any) -> None:
         log.debug("%s", one_line(format % args))

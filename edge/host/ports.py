@@ -9,6 +9,7 @@ from pathlib import Path
 
 EPHEMERAL = Path("/proc/sys/net/ipv4/ip_local_port_range")
 FIRST = 20_000
+MOST_PORT = 65_535
 
 _USUAL_EPHEMERAL = 32_768
 _TRIES = 100
@@ -20,6 +21,20 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+def is_free(host: str, port: int) -> bool:
+    """Return whether a server could listen at this address now."""
+    try:
+        family, kind, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as probe:
+            # As servers do: a connection that was just closed keeps no port.
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+            probe.listen()  # two sockets may be bound so, one may listen
+    except (OSError, UnicodeError):  # UnicodeError: a label that no host name may have
+        return False
+    return True
 
 
 def free_port() -> int:

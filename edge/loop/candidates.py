@@ -109,6 +109,13 @@ class CandidatePool:
         )  # fmt: skip
         self.shown.n, self.shown.stamp_ns = c.n, c.stamp_ns
 
+    @property
+    def out_of_reach(self) -> int:
+        """Number of frontiers that no known path leads to."""
+        c = self.candidates
+        frontiers = c.kind[: c.n] == FRONTIER
+        return int(np.count_nonzero(frontiers & np.isinf(c.path_m[: c.n])))
+
     def measure(self, grid: RollingMap) -> None:
         """Fill in how far the candidates are, and what frontiers would show."""
         c = self.candidates

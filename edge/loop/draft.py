@@ -43,6 +43,8 @@ class Draft:
         coarse_m: (n, 2) float64 in `map`, as it was written; None: it was not.
         speed_mps: that was asked for; None: none was.
         stops_at: number and label of the thing that it ends at; see `edge.tasks.write.Written`.
+        stops: numbers and labels of the things that the robot stops at with each step, the last of
+            them step `upto`; empty of a model.
         upto: so many of the task's steps are driven where it ends.
         understood, prompt, rounds: see `edge.tasks.facts.TaskFacts`.
     """
@@ -54,6 +56,7 @@ class Draft:
     coarse_m: np.ndarray | None = None
     speed_mps: float | None = None
     stops_at: tuple[int, str] | None = None
+    stops: tuple[tuple[tuple[int, str], ...], ...] = ()
     upto: int = 0
     understood: str = ""
     prompt: str = ""
@@ -160,10 +163,12 @@ def _written_up_to(upto: int, order: Order, scene: Scene) -> Draft:
             instruction, scene, _tasks(config), order.rounds.append, order.why, which=which
         )
         coarse, thing = written.coarse, written.stops_at
-        stops_at = None if thing is None else (thing, scene.objects[thing].label)
+        labels = {k: one.label for k, one in scene.objects.items()}
+        stops_at = None if thing is None else (thing, labels[thing])
+        stops = tuple(tuple((k, labels[k]) for k in step) for step in written.stops)
         draft = replace(
             draft, coarse_m=coarse.points_m, speed_mps=coarse.speed_mps,
-            understood=written.understood, stops_at=stops_at,
+            understood=written.understood, stops_at=stops_at, stops=stops,
         )  # fmt: skip
         refined = refine(
             scene, coarse.segments, coarse.regions, _body(config), _limits(config, draft),

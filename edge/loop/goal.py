@@ -84,7 +84,7 @@ class GoalTracker:
         event: Callable[[str, int], None],
     ) -> None:
         self.phase: MissionPhase = "searching"
-        self.client = GoalClient(send)
+        self.client = GoalClient(config, send)
         self._config, self._pool, self._tracker = config, pool, tracker
         self._event = event
         self._present: _Present | None = None
@@ -129,7 +129,12 @@ class GoalTracker:
         target, views = mission.target, self.views
         found = "no way to" if target in mission.detected else "found no"
         again = f", looked again at {views} place{'s' * (views > 1)}" if views else ""
-        return f"explored all that can be reached{again}, {found} {target}{_barred(grid)}"
+        barred = _barred(grid)
+        left = self._pool.out_of_reach if barred else 0
+        explored = "explored all that can be reached"
+        if left:
+            explored = f"no way to the {left} frontier{'s' * (left > 1)} left"
+        return f"{explored}{again}, {found} {target}{barred}"
 
     # -- choosing ---------------------------------------------------------------------------
 
@@ -296,6 +301,8 @@ class GoalTracker:
         """
         present = self._present
         self._standstill.told(grid, pose, self.client.take_blocked(), now_ns)
+        if present is not None and present.told and present.answer is None:
+            present.answer = self.client.arrived(present.goal, pose, now_ns)
         instance = None
         if present is not None and present.goal.kind == "instance":
             instance = self._tracker.get(present.goal.candidate_id)
@@ -309,8 +316,8 @@ class GoalTracker:
             self._act_on(verdict, instance, mission, now_ns)
         elif present is not None:
             self._follow(present, pose, now_ns, images)
-        # Where no controller answers, it is no candidate's fault that the robot stands.
-        driven_to = self.goal if self.client.heard and self.client.driving else None
+        # If nobody drives the robot, it is not the candidate's fault that it stands.
+        driven_to = self.goal if self.client.is_driven(pose) else None
         stuck = self._standstill.noticed(grid, pose, driven_to, now_ns)
         if stuck:
             self._event("stuck: goal discarded", now_ns)

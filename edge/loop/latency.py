@@ -24,6 +24,7 @@ from edge.loop.stages import STAGES, TICK_BUDGET_MS, TICK_DEADLINE_MS, Stage
 
 TICK = "tick"
 NOT_RUN = -1
+_NEVER = np.iinfo(np.int64).max
 _MS = 1e-6
 _QUANTILES = np.array([0.50, 0.95, 0.99, 1.0])
 
@@ -48,7 +49,7 @@ class StageLatency:
     """One row of the report.
 
     Attributes:
-        budget_ms: what p95 should stay under.
+        budget_ms: what p95 should stay under; None where nothing says how long the stage may take.
         n: spans in the window that the percentiles are taken over (ticks in which the
             stage did not run are not counted).
         p50_ms, p95_ms, p99_ms, max_ms: over the window; 0 where `n` is 0.
@@ -59,7 +60,7 @@ class StageLatency:
     """
 
     name: str
-    budget_ms: float
+    budget_ms: float | None
     n: int
     p50_ms: float
     p95_ms: float
@@ -72,8 +73,8 @@ class StageLatency:
 
     @property
     def verdict(self) -> str:
-        """`ok` or `over` by p95 against the budget; `-` when the stage has not run."""
-        if self.n == 0:
+        """`ok` or `over` by p95 against the budget; `-` without a budget, or without a run."""
+        if self.n == 0 or self.budget_ms is None:
             return "-"
         return "ok" if self.p95_ms <= self.budget_ms else "over"
 
@@ -83,8 +84,8 @@ class LatencyReport:
     """Every stage in the order of the stage table, and the tick as a whole.
 
     Attributes:
-        calibration: of the computer that it was taken on, which budgets were scaled by; None where
-            it was never calibrated, so that they are the reference computer's.
+        calibration: of the computer that it was taken on, which budgets were scaled by. None where
+            it was never calibrated: only the deadlines of the tick and the detector are known then.
     """
 
     stages: tuple[StageLatency, ...]
@@ -94,9 +95,9 @@ class LatencyReport:
 
     @property
     def computer(self) -> str:
-        """How fast the computer is, and so whose budgets these are."""
+        """What the stages are held to on this computer."""
         if self.calibration is None:
-            return f"budgets are the reference computer's: {HINT}"
+            return f"for a budget of each stage, {HINT}"
         return f"this computer is {self.calibration}, and its budgets are scaled by that"
 
     def stage(self, name: str) -> StageLatency:
@@ -109,6 +110,11 @@ class LatencyReport:
             if row.name == name:
                 return row
         raise KeyError(name)
+
+    @property
+    def limit(self) -> str:
+        """The name of what p95 is held to: `budget`, or `deadline` without a calibration."""
+        return "deadline" if self.calibration is None else "budget"
 
     @property
     def rows(self) -> tuple[StageLatency, ...]:
@@ -130,9 +136,11 @@ class LatencyReport:
 
     def table(self) -> str:
         """The report as aligned text, one line a stage, the tick last."""
-        header = ("stage", "n", "p50", "p95", "p99", "max", "budget", "over", "drops", "p95/budget")
+        limit = self.limit
+        header = ("stage", "n", "p50", "p95", "p99", "max", limit, "over", "drops", f"p95/{limit}")
         lines = [_line(header)]
-        lines += [_line(_cells(row)) + f" {row.verdict}" for row in self.rows]
+        for row in self.rows:
+            lines.append(_line(_cells(row)) + ("" if row.budget_ms is None else f" {row.verdict}"))
         lines.insert(-1, "-" * len(lines[0]))
         lines.append(
             f"times in ms; tick deadline {self.deadline_ms:g} ms missed "
@@ -150,7 +158,7 @@ def _rounded(value: Any) -> Any:
 
 
 def _line(cells: tuple[str, ...]) -> str:
-    widths = (12, 8, 9, 9, 9, 9, 8, 7, 7)
+    widths = (12, 8, 9, 9, 9, 9, 10, 7, 7)
     name, *numbers, bar = cells
     padded = "".join(f"{cell:>{width}}" for cell, width in zip(numbers, widths[1:], strict=True))
     return f"{name:<{widths[0]}}{padded}  {bar:<10}"
@@ -160,12 +168,14 @@ def _cells(row: StageLatency) -> tuple[str, ...]:
     times = (row.p50_ms, row.p95_ms, row.p99_ms, row.max_ms)
     texts = [f"{value:.3f}" if row.n else "-" for value in times]
     name = row.name if row.in_tick else f"{row.name}*"
-    counts = (f"{row.overruns}", f"{row.drops}")
-    return (name, f"{row.count}", *texts, f"{row.budget_ms:.3g}", *counts, _bar(row))
+    held_to = ("-", "-") if row.budget_ms is None else (f"{row.budget_ms:.3g}", f"{row.overruns}")
+    return (name, f"{row.count}", *texts, *held_to, f"{row.drops}", _bar(row))
 
 
 def _bar(row: StageLatency, width: int = 10) -> str:
     """p95 as a share of the budget; a full bar that ends in `>` is over it."""
+    if row.budget_ms is None:
+        return ""
     filled = min(width, round(width * row.p95_ms / row.budget_ms))
     bar = "#" * filled + "." * (width - filled)
     return bar[:-1] + ">" if row.verdict == "over" else bar
@@ -193,7 +203,8 @@ class LatencyRing:
     Args:
         capacity: ticks kept.
         stages: the stage table; indices are positions in it.
-        calibration: of this computer, where there is one; budgets are scaled by it.
+        calibration: of this computer, which budgets are scaled by. Without one, stages have no
+            budgets but their deadlines, as the tick has: 1.5 ms of another computer say nothing.
     """
 
     def __init__(
@@ -206,9 +217,11 @@ class LatencyRing:
             raise ValueError(f"capacity: must be positive, got {capacity}")
         self._stages = stages
         self._calibration = calibration
-        slowdown = 1.0 if calibration is None else calibration.slowdown
+        slowdown = None if calibration is None else calibration.slowdown
         self._budget_ms = [stage.budget_on(slowdown) for stage in stages]
-        self._tick_budget_ms = min(TICK_BUDGET_MS * slowdown, TICK_DEADLINE_MS)
+        self._tick_budget_ms = TICK_DEADLINE_MS
+        if slowdown is not None:
+            self._tick_budget_ms = min(TICK_BUDGET_MS * slowdown, TICK_DEADLINE_MS)
         self._capacity = capacity
         n = len(stages)
         # Column n is the tick itself. Stages in the tick share a head, others have their own.
@@ -222,7 +235,7 @@ class LatencyRing:
         self._in_tick = tuple(stage.in_tick for stage in stages)
         self._in_tick_columns = np.array([*self._in_tick, True])
         limits_ms = [*self._budget_ms, TICK_DEADLINE_MS]
-        self._limit_ns = np.array([round(limit / _MS) for limit in limits_ms], dtype=np.int64)
+        self._limit_ns = np.array([_NEVER if ms is None else round(ms / _MS) for ms in limits_ms])
         self._over = np.zeros(n + 1, dtype=bool)
         self._ran = np.zeros(n + 1, dtype=bool)
         self._overruns = np.zeros(n + 1, dtype=np.int64)

@@ -12,6 +12,7 @@ Texts of others (instructions, targets, errors) are no labels: each would be a s
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, get_args
@@ -46,7 +47,7 @@ class Look:
         service = running.service
         self.running, self.service, self.sinks = running, service, statuses(sinks)
         self.mission, self.goal = service.mission, service.goal
-        self.source = dict(running.source.counters)
+        self.source, self.inputs = dict(running.source.counters), service.inputs()
         self.rows = service.latency.report(last=1)
         self.histograms = service.latency.histograms()
         self.detector, self.images = running.worker.detector, running.worker.stats
@@ -56,6 +57,10 @@ class Look:
     def stages(self, value: Callable[[Any], float]) -> dict[str, float]:
         """By stage, of its row in the latency report."""
         return {row.name: value(row) for row in self.rows.stages}
+
+    def held(self, value: Callable[[Any], float]) -> dict[str, float]:
+        """Return the same of the stages that are held to a budget."""
+        return {row.name: value(row) for row in self.rows.stages if row.budget_ms is not None}
 
     def of_sinks(self, name: str) -> dict[str, int]:
         """By sink, of those that tell it as a number."""
@@ -128,10 +133,11 @@ SERVICE: tuple[Metric[Look], ...] = (
     Metric("edge_stage_duration_seconds", "histogram",
            "Time that a stage took; detect runs beside the tick.",
            lambda s: s.histograms.stages, ("stage",)),
-    Metric("edge_stage_budget_seconds", "gauge", "What the 95th percentile should stay under.",
-           lambda s: s.stages(lambda row: _seconds(row.budget_ms)), ("stage",)),
+    Metric("edge_stage_budget_seconds", "gauge",
+           "What the 95th percentile should stay under; without a calibration only deadlines.",
+           lambda s: s.held(lambda row: _seconds(row.budget_ms)), ("stage",)),
     Metric("edge_stage_over_budget_total", "counter", "Runs of a stage over its budget.",
-           lambda s: s.stages(lambda row: row.overruns), ("stage",)),
+           lambda s: s.held(lambda row: row.overruns), ("stage",)),
     Metric("edge_stage_dropped_total", "counter",
            "What a stage let go: messages (ingest), images (detect), ticks that it failed in.",
            lambda s: s.stages(lambda row: row.drops), ("stage",)),
@@ -143,6 +149,19 @@ SERVICE: tuple[Metric[Look], ...] = (
     Metric("edge_source_dropped_total", "counter",
            "Messages that became part of no observation, by reason.",
            lambda s: {why: n for why, n in s.source.items() if why not in NO_DROPS}, ("reason",)),
+    Metric("edge_input_dropped_total", "counter",
+           "Messages that became part of no observation, by input and reason.",
+           lambda s: {(row.name, why): n for row in s.inputs for why, n in row.dropped.items()},
+           ("input", "reason")),
+    Metric("edge_input_rate_hertz", "gauge", "How often messages of an input come.",
+           lambda s: {row.name: row.hz for row in s.inputs}, ("input",)),
+    Metric("edge_input_age_seconds", "gauge",
+           "Time since an input's newest message; infinite before the first.",
+           lambda s: {row.name: math.inf if row.age_s is None else row.age_s for row in s.inputs},
+           ("input",)),
+    Metric("edge_input_lacking", "gauge",
+           "Whether an input that is needed is missing, silent, or dropped whenever it comes.",
+           lambda s: {row.name: row.lacks for row in s.inputs}, ("input",)),
     Metric("edge_overruns_total", "counter",
            "Looks that found more than there was room for, by what is listened to.",
            lambda s: s.service.overruns(), ("ring",)),
@@ -174,7 +193,8 @@ SERVICE: tuple[Metric[Look], ...] = (
            "Images by what became of them: detected in, failed, replaced by a newer one.",
            lambda s: {"detected": s.images.done, "failed": s.images.failed,
                       "replaced": s.images.replaced}, ("outcome",)),
-    Metric("edge_detector_invalid_boxes_total", "counter", "Boxes that were not finite.",
+    Metric("edge_detector_invalid_boxes_total", "counter",
+           "Boxes dropped: not finite, far outside the image, or scored outside 0 to 1.",
            lambda s: {s.detector.name: s.detector.invalid_boxes}, ("model",)),
     Metric("edge_model_process_restarts_total", "counter",
            "Starts of the detector's process after its end; 0 where it has none.",

@@ -31,7 +31,7 @@ _BETWEEN = "\0"  # words
 _TYPES = ("b1", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8")
 
 _LENGTHS = rb'"table":([0-9]{1,9}),"arrays":([0-9]{1,9}),"tiles":([0-9]{1,9})\}\n'
-_FILE = Sealed("edge-map", "map", VERSION, _LENGTHS + rb"(?P<body>.*)", MAX_BYTES)
+FILE = Sealed("edge-map", "map", VERSION, _LENGTHS + rb"(?P<body>.*)", MAX_BYTES)
 _Sizes = Annotated[tuple[Annotated[int, Field(ge=0, le=1 << 26)], ...], Field(max_length=8)]
 _Count = Annotated[int, Field(ge=0)]
 _Name = Annotated[str, Field(max_length=100)]
@@ -78,7 +78,7 @@ def encode(places: Places) -> bytes:
     table = json.dumps(rows, separators=(",", ":")).encode()
     arrays, tiles = zlib.compress(b"".join(raw), _LEVEL), b"".join(places.tiles)
     lengths = f'"table":{len(table)},"arrays":{len(arrays)},"tiles":{len(tiles)}}}\n'
-    return _FILE.seal(lengths, table + arrays + tiles)
+    return FILE.seal(lengths, table + arrays + tiles)
 
 
 def decode(content: bytes) -> Places:
@@ -87,7 +87,7 @@ def decode(content: bytes) -> Places:
     Raises:
         ValueError: with one line that says what is wrong.
     """
-    whole, body = _FILE.open(content)
+    whole, body = FILE.open(content)
     n_table, n_arrays, n_tiles = (int(whole[i]) for i in (3, 4, 5))
     if n_table + n_arrays + n_tiles != len(body):
         raise ValueError("its lengths are not those of its parts")

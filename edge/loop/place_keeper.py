@@ -9,7 +9,7 @@ from pathlib import Path
 
 from edge.config import Config
 from edge.host.machine import boot_id
-from edge.loop.place_file import MAX_BYTES, Places, decode, encode
+from edge.loop.place_file import FILE, Places, decode, encode
 from edge.loop.places import Kept, Now, Parts, gather, make_map, why_elsewhere
 from edge.mapping.grid import RollingMap
 from edge.mapping.tiles import MOST_PER_STEP, Batch, Copier, PackedTiles
@@ -21,7 +21,7 @@ log = logging.getLogger("edge.loop.place_keeper")
 PERIOD_S = 3.0
 """How often a state is begun to be copied; it is on the disk some ticks and a write later."""
 SUFFIX = ".map"
-_PLACES = Format(encode, decode, MAX_BYTES)
+_PLACES = Format(encode, decode, FILE)
 _LAST_S = 5.0  # for the last write
 
 

@@ -62,6 +62,7 @@ MOST = {
     "left": 64, "tile": 4096,
 }  # fmt: skip
 _STAMP, _COUNT, _FLAG = Column("i8"), Column("i8", (), 0), Column("b1", (), None)
+_FLAGS = Column("b1", ("bump",), None)
 
 
 def _at(*shape: int | str, dtype: str = "f8") -> Column:
@@ -100,7 +101,7 @@ TABLE: dict[str, Column] = {
     **_of(
         "bumps",
         place_m=_at("bump", 2), heading_rad=_at("bump"), half_m=_at("bump"),
-        until_ns=Column("i8", ("bump",)), opened=Column("b1", ("bump",), None),
+        until_ns=Column("i8", ("bump",)), opened=_FLAGS, again=_FLAGS,
         cell=Column("i8", ("cell", 4), -(1 << 32), 1 << 32),
         closed=Column("i8", ("closed", 4), -(1 << 32), 1 << 32),
     ),

@@ -176,7 +176,8 @@ class Reloader:
     def _end(self, how: str, outcome: str, now_ns: int) -> None:
         self.outcomes[how] += 1
         self.outcome = one_line(outcome, _MOST_CHARS)
-        self._service.event(f"reload: {self.outcome}", now_ns)
+        level = logging.WARNING if how == "refused" else logging.INFO
+        self._service.event(f"reload: {self.outcome}", now_ns, level)
 
 
 def _prepare(present: Config, new: Config, running: str) -> _Ready:
@@ -195,7 +196,7 @@ def _prepare(present: Config, new: Config, running: str) -> _Ready:
     policy = None
     if new.policy != present.policy:
         warm_policy(new)
-        policy = make_policy(new.policy, new.path)
+        policy = make_policy(new.policy, new.origin("policy"))
     model = _model(present.perception, new.perception, running)
     return _Ready(new, changed, policy, running, model)
 

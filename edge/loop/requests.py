@@ -16,7 +16,7 @@ from edge.mission.brief import Brief
 from edge.perception.card_types import DetectCard, DirectionsCard
 from edge.perception.cards import load_card, load_detector_card
 from edge.perception.swap.swapper import SwapError, Swapper
-from edge.text import one_line
+from edge.text import bounded_repr, one_line
 
 if TYPE_CHECKING:
     from edge.loop.scorers import Scorers
@@ -113,7 +113,7 @@ def _named(fields: dict) -> dict:
         return {}
     if not _ID.fullmatch(check_text("id", fields["id"])):
         raise ValueError(
-            f"id: expected letters, digits and . _ ~ -, 64 at most: {fields['id']!r:.80}"
+            f"id: expected letters, digits and . _ ~ -, 64 at most: {bounded_repr(fields['id'])}"
         )
     return {"id": fields["id"]}
 

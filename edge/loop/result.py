@@ -103,7 +103,7 @@ class TickResult:
         pose: the newest in `map`; None before there was any.
         goal: where the robot is sent; None: nowhere.
         answer: the controller's newest answer to that goal; None before it came.
-        controlled: whether a controller answers.
+        controlled: whether a controller answers, or none is expected to.
         targets: of the mission.
         goals: that went out since the result before; so `answers` that came, and `events`.
         inputs: what came into the loop from beside it, likewise.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -118,10 +119,11 @@ def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
     """Tick once for every observation, on the observation's own clock.
 
     That clock stands still while nothing is to be seen, and so does the robot. When that has
-    taken as long, in real time, as the mission may, it is over all the same. Where it was set
-    anew, the loop's time goes on from where it was.
+    taken as long, in real time, as the mission may, the mission is over all the same, unless its
+    first observation is yet to come. Where it was set anew, the loop's time goes on from where it
+    was.
     """
-    seen_s, now_ns, stamp_ns = time.monotonic(), 0, 0
+    seen_s, now_ns, stamp_ns = math.inf, 0, 0
     while not stop.is_set():
         observation = _hear(running, now_ns) if _wait(running, now_ns) else None
         if observation is not None:

@@ -387,7 +387,11 @@ def make_scorers(
     if isinstance(choice, ChoiceOnnx):
 
         def remake(name: str) -> ViewScorer:
-            return make_choice(choice.model_copy(update={"card": name}), perception)
+            wanted = choice.model_copy(update={"card": name})
+            if perception.isolation == "thread":  # a model that never ends is killed only there
+                apart = perception.model_copy(update={"isolation": "process"})
+                make_choice(wanted, apart).close()
+            return make_choice(wanted, perception)
 
         how["remake"] = remake
     if card is None:

@@ -18,9 +18,11 @@ from edge.policies.base import Context
 TURN_AFTER_NS, TURNS = 1_000_000_000, 3
 # From afar the rim of what is known flickers: a frontier that turns up later has to last.
 LASTING_NS = 2_000_000_000
-# Where the robot was held up is tried once more for so long at least: a frontier that comes to
+# Where the robot was held up is tried again for so long at least: a frontier that comes to
 # light there is gone to once it has lasted, and shows a tick or two after the opening.
 _RETRY_NS = LASTING_NS + 1_000_000_000
+# It is tried so often, and so long after the last time: who stood there may have gone.
+_RETRIES, _PAUSE_NS = 2, 10_000_000_000
 # A frontier left so often for another, or because it vanished, before the robot came there, shows
 # from afar alone or is farther than it looks: then it is seen through, or left alone.
 _FICKLE, _SAME_M, _LEFT = 3, 0.6, 64
@@ -44,6 +46,8 @@ class Search:
     _second_chance: bool = False
     _missed: tuple[int, tuple[float, float]] | None = None
     _retry: tuple[int, int] | None = None  # reach generation and time that end it
+    _retries: int = 0
+    _next_retry_ns: int = 0
 
     def kept(self) -> dict[str, np.ndarray]:
         """What is held against places, as plain arrays; what takes seconds is not."""
@@ -112,23 +116,30 @@ class Search:
     def trying_again(
         self, context: Context, grid: RollingMap, pool: CandidatePool, tracker: InstanceTracker
     ) -> bool:
-        """Give all that was given up one more chance; whether that may yet come to something."""
-        reach = grid.reach
-        if not self._second_chance:
-            self._second_chance = True
+        """Try again what was given up; return whether that may yet come to something.
+
+        Discarded candidates and rejected objects get one more chance. Where the robot was held up
+        the map is opened, up to twice.
+        """
+        first, self._second_chance = not self._second_chance, True
+        if first:
             pool.lift_discards()
             tracker.forget_refuted(context.target)
-            if grid.bumps.open_all():  # doors open, and people go
-                # The reach field that is growing may have begun before; the one after it leads
-                # there.
-                self._retry = (reach.generation + 2, context.now_ns + _RETRY_NS)
-            return True
         if self._retry is not None:
             generation, until_ns = self._retry
-            if reach.generation < generation or context.now_ns < until_ns:
+            if grid.reach.generation < generation or context.now_ns < until_ns:
                 return True
             self._retry = None
-        return False
+        if self._retries == _RETRIES or not grid.bumps.closed_m:
+            return first
+        if context.now_ns >= self._next_retry_ns:  # doors open, and people go
+            grid.bumps.open_all()
+            pool.lift_discards()
+            self._retries += 1
+            self._next_retry_ns = context.now_ns + _PAUSE_NS
+            # The travel-cost field that is growing may have begun before; the next one leads there.
+            self._retry = (grid.reach.generation + 2, context.now_ns + _RETRY_NS)
+        return True
 
 
 class NextBestView:

@@ -29,6 +29,7 @@ from edge.loop.publish import Publisher
 from edge.loop.result import Event, Sink, TickResult
 from edge.loop.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
+from edge.loop.source import InputRow
 from edge.loop.status import HealthWatch
 from edge.loop.task import TaskRun
 from edge.mission.brief import Brief, task_of
@@ -61,6 +62,7 @@ class Service:
         calibration: of this computer, for the budgets; None: they are the reference computer's.
         idle: the mission is not begun: the robot stands until one is asked for.
         journal: notes what comes in from beside the loop.
+        inputs: the source's table of inputs, for any thread; empty where it has none.
 
     Attributes:
         map: all that is known of the surroundings.
@@ -75,6 +77,7 @@ class Service:
             not in lockstep, where runs replay the same.
         blind_s: so long without an observation no one drives on.
         overruns: by what is listened to, how often more came than could be taken.
+        inputs: what each input of the source brings.
         faults: what stages, sinks and requests raised, and the loop outlived.
         stage: the one at work in a tick, or whose error ended it.
     """
@@ -92,10 +95,11 @@ class Service:
         calibration: Calibration | None = None,
         idle: bool = False,
         journal: Journal | None = None,
+        inputs: Callable[[], Sequence[InputRow]] = tuple,
     ) -> None:
         self.config = config
         self._journal = journal = journal or Journal()
-        self.keeper, self.overruns = keeper, overruns
+        self.keeper, self.overruns, self.inputs = keeper, overruns, inputs
         self.map = SemanticMap(config, brief.targets)
         self.mission = MissionRun(brief, config.mission, self._step_taken)
         self.task = self._task_of(self.mission)
@@ -117,7 +121,7 @@ class Service:
             self.governor = Governor(config.perception, worker, self.swapper, scorers, self.event)
         self._health = HealthWatch(
             worker, self.swapper, scorers, keeper, self.faults, overruns, self._governed,
-            self.event, sinks,
+            self.event, sinks, inputs,
         )  # fmt: skip
         self._publisher = Publisher(
             sinks, self.map, self.goals, scorers, journal, self.latency, self._health.status
@@ -291,7 +295,7 @@ class Service:
         mission, task, pose = self.mission, self.task, observation.pose
         if not mission.started:
             mission.start(now_ns)
-        mission.observe(pose, now_ns, looking=task is None or task.looking)
+        mission.observe(pose, now_ns, self._looking)
         # What is driven past may get out of sight, and is not looked for again.
         mission.see(self._newest_ids(), now_ns, keep=task is not None and task.phase != "looking")
         if self._surveyor is not None and task is None:
@@ -306,6 +310,11 @@ class Service:
         mission.check_limits(now_ns)
         if not (self.goals.follows(mission) or mission.done):
             self._turn(observation, now_ns)
+
+    @property
+    def _looking(self) -> bool:
+        """Whether the active target is searched for: a task that is driven searches for none."""
+        return self.task is None or self.task.looking
 
     def _newest_ids(self) -> dict[str, int]:
         """For each target of which an instance is known, the highest id of them."""
@@ -449,7 +458,10 @@ class Service:
         self.goals.answered(answer)
 
     def idle(self, now_ns: int, pose: SE2 | None, dropped: Observation | None = None) -> None:
-        """No observation came: limits still hold, status still goes out, no one drives blind.
+        """Handle a beat without an observation: the status still goes out, no one drives blind.
+
+        The mission's time runs on, but only from its first observation on: a mission whose sensors
+        have gone must end, one whose sensors are yet to come must not.
 
         Args:
             pose: from the newest odometry; None before there was any.
@@ -460,9 +472,9 @@ class Service:
         if blind and pose is not None:
             self.pose = pose
         self._journal.note("idle", now_ns=now_ns, pose=pose if blind else None)
-        looking = self.pose is not None and not blind
         try:
-            self.mission.observe(self.pose, now_ns, looking)
+            if self.mission.observed or dropped is not None:
+                self.mission.observe(self.pose, now_ns, self._looking and not blind)
             self.mission.check_limits(now_ns)
         finally:  # whatever is the matter with the mission
             if self.pose is not None and (self.mission.done or self.mission.paused or blind):
@@ -496,9 +508,13 @@ class Service:
         if self.keeper is not None:
             self.keeper.places.jumped()
 
-    def event(self, text: str, now_ns: int) -> None:
-        """Tell log and sinks of something that a person would want to know."""
-        log.info(text)
+    def event(self, text: str, now_ns: int, level: int = logging.INFO) -> None:
+        """Tell log and sinks of something that a person would want to know.
+
+        Args:
+            level: of the log's line.
+        """
+        log.log(level, text)
         self._publisher.events.append(Event(now_ns, text))
 
     def _step_taken(self, step: Step) -> None:

@@ -4,7 +4,8 @@ The loop times these, `edge bench` and the reports hold them to their budgets.
 `detect` runs on its own worker; it is timed and budgeted, but no tick waits for it.
 
 Budgets are the reference computer's (`edge.host.calibration`), and grow with how much slower a
-calibrated computer is; what is called a deadline is real time, and the same everywhere.
+calibrated computer is; on any other they do not count. What is called a deadline is real time, and
+the same everywhere.
 """
 
 from __future__ import annotations
@@ -32,9 +33,14 @@ class Stage:
     in_tick: bool = True
     deadline: bool = False
 
-    def budget_on(self, slowdown: float) -> float:
-        """The budget, in ms, for a computer that is so many times slower than the reference."""
-        return self.budget_ms if self.deadline else self.budget_ms * slowdown
+    def budget_on(self, slowdown: float | None) -> float | None:
+        """Return the budget in ms on a computer this many times slower than the reference.
+
+        On a computer whose speed is not known (None) only a deadline is a budget.
+        """
+        if self.deadline:
+            return self.budget_ms
+        return None if slowdown is None else self.budget_ms * slowdown
 
 
 STAGES: tuple[Stage, ...] = (

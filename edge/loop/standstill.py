@@ -67,8 +67,9 @@ class Standstill:
         if grid.bumps.explained(pose, place, self._radius_m) and self._waits(place, now_ns):
             self._event(f"{where} by what the map shows", now_ns)
             return
-        self._event(f"{where}: the map closes there", now_ns)
-        grid.bumps.close(pose, place, self._radius_m, now_ns)
+        closed = grid.bumps.close(pose, place, self._radius_m, now_ns)
+        done = "the map closes there" if closed else "it drove there before, the map stays open"
+        self._event(f"{where}: {done}", now_ns)
 
     def _waits(self, place: tuple[float, float], now_ns: int) -> bool:
         """Whether it may be someone who goes, that the robot waited for so often there."""

@@ -13,6 +13,7 @@ from edge.loop.keeper import Keeper
 from edge.loop.publish import statuses
 from edge.loop.result import MissionFacts, Sink, TickResult
 from edge.loop.scorers import Scorers
+from edge.loop.source import InputRow, inputs_status
 from edge.perception.detector import Health
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
@@ -52,7 +53,6 @@ def status_of(result: TickResult) -> dict[str, object]:
             "answer": "" if result.answer is None else result.answer.state,
         },
         "controller": "answers" if result.controlled else "silent",
-        "loop": health["loop"],
         "frontiers": len(result.frontiers()),
         "instances": [
             {
@@ -65,13 +65,7 @@ def status_of(result: TickResult) -> dict[str, object]:
             }
             for i in result.instances()
         ],
-        "checkpoint": health["checkpoint"],
-        "detector": health["detector"],
-        "segmenter": health["segmenter"],
-        "swap": health["swap"],
-        "governor": health["governor"],
-        "scorers": health["scorers"],
-        "sinks": health["sinks"],
+        **health,
     }
 
 
@@ -83,6 +77,7 @@ class HealthWatch:
         governor: how it stands, None where there is none.
         event: tells of something that a person would want to know.
         sinks: see `edge.loop.publish.statuses`.
+        inputs: the source's table, empty where it has none.
     """
 
     def __init__(
@@ -96,11 +91,12 @@ class HealthWatch:
         governor: Callable[[], dict[str, object] | None],
         event: Callable[[str, int], None],
         sinks: Sequence[Sink] = (),
+        inputs: Callable[[], Sequence[InputRow]] = tuple,
     ) -> None:
         self._worker, self._swapper, self._scorers = worker, swapper, scorers
         self._keeper, self._faults, self._overruns = keeper, faults, overruns
         self._governor, self._event = governor, event
-        self._sinks = sinks
+        self._sinks, self._inputs = sinks, inputs
         self._degraded = False  # the detector is known to be, and that was told
 
     def look(self, now_ns: int) -> None:
@@ -131,6 +127,7 @@ class HealthWatch:
             "governor": self._governor(),
             "scorers": {} if self._scorers is None else self._scorers.status(),
             "sinks": statuses(self._sinks),
+            "inputs": inputs_status(self._inputs()),
         }
 
 

@@ -26,10 +26,9 @@ from edge.loop.journal import TASK, Journal
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.brief import TaskStep
 from edge.mission.run import MissionRun
-from edge.motion.pursuit import index_ahead
 from edge.perception.instances import InstanceTracker
 from edge.tasks.facts import StepFacts, TaskFacts, TaskPhase
-from edge.tasks.follow import blocked_ahead_m, goal_ahead
+from edge.tasks.follow import blocked_ahead_m, end_of, goal_ahead, index_at_goal, leg_end
 from edge.tasks.objects import ObjectMap
 from edge.tasks.refine import Refined
 from edge.text import one_line
@@ -44,6 +43,8 @@ AGAIN_NS = 2_000_000_000
 """How often it is tried to write a trajectory that what was seen so far did not allow."""
 TURNS = 3
 """On the spot, in which a model's robot comes round once before the trajectory is written."""
+FACING_RAD = math.radians(25.0)
+"""The robot looks at a thing that lies no farther off the direction that it faces."""
 SAME_PLACE_M = 0.5
 """A robot that is held up twice within this distance is not helped by the same trajectory."""
 _REASON_CHARS = 300
@@ -85,8 +86,11 @@ class TaskRun:
         self._all_seen = False
         self._held_up_at: SE2 | None = None
         self._looked_ns = 0
-        self._stopped_at: tuple[int, str] | None = None  # see `Draft.stops_at`
-        self._images = 0  # since it stopped there, at `_stopped_ns`
+        self._sure = self._mission.state  # at the stops of so many steps were the things named
+        self._halt: tuple[int, int] | None = None  # the next stop: its step, the index of its pose
+        self._unproven: list[tuple[int, str]] = []  # things of the stop that the robot is at
+        self._proven: set[int] = set()  # instances that were found to be the others
+        self._images = 0  # since it looks at the first of them, from `_stopped_ns` on
         self._stopped_ns = 0
 
     @property
@@ -159,14 +163,19 @@ class TaskRun:
         elif self.phase == "driving":
             self._drive(map, goals, observation, stuck, now_ns)
         elif self.phase == "verifying" and not self._mission.done:
-            self._verify(map, goals, pose, now_ns)
+            self._verify(map, goals, pose, stuck, now_ns)
 
     def lead(self, goals: GoalTracker, pose: SE2, now_ns: int) -> None:
         """Where the robot goes now, in place of a candidate: on the trajectory, or to stand."""
         refined = self._draft.refined
         if self.phase == "driving" and refined is not None:
-            ahead, self._index = goal_ahead(refined, pose, AHEAD_M, self._index)
-            apart_m = 0.0 if _is_end(ahead, refined) else APART_M
+            until = None if self._halt is None else self._halt[1]
+            ahead, self._index = goal_ahead(refined, pose, AHEAD_M, self._index, until)
+            ends = (leg_end(refined, self._index), len(refined.poses) - 1)
+            exact = any(
+                _is_at(ahead, refined, end) for end in ends if until is None or end <= until
+            )
+            apart_m = 0.0 if exact else APART_M
             goals.lead(ahead, self._mission, now_ns, apart_m)
         elif self._turning is not None:
             goals.lead(self._turning, self._mission, now_ns, 0.0)
@@ -321,6 +330,7 @@ class TaskRun:
                 draft = replace(self._draft, refined=draft.refined, stops_at=None)
             self._draft, self._index, self._looked_ns = draft, 0, 0
             self._refinements += 1
+            self._halt = self._next_halt(draft.refined)
             self.phase, self._refused = "driving", ""
             mission.tell(_line(told(draft, order)), now_ns)
         elif order.nearer_to is not None:
@@ -350,15 +360,16 @@ class TaskRun:
         pose, state = observation.pose, None if answer is None else answer.state
         if (driven := self._driven(refined)) > self._mission.state:
             self._mission.drove(driven, now_ns)
-        if state == "reached" and goal is not None and _is_end(goal.pose, refined):
-            if (thing := self._draft.stops_at) is None:
+        last = len(refined.poses) - 1
+        until = last if self._halt is None else self._halt[1]
+        if state == "reached" and goal is not None and _is_at(goal.pose, refined, until):
+            thing = self._draft.stops_at
+            if thing is None or until < last:
                 self._stop(goals, now_ns)
             else:
-                self._stopped_at = thing
                 self._ask(map, observation, None, nearer_to=thing)
-        elif state == "reached":
-            # Where the path doubles back, the robot is as near to a part of it that lies behind.
-            self._index = index_ahead(refined.poses[:, :2], self._index, AHEAD_M)
+        elif state == "reached" and goal is not None:
+            self._index = index_at_goal(refined, goal.pose, self._index)
         elif stuck or state == "failed":
             why = "the robot is held up"
             if not stuck:
@@ -383,38 +394,88 @@ class TaskRun:
             driven -= 1
         return driven
 
-    def _stop(self, goals: GoalTracker, now_ns: int) -> None:
-        """At the end of a trajectory, as near to a thing that it ends at as one gets."""
-        if self._stopped_at is None:
-            self._go_on(goals, now_ns)
-        else:
-            self.phase, self._stopped_ns, self._images = "verifying", now_ns, 0
+    def _next_halt(self, refined: Refined) -> tuple[int, int] | None:
+        """The next step that stops at things, and the index of the pose where it does."""
+        ends = [k for k, leg in enumerate(refined.legs) if leg.ends_segment]
+        upto, stops = self._draft.upto, self._draft.stops
+        for step, leg in zip(range(upto - len(ends), upto), ends, strict=True):
+            if step >= max(self._sure, upto - len(stops)) and stops[step - upto]:
+                return step, end_of(refined, leg)
+        return None
 
-    def _verify(self, map: SemanticMap, goals: GoalTracker, pose: SE2, now_ns: int) -> None:
+    def _stop(self, goals: GoalTracker, now_ns: int) -> None:
+        """At a stop, or at the end of a trajectory, as near to a thing there as one gets."""
+        if self._halt is None:
+            self._go_on(goals, now_ns)
+            return
+        self._unproven = list(self._draft.stops[self._halt[0] - self._draft.upto])
+        self._proven.clear()
+        self.phase, self._stopped_ns, self._images = "verifying", now_ns, 0
+
+    def _verify(
+        self, map: SemanticMap, goals: GoalTracker, pose: SE2, stuck: bool, now_ns: int
+    ) -> None:
         """Whether what the robot stopped at is what the task names; from afar there is no telling,
         and it is taken for it."""
-        assert self._stopped_at is not None
-        (number, label), perception = self._stopped_at, self.config.perception
+        (number, label), perception = self._unproven[0], self.config.perception
         here = [
             one
             for one in map.tracker.of(label)
             if one.distance_m(pose.x_m, pose.y_m) <= min(AGAIN_M, perception.confirm_range_m)
+            and one.id not in self._proven
         ]
+        here.sort(key=lambda one: (one.id != number, one.distance_m(pose.x_m, pose.y_m)))
         thing = map.tracker.get(number)
+        found = next((one for one in here if map.tracker.confirmed(one)), None)
         away = thing is not None and thing.state != "refuted" and not here
-        if away or any(map.tracker.confirmed(one) for one in here):
-            self._go_on(goals, now_ns)
+        if away and not map.tracker.confirmed(thing):
+            away_m = thing.distance_m(pose.x_m, pose.y_m)
+            said = f"{label} {number} is {away_m:.1f} m away: too far to make sure that it is one"
+            self._mission.tell(_line(said), now_ns)
+        if away or found is not None:
+            self._proven.add(number if found is None else found.id)
+            self._turning, self._stopped_ns, self._images = None, now_ns, 0
+            self._unproven.pop(0)
+            if not self._unproven:
+                self._leave(goals, now_ns)
+            return
+        if here and not self._faces(here[0], goals, pose, stuck):
+            self._stopped_ns, self._images = now_ns, 0
         elif (
             self._images >= MIN_IMAGES
             and (now_ns - self._stopped_ns) * 1e-9 > self.config.mission.verify_s
         ):
-            if here and number not in {one.id for one in here}:  # it got another number
-                number = min(here, key=lambda one: one.distance_m(pose.x_m, pose.y_m)).id
+            if here:  # it may have got another number
+                number = here[0].id
             map.tracker.refute(number)
             said = f"{label} {number} is none, as seen from near by: looking further"
             self._mission.tell(_line(said), now_ns)
             self._begin()
             goals.set_out(self._mission)
+
+    def _faces(self, thing: Instance, goals: GoalTracker, pose: SE2, stuck: bool) -> bool:
+        """Whether the robot looks at a thing; if not, it turns to it, once."""
+        bearing_rad = pose.bearing_to(*thing.center_m[:2].tolist())
+        if self._turning is None:
+            if abs(bearing_rad) <= FACING_RAD:
+                return True
+            self._turning = SE2(pose.x_m, pose.y_m, pose.yaw_rad + bearing_rad)
+            return False
+        answer = goals.answer
+        ended = answer is not None and answer.state in ("reached", "failed")
+        return ended or stuck
+
+    def _leave(self, goals: GoalTracker, now_ns: int) -> None:
+        """All things of a stop are what the task names: drive on, or end."""
+        refined = self._draft.refined
+        assert refined is not None
+        assert self._halt is not None
+        step, index = self._halt
+        if index == len(refined.poses) - 1:
+            self._go_on(goals, now_ns)
+            return
+        self._sure, self._index, self.phase = step + 1, index + 1, "driving"
+        self._halt = self._next_halt(refined)
 
     def _go_on(self, goals: GoalTracker, now_ns: int) -> None:
         """At the end of a trajectory: with the steps that come after it, if any do."""
@@ -438,8 +499,8 @@ class TaskRun:
         self._mission.tell(_line(f"{why}: written again from here"), now_ns)
 
 
-def _is_end(pose: SE2, refined: Refined) -> bool:
-    x_m, y_m, _, yaw_rad = refined.poses[-1].tolist()
+def _is_at(pose: SE2, refined: Refined, index: int) -> bool:
+    x_m, y_m, _, yaw_rad = refined.poses[index].tolist()
     return pose == SE2(x_m, y_m, yaw_rad)
 
 

@@ -6,17 +6,22 @@ the loop: where the loop hangs, signs of life stay out, and nothing else gives t
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Callable, Iterator
 from http import HTTPStatus
 from typing import Literal, get_args
 
+from edge.host.open_files import shortage
 from edge.host.pages import Page, Pages, json_page
 from edge.host.service_manager import ServiceManager
 from edge.loop.runner import Running
+from edge.loop.source import lacking
 from edge.loop.status import detector_health
 from edge.text import one_line
+
+log = logging.getLogger("edge.loop.vitals")
 
 STEP_S = 300.0
 """No step of the start takes longer without saying that it goes on."""
@@ -26,6 +31,8 @@ PROBES = ("/healthz", "/readyz")
 """Pages whose status is for everybody, and what they say for who knows the token."""
 _LOOK_S = 1.0
 _UNSEEN = "nothing to be seen"  # not for how long: that would be another line each second
+_TELL_S = 5.0  # sensors that start together with the service have come by then
+_TELL_AGAIN_S = 10.0
 
 State = Literal["starting", "running", "reloading", "stopping"]
 STATES: tuple[State, ...] = get_args(State)
@@ -48,10 +55,11 @@ class Vitals:
         self.state: State = "starting"
         self._manager, self._clock = manager, clock
         self._amiss: tuple[str, ...] = ("starting",)
-        self._said = ""
-        self._beat_s = self._ping_s = self._look_s = clock()
+        self._said = self._short = ""
+        self._beat_s = self._ping_s = self._look_s = self._ready_s = clock()
         self._stamp_ns, self._seen_s = 0, -math.inf
         self._images, self._detected_s = 0, clock()
+        self._told, self._told_s = "", -math.inf  # of what is missing, to the log
 
     # -- for those who start, run and stop the service ---------------------------------------
 
@@ -62,7 +70,7 @@ class Vitals:
 
     def ready(self) -> None:
         """The loop begins."""
-        self._beat_s = self._clock()
+        self._beat_s = self._ready_s = self._clock()
         self._amiss = (_UNSEEN,)
         self.state = "running"
         self._manager.ready()
@@ -93,7 +101,15 @@ class Vitals:
         images = stats.done + stats.failed
         if images != self._images or running.worker.idle:
             self._images, self._detected_s = images, now_s
-        self._amiss = tuple(_amiss(running, now_s - self._seen_s, now_s - self._detected_s))
+        unseen_s, at_one_image_s = now_s - self._seen_s, now_s - self._detected_s
+        self._amiss = tuple(_amiss(running, unseen_s, at_one_image_s))
+        self._tell_unseen(now_s)
+        if (short := shortage()) and short != self._short:
+            log.error("%s: what needs one fails until others are closed", short)
+        elif self._short and not short:
+            log.info("files and connections can be opened again")
+        self._short = short
+        self._amiss += (short,) * bool(short)
         status = running.service.status
         doing = status.reason if status.phase == "idle" else status.instruction
         said = f"{status.phase}: {one_line(doing, 100)}"
@@ -104,6 +120,19 @@ class Vitals:
         if said != self._said:
             self._said = said
             self._manager.status(said)
+
+    def _tell_unseen(self, now_s: float) -> None:
+        """Log what is missing when nothing is seen for a while, and when something else is."""
+        unseen = next((why for why in self._amiss if why.startswith(_UNSEEN)), "")
+        if not unseen:
+            self._told = ""
+        elif (
+            unseen != self._told
+            and now_s - max(self._seen_s, self._ready_s) >= _TELL_S
+            and now_s - self._told_s >= _TELL_AGAIN_S
+        ):
+            self._told, self._told_s = unseen, now_s
+            log.warning("%s", unseen)
 
     # -- for any thread ------------------------------------------------------------------------
 
@@ -143,7 +172,8 @@ class Vitals:
 def _amiss(running: Running, unseen_s: float, at_one_image_s: float) -> Iterator[str]:
     service = running.service
     if unseen_s > service.blind_s:
-        yield _UNSEEN
+        why = service.faults.attempt("inputs", running.now_ns, lambda: lacking(service.inputs()))
+        yield f"{_UNSEEN}: {why}" if why else _UNSEEN
     if service.faults.state != "ok":
         yield f"the loop is {service.faults.state}: {service.faults.last_error}"
     detector = detector_health(running.worker)

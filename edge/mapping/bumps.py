@@ -11,6 +11,7 @@ import numpy as np
 from edge import config
 from edge.geometry import SE2
 from edge.mapping import layers as ly
+from edge.mapping.update import SEEN_FREE
 from edge.mapping.window import Window
 
 ROUNDING_CELLS = 2
@@ -20,6 +21,8 @@ _MOST = 64
 _SAME_SILL_M, _ACROSS = 1.5, 0.7
 # A sill is taken to go on beyond two bumps by as much as they are apart, and no more than this.
 _GOES_ON_M = 1.0
+# A first touch may have been a passer-by: it is remembered for this part of `bump_memory_s`.
+_FIRST = 0.2
 
 Cell = tuple[int, int]
 Place = tuple[float, float]
@@ -34,6 +37,7 @@ class _Bump(NamedTuple):
         until_ns: when it opens.
         felt: cells that the front touched.
         guessed: cells of the sill that this bump and another make out; not kept by `open_all`.
+        again: the robot was held up there before, so what the sensors show there is not believed.
     """
 
     place_m: Place
@@ -42,6 +46,7 @@ class _Bump(NamedTuple):
     until_ns: int
     felt: frozenset[Cell] = frozenset()
     guessed: frozenset[Cell] = frozenset()
+    again: bool = False
 
     @property
     def cells(self) -> frozenset[Cell]:
@@ -67,13 +72,15 @@ class _Closed(NamedTuple):
 
 
 class Bumps:
-    """World cells that are closed by hand: sensors see through them, so no ray clears them.
+    """World cells that are closed because something held the robot up there.
 
     A bump closes what the robot's front touched, as wide as the robot. Two along one line make out
     a sill: it is closed between them, and beyond them as far as they are apart. No cell is closed
-    by that where something stands, or where the robot has been.
+    where something stands, or so near to the robot's trail that the way back would be shut.
 
-    A bump opens after `bump_memory_s`, when the robot stands there, or by `open_all`.
+    A bump opens when the robot stands there, when the sensors see floor there, after a fifth of
+    `bump_memory_s`, or by `open_all`. If the robot is then held up there again, the sensors do not
+    show what is there: the bump stays for all of `bump_memory_s`.
 
     Args:
         write: sets one world cell to a state, with the height of its obstacle.
@@ -108,8 +115,10 @@ class Bumps:
         """Like `closed_m`, with what `open_all` opened and the robot did not stand on."""
         return [bump.place_m for bump in (*self._opened, *self._bumps)]
 
-    def close(self, pose: SE2, place_m: Place, radius_m: float, now_ns: int) -> None:
-        """Close what a robot touched; outside the window nothing happens.
+    def close(self, pose: SE2, place_m: Place, radius_m: float, now_ns: int) -> bool:
+        """Close what a robot touched; return whether anything was closed.
+
+        Nothing is outside the window, nor on the robot's own trail.
 
         Args:
             pose: of the robot.
@@ -118,32 +127,39 @@ class Bumps:
             now_ns: of the clock that `expire` is told.
         """
         heading = math.atan2(place_m[1] - pose.y_m, place_m[0] - pose.x_m)
-        bump = _Bump(place_m, heading, radius_m, now_ns + self._memory_ns)
-        found = [self._with_cells(bump)]
+        found = [self._with_cells(_Bump(place_m, heading, radius_m, 0))]
+        closed = found[0].felt
         while found:
             bump = found.pop()
-            beside = [b for b in self._opened if math.dist(b.place_m, bump.place_m) <= self._same_m]
-            self._opened = [b for b in self._opened if b not in beside]
-            found += [b._replace(until_ns=now_ns + self._memory_ns) for b in beside]
-            again = [b for b in self._bumps if b.felt <= bump.felt]
-            self._close(bump._replace(guessed=bump.guessed.union(*(b.guessed for b in again))))
-            for b in again:
+            near = [b for b in self._opened if math.dist(b.place_m, bump.place_m) <= self._same_m]
+            self._opened = [b for b in self._opened if b not in near]
+            found += [b._replace(again=True) for b in near]
+            same = [b for b in self._bumps if b.felt <= bump.felt]
+            again = bump.again or bool(near) or any(b.again for b in same)
+            lasts_ns = self._memory_ns if again else int(_FIRST * self._memory_ns)
+            guessed = bump.guessed.union(*(b.guessed for b in same))
+            self._close(bump._replace(until_ns=now_ns + lasts_ns, guessed=guessed, again=again))
+            for b in same:
                 self._open(b)
+        return bool(closed)
 
     def expire(self, now_ns: int) -> None:
-        """Open and forget what was closed long enough ago."""
-        while self._opened and now_ns >= self._opened[0].until_ns:
-            self._opened.pop(0)
-        while self._bumps and now_ns >= self._bumps[0].until_ns:
-            self._open(self._bumps[0])
+        """Open what was closed long enough ago. A second touch there is then a first one."""
+        if self._opened:
+            self._opened = [b for b in self._opened if now_ns < b.until_ns]
+        for bump in [b for b in self._bumps if now_ns >= b.until_ns]:
+            self._open(bump)
+
+    def open_seen_free(self) -> None:
+        """Open what the sensors have seen to be floor, but for what was touched again."""
+        for bump in [b for b in self._bumps if not b.again and self._is_seen_free(b)]:
+            self._reopen(bump)
 
     def open_all(self) -> bool:
         """Open all that is closed, to be tried once more; whether there was any."""
         any_closed = bool(self._bumps)
         while self._bumps:
-            bump = self._bumps[0]
-            self._open(bump)
-            self._opened.append(bump._replace(guessed=frozenset()))
+            self._reopen(self._bumps[0])
         return any_closed
 
     def stand_on(self, cell: Cell) -> None:
@@ -180,6 +196,7 @@ class Bumps:
             "half_m": np.array([bump.half_m for bump in every], np.float64),
             "until_ns": np.array([bump.until_ns for bump in every], np.int64),
             "opened": np.arange(len(every)) < len(opened),
+            "again": np.array([bump.again for bump in every], bool),
             "cell": np.array(cells, np.int64).reshape(-1, 4),
             "closed": np.array(closed, np.int64).reshape(-1, 4),
         }
@@ -191,13 +208,13 @@ class Bumps:
             later_ns: how much later it all happened on the clock of now.
         """
         held: dict[Cell, int] = {}
-        for at, heading, half, until_ns, opened, cells in zip(
+        for at, heading, half, until_ns, opened, again, cells in zip(
             kept["place_m"], kept["heading_rad"], kept["half_m"], kept["until_ns"],
-            kept["opened"], _by_bump(kept["cell"], len(kept["opened"])), strict=True,
+            kept["opened"], kept["again"], _by_bump(kept["cell"], len(kept["opened"])), strict=True,
         ):  # fmt: skip
             bump = _Bump(
                 (float(at[0]), float(at[1])), float(heading), float(half), int(until_ns) + later_ns,
-                *cells,
+                *cells, bool(again),
             )  # fmt: skip
             (self._opened if opened else self._bumps).append(bump)
             for cell in () if opened else bump.cells:
@@ -244,15 +261,42 @@ class Bumps:
 
     def _with_cells(self, bump: _Bump) -> _Bump:
         """A bump with the cells that it closes, as the map and the other bumps are now."""
-        x, y = bump.across
-        felt = {self._window.cell_of(*bump.place_m)}
-        felt.update(self._along(bump.place_m, (x, y), bump.half_m))
-        felt.update(self._along(bump.place_m, (-x, -y), bump.half_m))
+        (x, y), touched_m = bump.across, self._off_trail(bump)
+        felt: set[Cell] = set()
+        if touched_m is not None:
+            felt.add(self._window.cell_of(*touched_m))
+            felt.update(self._along(touched_m, (x, y), bump.half_m))
+            felt.update(self._along(touched_m, (-x, -y), bump.half_m))
         guessed: set[Cell] = set()
         for other in self._bumps:
             guessed.update(self._between(bump, other))
         held = {cell for cell in felt | guessed if self._window.holds(*cell)}
         return bump._replace(felt=frozenset(felt & held), guessed=frozenset(guessed & held - felt))
+
+    def _off_trail(self, bump: _Bump) -> Place | None:
+        """The touched place, moved on along the heading until it leaves the trail open.
+
+        A thing on the trail itself is not closed: the robot came through there.
+        """
+        step_m, (x, y) = self._window.resolution_m, bump.place_m
+        for k in range(math.ceil(self._clear_cells) + 1):
+            at = (
+                x + k * step_m * math.cos(bump.heading_rad),
+                y + k * step_m * math.sin(bump.heading_rad),
+            )
+            if not self._near_trail(self._window.cell_of(*at)):
+                return at
+        return None
+
+    def _near_trail(self, cell: Cell) -> bool:
+        n = self._window.n
+        return ly.near_trail(self._layers, cell[1] % n, cell[0] % n, self._clear_cells)
+
+    def _is_seen_free(self, bump: _Bump) -> bool:
+        """Whether most of what was touched was floor in the last updates, and nothing else."""
+        top, n = self._layers.top, self._window.n
+        seen = sum(top[y % n, x % n] >= SEEN_FREE for x, y in bump.felt)
+        return 2 * seen > len(bump.felt)
 
     def _between(self, a: _Bump, b: _Bump) -> Iterator[Cell]:
         """Cells of the sill that two bumps make out; none where they are of two things."""
@@ -278,10 +322,8 @@ class Bumps:
             cell = self._window.cell_of(
                 start_m[0] + 0.5 * k * res * way[0], start_m[1] + 0.5 * k * res * way[1]
             )
-            at = cell[1] % n, cell[0] % n
-            stands = ly.OCCUPIED <= self._layers.raw[at] < ly.BUMPED
-            been = ly.near_trail(self._layers, *at, self._clear_cells)
-            if stands or been or not self._window.holds(*cell):
+            stands = ly.OCCUPIED <= self._layers.raw[cell[1] % n, cell[0] % n] < ly.BUMPED
+            if stands or self._near_trail(cell) or not self._window.holds(*cell):
                 return
             yield cell
 
@@ -298,6 +340,11 @@ class Bumps:
         self._bumps.append(bump)
         if len(self._bumps) > _MOST:
             self._open(self._bumps[0])
+
+    def _reopen(self, bump: _Bump) -> None:
+        """Open a bump that may still be there: it is known until its time is over."""
+        self._open(bump)
+        self._opened.append(bump._replace(guessed=frozenset()))
 
     def _open(self, bump: _Bump) -> None:
         """Give the cells that no other bump has closed back the state that they had."""

@@ -369,6 +369,7 @@ class RollingMap:
         )  # fmt: skip
         self._extend_trail(robot)
         self.bumps.stand_on(robot)
+        self.bumps.open_seen_free()
         self._note_written(cell, robot)
         changed = self._refresh_frontiers(rolled)
         return MapUpdate(changed, rolled)

@@ -15,9 +15,12 @@ from numba import njit
 
 from edge.geometry import FARTHEST_M
 
-FLOOR = 1
-# `seen` and `top` hold 2 + height in units of obstacle_max_m / HEIGHT_CODES above the ground.
-LOWEST_OBSTACLE, HEIGHT_CODES = 2, 250
+# What `seen` holds of a cell: floor, a step that is too low for an obstacle but no floor, or
+# 3 + height in units of obstacle_max_m / HEIGHT_CODES above the ground, as `top` does.
+FLOOR, STEP = 1, 2
+LOWEST_OBSTACLE, HEIGHT_CODES = 3, 250
+# From this part of obstacle_min_m on it is a step: a sill that stops the robot is one.
+_STEP_FROM = 0.5
 TALL = LOWEST_OBSTACLE + int(0.85 * HEIGHT_CODES)
 """`Layers.top` from which an obstacle is wall, or as good as one: nobody sees over it."""
 # Ground that wobbles by less is still the same ground (depth noise, carpets).
@@ -71,7 +74,8 @@ class Scan(NamedTuple):
         ground_m: (sectors, rings) float32, height of the local ground.
         pass_slope: (sectors, rings) float32, lowest slope of a ray that flew over the bin.
         reach_m: (sectors,) float32, how far rays free unknown cells; 0 = nothing seen.
-        seen: (side, side) uint8, per cell 0, FLOOR, or the code of the highest obstacle point.
+        seen: (side, side) uint8, per cell 0, FLOOR, STEP, or the code of the highest obstacle
+            point.
         box: (4,) int64, half-open rectangle that holds the sensor's cell and all cells seen.
     """
 
@@ -321,13 +325,16 @@ def classify(n, scan, polar, obstacle_min_m, obstacle_max_m):
     """
     per_m = np.float32(HEIGHT_CODES / obstacle_max_m)
     lowest, highest = np.float32(obstacle_min_m), np.float32(obstacle_max_m)
+    step = np.float32(_STEP_FROM * obstacle_min_m)
     bins, seen, ground = polar.bin_of.ravel(), scan.seen.ravel(), scan.ground_m.ravel()
     cells, heights = scan.cell, scan.z_m
     for i in range(n):
         cell = cells[i]
         height = heights[i] - ground[bins[cell]]
         if height < lowest:
-            if seen[cell] == 0 and height > -lowest:
+            if height >= step:
+                seen[cell] = max(seen[cell], STEP)
+            elif seen[cell] == 0 and height > -lowest:
                 seen[cell] = FLOOR
         elif height <= highest:
             if seen[cell] < LOWEST_OBSTACLE:

@@ -8,6 +8,9 @@ from numba import njit
 from edge.mapping.layers import BUMPED, FREE, OCCUPIED, UNSEEN, add_disc, bit_set, set_free
 from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE
 
+SEEN_FREE = 10
+"""`Layers.top` of a bumped cell that was floor in so many updates in a row, and nothing else."""
+
 
 @njit(nogil=True, cache=True)
 def apply_scan(
@@ -49,9 +52,7 @@ def apply_scan(
                 ):  # fmt: skip
                     flipped[count] = (cy << 16) | cx
                     count += 1
-            elif state == UNSEEN and (
-                code == FLOOR or distance_m[cy, cx] < reach_m[sector_of[cy, cx]]
-            ):
+            elif state == UNSEEN and (code != 0 or distance_m[cy, cx] < reach_m[sector_of[cy, cx]]):
                 set_free(layers, shift_x, shift_y, cx + corner_x, cy + corner_y, changed)
     for i in range(count):
         x, y = (flipped[i] & 0xFFFF) + corner_x, (flipped[i] >> 16) + corner_y
@@ -67,7 +68,16 @@ def apply_scan(
 def _update_obstacle(
     layers, sy, sx, state, code, scan, polar, cy, cx, sensor_z, obstacle_max_m, clear_after
 ):
-    """Update a cell that is or was occupied; whether it became so or ceased to be."""
+    """Update a cell that is or was occupied; whether it became so or ceased to be.
+
+    A bumped cell stays occupied. Its top counts the updates in a row that saw only floor there.
+    """
+    if state == BUMPED:
+        if code == FLOOR:
+            layers.top[sy, sx] = min(layers.top[sy, sx] + 1, SEEN_FREE)
+        elif code != 0:
+            layers.top[sy, sx] = 0
+        return False
     sector, ring = polar.sector_of[cy, cx], polar.ring_of[cy, cx]
     slope = scan.pass_slope[sector, ring] if scan.reach_m[sector] > 0.0 else np.float32(np.inf)
     # Height over the ground at which the lowest ray flew over this cell.
@@ -79,12 +89,11 @@ def _update_obstacle(
             # Taller than what was hit now, unless a ray has just flown through there.
             lid = LOWEST_OBSTACLE + int(min(max(below_m / metres, 0.0), 252.0))
             code = max(code, min(top, lid))
-        if state != BUMPED:
-            layers.top[sy, sx] = code
-            layers.raw[sy, sx] = OCCUPIED
+        layers.top[sy, sx] = code
+        layers.raw[sy, sx] = OCCUPIED
         bit_set(layers.known, sy, sx, True)
         return state < OCCUPIED
-    if below_m >= (top - LOWEST_OBSTACLE) * metres or state == BUMPED:
+    if below_m >= (top - LOWEST_OBSTACLE) * metres:
         return False
     if state - OCCUPIED + 1 < clear_after:
         layers.raw[sy, sx] = state + 1

@@ -1,7 +1,8 @@
 """The state of a service in files, so that one that was killed goes on with it.
 
 A file (`edge.mission.saved` has the mission's) is replaced as a whole, so only a broken disk or a
-hand can damage it. What is damaged is set aside, never deleted: it may be all that is left.
+hand can damage it. What is damaged is set aside, never deleted: it may be all that is left. A
+file that does not begin like a checkpoint is somebody else's, and is left alone.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from typing import Generic, TypeVar
 from edge.errors import FileError
 from edge.host.files import replace_atomically, sync
 from edge.host.worker import Worker
-from edge.mission.saved import MAX_BYTES, decode, encode
+from edge.mission.saved import FILE, decode, encode
+from edge.mission.sealed import Sealed
 from edge.text import one_line
 
 log = logging.getLogger("edge.mission.checkpoint")
@@ -43,10 +45,10 @@ class Format(Generic[State]):
 
     encode: Callable[[State], bytes]
     decode: Callable[[bytes], State]
-    max_bytes: int
+    file: Sealed
 
 
-MISSION = Format(encode, decode, MAX_BYTES)
+MISSION = Format(encode, decode, FILE)
 
 
 def save(path: Path, saved: State, form: Format[State] = MISSION) -> None:
@@ -63,20 +65,15 @@ def save(path: Path, saved: State, form: Format[State] = MISSION) -> None:
 
 
 def load(path: Path, form: Format[State] = MISSION) -> Loaded[State]:
-    """Read a checkpoint; one that is damaged, foreign or newer than this program is set aside.
+    """Read a checkpoint; one that is damaged or newer than this program is set aside.
 
     Raises:
-        CheckpointError: the file cannot be read, or not be set aside.
+        CheckpointError: the file cannot be read, is no checkpoint, or cannot be set aside.
     """
     path = _real(path)
-    _no_other_thing(path)
-    try:
-        with path.open("rb") as file:
-            content = file.read(form.max_bytes + 1)
-    except FileNotFoundError:
+    content = _read(path, form, form.file.max_bytes + 1)
+    if content is None:
         return Loaded()
-    except OSError as error:
-        raise _unusable(path, error) from None
     try:
         return Loaded(form.decode(content))
     except ValueError as error:
@@ -106,7 +103,7 @@ class CheckpointWriter(Generic[State]):
         problem: why the last one did not, "" when it did.
 
     Raises:
-        CheckpointError: nothing can be written there.
+        CheckpointError: nothing can be written there, or the file there is no checkpoint.
     """
 
     def __init__(self, path: Path, period_s: float = 1.0, form: Format[State] = MISSION) -> None:
@@ -116,7 +113,7 @@ class CheckpointWriter(Generic[State]):
         self._form = form
         self._period_ns = int(period_s * 1e9)
         self._posted_ns: int | None = None
-        _probe(self.path)
+        _probe(self.path, form)
         self._worker = Worker("checkpoint", self._write, finishes=True)
 
     @property
@@ -162,9 +159,31 @@ def _real(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-def _probe(path: Path) -> None:
-    """CheckpointError unless a file can be written at `path`."""
+def _read(path: Path, form: Format[State], most: int) -> bytes | None:
+    """Return the first `most` bytes of a checkpoint; None: there is no file.
+
+    Raises:
+        CheckpointError: the file cannot be read, or does not begin like a checkpoint.
+    """
     _no_other_thing(path)
+    try:
+        with path.open("rb") as file:
+            content = file.read(most)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise _unusable(path, error) from None
+    if not content.startswith(form.file.begins):
+        raise CheckpointError(
+            f"mission.checkpoint: {path}: not a {form.file.what}, and left as it is; name another "
+            "file, or move this one away"
+        )
+    return content
+
+
+def _probe(path: Path, form: Format[State]) -> None:
+    """CheckpointError unless a checkpoint can be written at `path`."""
+    _read(path, form, len(form.file.begins))
     try:
         # Not the name that `save` takes: a running service may be writing there.
         with tempfile.NamedTemporaryFile(prefix=f".{path.name}.", dir=path.parent):

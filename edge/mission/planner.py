@@ -7,6 +7,7 @@ the mission's `automaton` and `instruction` where it has such parameters.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -49,13 +50,24 @@ def make_planner(
         ConfigError: one's own cannot be made.
     """
     if isinstance(config, PlannerOwn):
-        given = {"automaton": automaton, "instruction": instruction}
-        where, needs = "mission.planner", ("plan()",)
-        own = config.kind, config.options, REGISTRY, where, needs, tuple(given)
-        return find_named("planner", *own)(**given)
+        make = find_own_planner(config, "mission.planner")
+        return make(automaton=automaton, instruction=instruction)
     if isinstance(config, PlannerExpected) and config.weights == "distance":
         return ExpectedMetresPlanner(config, automaton)
     return REGISTRY[config.kind](config, automaton, **keywords)
+
+
+def find_own_planner(config: PlannerOwn, where: str) -> Callable[..., Planner]:
+    """Find the class that a configuration names; what is returned is called with the mission.
+
+    Args:
+        where: of the section, for errors.
+
+    Raises:
+        ConfigError: see `edge.config.named.find_named`.
+    """
+    needs, given = ("plan()",), ("automaton", "instruction")
+    return find_named("planner", config.kind, config.options, REGISTRY, where, needs, given)
 
 
 def warm_up() -> None:

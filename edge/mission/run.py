@@ -95,6 +95,11 @@ class MissionRun:
         return self._ended is not None
 
     @property
+    def observed(self) -> bool:
+        """Whether `observe` was called: the mission's time runs."""
+        return self._last_ns is not None
+
+    @property
     def idle(self) -> bool:
         """It only stands for the first one, which was not given yet."""
         return self._ended == "idle"

@@ -17,12 +17,12 @@ from edge.errors import UserError
 from edge.mission.automaton import NOTHING
 from edge.mission.ltl import parse, propositions
 from edge.mission.sealed import Sealed
-from edge.text import one_line
+from edge.text import bounded_repr, one_line
 
 VERSION = 2
 MAX_BYTES = 8 << 20
 
-_FILE = Sealed(
+FILE = Sealed(
     "edge-mission", "checkpoint of a mission", VERSION, rb'"mission":(?P<body>.*)\}\n', MAX_BYTES
 )
 _STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
@@ -79,7 +79,7 @@ def encode(saved: Saved) -> bytes:
     """
     body = _MISSION.dump_json(saved)
     _check(body)
-    return _FILE.seal('"mission":', body, b"}\n")
+    return FILE.seal('"mission":', body, b"}\n")
 
 
 def decode(content: bytes) -> Saved:
@@ -88,7 +88,7 @@ def decode(content: bytes) -> Saved:
     Raises:
         ValueError: with one line that says what is wrong.
     """
-    _, body = _FILE.open(content)
+    _, body = FILE.open(content)
     return _check(bytes(body))
 
 
@@ -106,9 +106,9 @@ def _check(body: bytes) -> Saved:
     for name in ("word", "reached", "failed", "detected"):
         unknown = set(getattr(saved, name)) - letters - ({NOTHING} if name == "word" else set())
         if unknown:
-            raise ValueError(f"{name}: {min(unknown)!r:.60} is not in the formula")
+            raise ValueError(f"{name}: {bounded_repr(min(unknown), 60)} is not in the formula")
     if saved.target is not None and saved.target not in letters:
-        raise ValueError(f"target: {saved.target!r:.60} is not in the formula")
+        raise ValueError(f"target: {bounded_repr(saved.target, 60)} is not in the formula")
     return saved
 
 

@@ -22,6 +22,11 @@ class Sealed(NamedTuple):
     rest: bytes
     max_bytes: int
 
+    @property
+    def begins(self) -> bytes:
+        """The first bytes of every file of this format, of whichever version."""
+        return b'{"format":"%s",' % self.name.encode()
+
     def seal(self, before: str, body: bytes, after: bytes = b"") -> bytes:
         """The file's content.
 
@@ -31,8 +36,8 @@ class Sealed(NamedTuple):
         Raises:
             ValueError: with one line: it is too long.
         """
-        head = f'{{"format":"{self.name}","version":{self.version},"sha256":"{_sha256(body)}",'
-        content = b"".join(((head + before).encode(), body, after))
+        head = f'"version":{self.version},"sha256":"{_sha256(body)}",{before}'
+        content = b"".join((self.begins, head.encode(), body, after))
         if len(content) > self.max_bytes:
             raise ValueError(f"{len(content)} bytes, at most {self.max_bytes} are kept")
         return content
@@ -45,8 +50,8 @@ class Sealed(NamedTuple):
         """
         if len(content) > self.max_bytes:
             raise ValueError(f"more than {self.max_bytes} bytes")
-        head = rb'\{"format":"%s","version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})",'
-        whole = re.fullmatch(head % self.name.encode() + self.rest, content, re.DOTALL)
+        head = re.escape(self.begins) + rb'"version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})",'
+        whole = re.fullmatch(head + self.rest, content, re.DOTALL)
         if whole is None:
             raise ValueError(f"not a whole {self.what}")
         if int(whole[1]) != self.version:

@@ -1,17 +1,24 @@
-"""`edge models check`: is a model's file whole, what its card says, and of sound answers?"""
+"""`edge models check`: is a model's file whole, what its card says, and of sound answers?
+
+A model that runs here is loaded and run in a process of its own, this module's program: one that
+never ends, or that ends its process, costs one line.
+"""
 
 from __future__ import annotations
 
 import argparse
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from edge.host.children import python_module
 from edge.models.make import with_file
 from edge.models.pull import cards_of
+from edge.perception import card_types, kernels
 from edge.perception.backends.runtime import DTYPES, open_session
 from edge.perception.card_types import (
     MARK_FIELDS,
@@ -28,11 +35,18 @@ from edge.perception.card_types import (
 from edge.perception.cards import ModelError, all_cards, verify_file, verify_model
 from edge.perception.choice.onnx_scorer import asked_of
 from edge.perception.choice.question import LETTERS, MAX_MARKS, SYSTEM
+from edge.perception.detector import UNSOUND, log_progress
+from edge.perception.onnx_detector import far_px
 from edge.perception.onnx_file import MASK_OUTPUTS
+from edge.perception.process import wire
+from edge.perception.process.link import Link
+from edge.perception.process.serve import begin, by_kind
+from edge.perception.process.wire import FrameFile
 from edge.perception.remote.session import RemoteSession
 from edge.perception.vlm.model import FIRST_RUN_S, LanguageModel
 from edge.text import one_line, without_secrets
 
+PROGRAM = python_module("edge.models.check")
 _TEXTS = 2
 """Rows of text that a model is tried with; marks in a view."""
 _TARGET = "chair"
@@ -48,26 +62,53 @@ def run(args: argparse.Namespace) -> int:
     if args.file is not None:
         if args.name is None:
             raise ModelError("models check: --file needs the NAME of the card it is held against")
-        return _report([(with_file(args.name), args.file)])
+        return _report([(with_file(args.name), args.file)], args.timeout)
     if args.name is not None:
-        return _report([(card, None) for card in cards_of(args.name)])
+        return _report([(card, None) for card in cards_of(args.name)], args.timeout)
     present = [file for card in all_cards() for file in card.files if file.is_here()]
     if not present:
         print("no model files here: run `edge models list` for what there is", file=sys.stderr)
         return 1
-    return _report([(file, None) for file in present])
+    return _report([(file, None) for file in present], args.timeout)
 
 
-def _report(models: list[tuple[FileCard, Path | None]]) -> int:
+def _report(models: list[tuple[FileCard | ChoiceCard, Path | None]], limit_s: float) -> int:
     """A line for each model, on stderr for those that are not sound; 1 when there are any."""
     failed = 0
     for card, file in models:
         try:
-            print(check_model(card, file))
+            print(check_apart(card, file, limit_s))
         except ModelError as error:
             print(error, file=sys.stderr)
             failed += 1
     return 1 if failed else 0
+
+
+def check_apart(card: FileCard | ChoiceCard, file: Path | None, limit_s: float) -> str:
+    """See `check_model`, in a process that is killed after `limit_s` seconds."""
+    if isinstance(card, FileCard) and card.server is not None and file is None:
+        return check_model(card)  # nothing of it runs here
+    told = {
+        "kind": type(card).__name__,
+        "card": card.model_dump(mode="json"),
+        "file": None if file is None else str(file),
+    }
+    with closing(FrameFile()) as frames, closing(Link(told, card.name, frames, PROGRAM)) as link:
+        header = link.wait_ready(limit_s, lambda: False, log_progress, "--timeout")
+    return str(header.get("said"))
+
+
+def main() -> int:
+    """Check the model that stdin tells of, as the process of `check_apart`."""
+    told, _, control, _ = begin()
+    try:
+        card = getattr(card_types, told["kind"]).model_validate(told["card"])
+        said = check_model(card, None if told["file"] is None else Path(told["file"]))
+    except Exception as error:
+        control.send(wire.encode_error(by_kind(error)))
+        return 1
+    control.send(wire.encode(said=said))
+    return 0
 
 
 def check_model(card: FileCard | ChoiceCard, file: Path | None = None) -> str:
@@ -116,8 +157,13 @@ def _check_detector(path: Path | str, session: Any, card: DetectCard) -> str:
     a = boxes.shape[1] if boxes.ndim == 3 else 0
     _hold_shape(path, "boxes", boxes, (1, a, 4))
     _hold_shape(path, "scores", scores, (1, a, _TEXTS))
-    if scores.size and (scores.min() < 0.0 or scores.max() > 1.0):
-        raise ModelError(f"{path}: scores must lie in 0..1 (after the sigmoid): export it again")
+    folded = np.empty_like(scores[0])
+    kernels.fold(scores[0], np.arange(_TEXTS, dtype=np.int32), folded)
+    if n := kernels.count_unsound(boxes[0], folded, far_px(card)):  # as in the running service
+        raise ModelError(
+            f"{path}: {n} of {a} boxes are {UNSOUND}: scores must lie in 0..1 (after the sigmoid), "
+            "boxes in pixels of the input: export it again"
+        )
     return f"{a} boxes, finite"
 
 
@@ -237,3 +283,7 @@ def _hold_shape(path: Path | str, name: str, array: np.ndarray, shape: tuple[int
         raise ModelError(f"{path}: {name} {array.shape}, must be {shape}: export it again")
     if not np.isfinite(array).all():
         raise ModelError(f"{path}: returns {name} that are not finite: export it again")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -26,7 +26,7 @@ from edge.motion.pursuit import (
     turn,
     turn_to,
 )
-from edge.motion.recovery import Recovery
+from edge.motion.recovery import Recovery, Trail
 from edge.stuck import StuckDetector
 from edge.trajectory import astar, costmap, smoothing
 from edge.types import GoalStatus
@@ -68,6 +68,7 @@ class Controller:
         self._contact = Contact(settings.motion.contact_m, settings.motion.stuck_m)
         self._progress = Progress(6 * settings.motion.stuck_s)
         self._radius_m = settings.robot.radius_m
+        self._trail = Trail()
         self._now_ns: int | None = None
         self._last = STOP
         self._goal: SE2 | None = None
@@ -159,6 +160,8 @@ class Controller:
         dt_s = self._pass_time(now_ns)
         wanted, answers = STOP, []
         self._blocked = None
+        if _is_finite(pose):
+            self._trail.extend(pose)
         if self._goal is not None and _is_finite(pose):
             before = self._status
             still = abs(v_mps) <= STILL_MPS and abs(w_radps) <= STILL_RADPS
@@ -348,7 +351,7 @@ class Controller:
             return STOP
         log.info("stuck at (%.2f, %.2f): backing up", pose.x_m, pose.y_m)
         self._recovered_at = pose
-        self._recovery = Recovery(pose, self._map, self._limits, now_ns)
+        self._recovery = Recovery(pose, self._map, self._trail, self._limits, now_ns)
         return STOP
 
     def _finish(self, state: str, reason: str = "") -> None:

@@ -27,7 +27,7 @@ from edge.geometry import SE2, Grid, se2_of
 from edge.host.interruptible import unless_stopped
 from edge.motion.controller import Controller
 from edge.motion.pursuit import STOP, Command
-from edge.text import read_json_object
+from edge.text import bounded_repr, read_json_object
 from edge.types import GoalStatus
 
 log = logging.getLogger("edge.motion")
@@ -147,7 +147,7 @@ def parse_tick(payload: bytes) -> int:
     """
     stamp = read_json_object(payload, _MAX_JSON).get("stamp")
     if type(stamp) is not int:
-        raise ValueError(f"stamp: expected nanoseconds, got {stamp!r:.40}")
+        raise ValueError(f"stamp: expected nanoseconds, got {bounded_repr(stamp, 40)}")
     return stamp
 
 

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from edge.config.explain import explain
+from edge.config.explain import explain_all
 from edge.config.yaml_text import parse_yaml
 from edge.host import resources
 from edge.host.files import read_regular
@@ -35,7 +35,7 @@ from edge.perception.card_types import (
 )
 from edge.perception.model_file import ModelError, fresh_sha256, known_sha256, trusts_cache
 from edge.perception.onnx_file import check_file, check_network
-from edge.text import one_line, read_json_object, without_secrets
+from edge.text import bounded_repr, one_line, read_json_object, without_secrets
 
 log = logging.getLogger(__name__)
 
@@ -66,7 +66,7 @@ def card_path(name: str) -> Path:
     paths = _card_paths()
     if name not in paths:
         choices = ", ".join(sorted(paths)) or "none"
-        raise ModelError(f"model {name!r:.80}: no such card (choices: {choices})")
+        raise ModelError(f"model {bounded_repr(name)}: no such card (choices: {choices})")
     return paths[name]
 
 
@@ -128,16 +128,30 @@ def read_card(path: Path) -> Card:
         raise ModelError(f"{path}: expected keys such as name, task, file")
     task = data.get("task")
     if not isinstance(task, str) or task not in _BY_TASK:
-        what = f"unknown {task!r:.80}" if task else "missing"
+        what = f"unknown {bounded_repr(task)}" if task else "missing"
         raise ModelError(f"{path}: task: {what} (choices: {', '.join(_BY_TASK)})")
     try:
         card = _BY_TASK[task].model_validate(data)
     except ValidationError as error:
-        faults = (explain(fault, str(path), _BY_TASK[task]) for fault in error.errors())
-        raise ModelError("\n".join(faults)) from None
+        raise ModelError(explain_all(error, str(path), _BY_TASK[task])) from None
     if card.name != path.stem:
         raise ModelError(f"{path}: name: {card.name!r}, must be the file's name {path.stem!r}")
     return card
+
+
+def check_here(card: Card) -> None:
+    """Refuse a card whose model has a file that is not here, unless a server has it.
+
+    Raises:
+        ModelError: it names the first such file and what to do.
+    """
+    for file in card.files:
+        if isinstance(file, ChoiceCard):
+            missing = [file.path_of(p) for p in file.parts if not os.path.isfile(file.path_of(p))]
+        else:
+            missing = [] if file.server is not None or file.is_here() else [file.path]
+        if missing:
+            raise ModelError(f"{missing[0]}: model {card.name} is not there; {how_to_get(file)}")
 
 
 def verify_model(card: FileCard, believe_cache: bool = False) -> Path:

@@ -46,7 +46,7 @@ class ClipTextEncoder:
         self.dim = card.dim
         self._context, self._pad = card.tokenizer.context, card.tokenizer.pad
         path = verify_model(card, believe_cache=True)
-        self._tokenizer = _open_tokenizer(card)
+        self._tokenizer = open_tokenizer(card)
         self._session = open_session(path, CPU, threads=1)
         self._rows: dict[str, np.ndarray] = {}
 
@@ -168,7 +168,7 @@ def fit(rgb: np.ndarray, height: int, width: int, how: str) -> np.ndarray:
     return large[top : top + height, left : left + width]
 
 
-def _open_tokenizer(card: TextCard) -> Any:
+def open_tokenizer(card: TextCard) -> Any:
     """The tokenizer of a `text` card, which neither pads nor cuts off.
 
     Raises:

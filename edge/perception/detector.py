@@ -30,6 +30,9 @@ class Health(NamedTuple):
     detail: str = ""
 
 
+UNSOUND = "not finite, far outside the image, or scored outside 0 to 1"
+"""The boxes of a model that are dropped, in the words of every message about them."""
+
 Tell = Callable[[Health], None]
 """Told every few seconds how a detector is that is still being made; from any thread."""
 
@@ -40,7 +43,7 @@ class Detector(Protocol):
     Attributes:
         name: the model's card, or what it is when it is no model.
         prompts: what is looked for, `Detections.class_id` counts in them.
-        invalid_boxes: boxes of the model that were not finite, since the start; dropped.
+        invalid_boxes: boxes of the model that were not sound, since the start; dropped.
     """
 
     name: str
@@ -75,6 +78,16 @@ class Detector(Protocol):
 def log_progress(health: Health) -> None:
     """A line in the log."""
     log.info("%s: %s", health.state, health.detail)
+
+
+def fault_of(xyxy_px: np.ndarray, score: np.ndarray, rival: np.ndarray | None = None) -> str:
+    """Return what is wrong with boxes and scores that a detector returned; empty: nothing."""
+    if not np.isfinite(xyxy_px).all():
+        return "boxes that are not finite"
+    for scores in (score, *(() if rival is None else (rival,))):
+        if not ((scores >= 0) & (scores <= 1)).all():  # NaN is neither
+            return "scores that are not in 0 to 1"
+    return ""
 
 
 def check_rgb(observation: Observation) -> np.ndarray:

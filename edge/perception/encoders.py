@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 
 from edge.perception.attributes import AttributeEncoder
-from edge.perception.card_types import DetectCard, TextCard
+from edge.perception.card_types import ClipTokenizer, DetectCard, TextCard
 from edge.perception.cards import ModelError, card_names, load_card, load_card_of
-from edge.perception.clip import ClipTextEncoder
+from edge.perception.clip import ClipTextEncoder, open_tokenizer
 from edge.perception.text import PromptError, TextEmbeddings, TextEncoder
 
 log = logging.getLogger(__name__)
@@ -38,6 +38,24 @@ def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
             f"model {card.name} needs {card.text_dim}"
         )
     return encoder
+
+
+def check_text_encoder(named: str | None, vocabulary: str | None) -> None:
+    """Refuse a text encoder that `open_text_encoder` could not find; no network is loaded.
+
+    Args:
+        named: the text card; None for CLIP ViT-B/32's.
+
+    Raises:
+        ModelError, PromptError: see `make_text_encoder`.
+    """
+    card = None if named is None else load_card_of(TextCard, named)
+    models = [card] if card is not None else _vocabulary_models()
+    here = [model for model in models if model.path.is_file()]
+    if not here:
+        open_text_encoder(card, vocabulary)
+    elif isinstance(here[0].tokenizer, ClipTokenizer):
+        open_tokenizer(here[0])
 
 
 def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEncoder:

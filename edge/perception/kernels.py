@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+ROUNDING = np.float32(1e-3)
+"""How far a score may lie outside 0 to 1 and still be taken for 0 or 1: onnxruntime's own sigmoid
+returns up to 1 + 2**-23."""
 RIM = 0.01
 """A box that comes this near to the image's edge (share of its side) reaches it."""
 
@@ -29,6 +32,32 @@ def to_planes(rgb, scale, top, left, out):
 
 
 @njit(nogil=True, cache=True)
+def is_sound(boxes, scores, i, far_px):
+    """Return whether the box and all scores of anchor `i` are ones that a detector can mean.
+
+    Args:
+        boxes: (a, 4) float32.
+        scores: (a, n) float32, from `fold`; each must lie in 0 to 1. NaN does not.
+        far_px: how far a corner may lie from the origin.
+    """
+    sound = True
+    for k in range(4):
+        sound &= abs(boxes[i, k]) <= far_px
+    for j in range(scores.shape[1]):
+        sound &= 0.0 <= scores[i, j] <= 1.0
+    return sound
+
+
+@njit(nogil=True, cache=True)
+def count_unsound(boxes, scores, far_px):
+    """Return how many anchors are not sound; see `is_sound`."""
+    n = 0
+    for i in range(len(boxes)):
+        n += not is_sound(boxes, scores, i, far_px)
+    return n
+
+
+@njit(nogil=True, cache=True)
 def iou(boxes, i, j):
     """Intersection over union of two rows (x0, y0, x1, y1) of `boxes`; 0 where either is empty.
 
@@ -48,6 +77,8 @@ def iou(boxes, i, j):
 def fold(scores, thing, out):
     """The best score of each thing that several columns name; NaN where any of them is.
 
+    What is over 1 by no more than `ROUNDING` becomes 1, what is as little under 0 becomes 0.
+
     Args:
         scores: (a, columns) float32.
         thing: (columns,) int32, of each column, ascending.
@@ -57,32 +88,34 @@ def fold(scores, thing, out):
         last = -1
         for j in range(len(thing)):
             k, s = thing[j], scores[i, j]
+            if 1.0 < s <= 1.0 + ROUNDING:
+                s = np.float32(1.0)
+            elif -ROUNDING <= s < 0.0:
+                s = np.float32(0.0)
             if k != last or s > out[i, k] or s != s:
                 out[i, k] = s
             last = k
 
 
 @njit(nogil=True, cache=True)
-def candidates(boxes, scores, n_named, tau, anchor, label, score, top):
+def candidates(boxes, scores, n_named, tau, far_px, anchor, label, score, top):
     """Everything named at every anchor where it scores at least `tau`, whatever else scores there.
 
     Args:
         boxes: (a, 4) float32.
         scores: (a, n) float32; columns below `n_named` are targets and context, the rest is none.
+        far_px: see `is_sound`.
         anchor, label: (a * n_named,) int32 out, score: (a * n_named,) float32 out.
         top: (a,) float32 out, the best score of any column, 0 where below `tau`.
 
     Returns:
-        (how many candidates were written, how many anchors were left out since their box or a
-        score is not finite).
+        (how many candidates were written, how many anchors were left out since they are not
+        sound).
     """
     m, invalid = 0, 0
     for i in range(len(boxes)):
         top[i] = 0.0
-        total = boxes[i, 0] + boxes[i, 1] + boxes[i, 2] + boxes[i, 3]
-        for j in range(scores.shape[1]):
-            total += scores[i, j]
-        if not np.isfinite(total):
+        if not is_sound(boxes, scores, i, far_px):
             invalid += 1
             continue
         for j in range(scores.shape[1]):

@@ -30,7 +30,7 @@ from edge.perception.cards import (
     verify_model,
 )
 from edge.perception.columns import Columns, columns_for
-from edge.perception.detector import Health, Tell, check_rgb, log_progress
+from edge.perception.detector import UNSOUND, Health, Tell, check_rgb, log_progress
 from edge.perception.encoders import make_text_encoder
 from edge.perception.text import PromptError, TextEncoder, check_prompts, words_for
 from edge.types import ContextBoxes, Detections, Observation
@@ -55,6 +55,14 @@ def engine_options(
         shapes["txt_feats"] = (few, usual, many)
     cache = None if detector.engine_cache is None else resources.expand(detector.engine_cache)
     return EngineOptions(card.name, card.precision, shapes, cache, progress, expected_sha256(card))
+
+
+def far_px(card: DetectCard) -> float:
+    """Return how far from the origin a corner of a box may lie, in pixels of the network's input.
+
+    YOLO's boxes reach past a small input: at most 15 cells of 32 pixels from their anchor.
+    """
+    return 16.0 * max(card.input.height, card.input.width)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +113,7 @@ class OnnxDetector:
     the text encoder has for it, see `Columns`.
 
     Attributes:
-        invalid_boxes: how many were dropped since they are not finite.
+        invalid_boxes: how many were dropped since they are not sound (`UNSOUND`).
         stages_ns: what filling the input, the session and picking boxes took at the last image.
     """
 
@@ -137,6 +145,7 @@ class OnnxDetector:
         self._images = np.empty((1, 3, height, width), np.float32)
         self._place = _Placement(0, 0, 1.0, 0, 0, None)
         self._scale = np.float32(self.card.preprocess.scale)
+        self._far_px = far_px(self.card)
         self._session = session or open_session(
             verify_model(self.card, believe_cache=True),
             detector.providers,
@@ -227,12 +236,17 @@ class OnnxDetector:
             rgb: (h, w, 3) uint8.
 
         Returns:
-            (n,) float32, NaN where the model says NaN.
+            (n,) float32 in 0 to 1.
+
+        Raises:
+            ModelError: the model returns values that are not sound.
         """
         asked = self._asked
         self._fill_input(np.ascontiguousarray(rgb))
-        _, scores = asked.bound.run()
+        boxes, scores = asked.bound.run()
         kernels.fold(scores[0], asked.columns.thing, asked.folded)
+        if invalid := kernels.count_unsound(boxes[0], asked.folded, self._far_px):
+            raise ModelError(f"model {self.name}: {invalid} boxes are {UNSOUND}")
         return asked.folded[:, : len(asked.prompts)].max(axis=0)
 
     def health(self) -> Health:
@@ -291,13 +305,14 @@ class OnnxDetector:
         named = targets + len(asked.columns.context)
         kernels.fold(scores, asked.columns.thing, asked.folded)
         found, invalid = kernels.candidates(
-            boxes, asked.folded, named, tau, asked.anchor, asked.label, asked.score, self._top
-        )
+            boxes, asked.folded, named, tau, self._far_px, asked.anchor, asked.label, asked.score,
+            self._top,
+        )  # fmt: skip
         if invalid:
             if not self.invalid_boxes:
                 log.error(
-                    "model %s: %d of %d boxes are not finite; dropped and counted",
-                    self.name, invalid, self._anchors,
+                    "model %s: %d of %d boxes are %s; dropped and counted",
+                    self.name, invalid, self._anchors, UNSOUND,
                 )  # fmt: skip
             self.invalid_boxes += invalid
         mine = self._keep(asked, boxes, found, (0, targets), self._mine)

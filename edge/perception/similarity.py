@@ -109,10 +109,7 @@ class DetectorSimilarity:
         """See `SimilarityScorer.score`."""
         if tuple(prompts) != self._detector.prompts:
             self._detector.set_prompts(prompts)
-        best = self._detector.best_scores(rgb)
-        if not np.isfinite(best).all():
-            raise ModelError(f"model {self.name}: scores are not finite")
-        return best
+        return self._detector.best_scores(rgb)
 
     def close(self) -> None:
         self._detector.close()

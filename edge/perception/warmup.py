@@ -23,7 +23,7 @@ def warmup() -> None:
     scores = np.array([[0.9, 0.1], [0.5, 0.8]], np.float32)
     anchor, label, keep = np.zeros(2, np.int32), np.zeros(2, np.int32), np.zeros(2, np.int32)
     score, top, tau = np.zeros(2, np.float32), np.zeros(2, np.float32), np.float32(0.05)
-    found, _ = kernels.candidates(boxes, scores, 1, tau, anchor, label, score, top)
+    found, _ = kernels.candidates(boxes, scores, 1, tau, 1e3, anchor, label, score, top)
     kernels.fold(scores, np.arange(2, dtype=np.int32), np.zeros((2, 2), np.float32))
     n = kernels.suppress(boxes, anchor, label, score, found, 0, 1, False, 0.5, keep)
     xyxy, cut = np.zeros((2, 4), np.float32), np.zeros(2, np.bool_)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
+
+import numpy as np
 
 from edge.loop.journal import Input, Journal
 from edge.perception.detector import Health
@@ -14,6 +16,7 @@ from edge.recording.file import RecordingError
 from edge.types import Detections, Observation
 
 _MOST_FRAMES = 256  # that wait for their detections
+_MOST_FRAMES_BYTES = 1 << 30  # a recording of 1 MB may hold 256 frames of 100 MB
 
 
 class Silent:
@@ -67,7 +70,10 @@ class Now:
         self.frames[observation.seq] = observation
         if picture:
             self.pictures.add(observation.seq)
-        if len(self.frames) > _MOST_FRAMES:
+        while len(self.frames) > 1 and (
+            len(self.frames) > _MOST_FRAMES
+            or sum(map(_bytes_of, self.frames.values())) > _MOST_FRAMES_BYTES
+        ):
             self._forget(next(iter(self.frames)))
 
     def frame(self, seq: int) -> Observation:
@@ -81,6 +87,11 @@ class Now:
     def _forget(self, seq: int) -> None:
         del self.frames[seq]
         self.pictures.discard(seq)
+
+
+def _bytes_of(observation: Observation) -> int:
+    arrays = (getattr(observation, f.name) for f in fields(observation))
+    return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
 
 
 class _Beside:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,13 +18,16 @@ from edge.loop.latency import LatencyReport, Span
 from edge.loop.warmup import warm_up
 from edge.recording import channels, file
 from edge.recording.file import PARTIAL, RecordingError
+from edge.recording.journal import MAX_VALUES
 from edge.recording.replay import Outcome
 from edge.recording.replay import replay as replay_session
 from edge.recording.session import Session
 from edge.recording.trace import PAGE, trace_bytes
-from edge.text import aligned, one_line
+from edge.text import aligned, one_line, read_json
 
 _PATIENCE_S = 10.0
+MAX_SPANS = 2_000_000
+"""Most spans of a trace, about an hour; each takes a kilobyte while it is written."""
 
 
 def replay(args: argparse.Namespace) -> int:
@@ -34,7 +36,7 @@ def replay(args: argparse.Namespace) -> int:
     Raises:
         UserError: see `edge.recording.replay.replay`.
     """
-    session = Session(args.file)
+    session = Session(args.file, getattr(args, "trust", False))
     config = None if args.config is None else load(args.config)
     warm_up(config or session.config())
     outcome = replay_session(session, config, args.detect)
@@ -48,8 +50,8 @@ def told(session: Session, o: Outcome) -> str:
     lines = [
         f"{session.head.path}{files}: {o.ticks} ticks, {o.seconds:.1f} s, recorded by edge "
         f"{session.head.edge}",
-        f"goals: {o.goals_then} then, {o.goals_now} now; ended {o.phase_then or '-'} then, "
-        f"{o.phase_now or '-'} now",
+        f"goals: {o.goals_then} then, {o.goals_now} now; ended "
+        f"{one_line(o.phase_then) or '-'} then, {o.phase_now or '-'} now",
     ]
     if o.unseen:
         lines.append(f"{o.unseen} images that were looked at then were not recorded: raise rgb_hz")
@@ -84,8 +86,9 @@ def _shown(value: Any) -> str:
     if not isinstance(value, dict):
         return "-" if value is None else one_line(value)
     x_m, y_m, yaw_rad = value["pose"]
+    kind, number, target = (one_line(value[name], 40) for name in ("kind", "id", "target"))
     return (
-        f"{value['kind']} {value['id']} of {one_line(value['target'], 40)} at "
+        f"{kind} {number} of {target} at "
         f"{x_m:.3f} {y_m:.3f} {yaw_rad:.3f}, score {value['score']:.6g}"
     )
 
@@ -134,23 +137,27 @@ def trace(args: argparse.Namespace) -> int:
 
 
 def spans_of(path: Path) -> list[Span]:
-    """The spans of a recorded run, from this file on.
+    """Return the first `MAX_SPANS` spans of a recorded run, from this file on.
 
     Raises:
         RecordingError: see `edge.recording.session.head_of`; or there are none.
     """
     spans: list[Span] = []
-    for m in Session(path).messages():
+    session = Session(path)
+    for m in session.messages():
         if m.topic == channels.SPANS.topic:
             spans += _spans(path, m.payload)
+        if len(spans) >= MAX_SPANS:
+            print(f"{path}: only its first {MAX_SPANS} spans; name a later file for the others")
+            return spans[:MAX_SPANS]
     if not spans:
-        raise RecordingError(f"{path}: no tick in it")
+        raise RecordingError(f"{session.cut or path}: no tick in it")
     return spans
 
 
 def _spans(path: Path, payload: bytes) -> list[Span]:
     try:
-        spans = [Span(*span) for span in json.loads(payload)["spans"]]
+        spans = [Span(*span) for span in read_json(payload, MAX_VALUES)["spans"]]
         trace_bytes(spans)
     except Exception as error:  # whatever comes of bytes that nobody wrote
         why = f"{type(error).__name__}: {one_line(error, 120)}"

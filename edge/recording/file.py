@@ -15,19 +15,18 @@ from types import TracebackType
 from typing import Any, BinaryIO, NamedTuple
 
 from mcap.records import Channel as ChannelRecord
-from mcap.records import DataEnd, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import DataEnd, Metadata, Schema
 
 from edge.errors import FileError
 from edge.host.files import open_regular, sync
 from edge.recording.channels import Channel
+from edge.recording.reader import DamagedError, Message, records
 from edge.recording.writer import MAGIC, Writer
-from edge.text import one_line
 
 PARTIAL = ".partial"
+_LONGER = "damaged: a record is longer than what is left of the file"
 _RECOVERING = ".recovering"
 """Another, since what is recovered may be the partial file of the very name."""
-_MOST_RECORD_BYTES = 1 << 28
 
 
 class RecordingError(FileError):
@@ -186,40 +185,34 @@ class McapReading:
             RecordingError: there is no such file, or it is no MCAP file.
         """
         with _opened(self.path) as file:
-            records = iter(StreamReader(
-                file, validate_crcs=True, record_size_limit=_MOST_RECORD_BYTES
-            ).records)  # fmt: skip
+            found = records(file)
             begun = False
-            while True:
+            while not self.whole:
                 try:
-                    record = next(records)
-                except StopIteration:
-                    self._end(begun, "damaged: it ends before its messages do")
+                    record = next(found)
+                except EOFError:
+                    self._end(begun, _LONGER if _has_end(file) else "cut off")
                     return
-                except Exception as error:  # whatever a decompressor makes of half a chunk
-                    why = one_line(error, 120) or type(error).__name__
+                except DamagedError as error:
                     over = not file.read(1) and not _has_end(file)
-                    self._end(begun, "cut off" if over else f"damaged: {why}")
+                    self._end(begun, "cut off" if over else f"damaged: {error}")
                     return
                 begun = True
                 if isinstance(record, Schema):
-                    self.schemas[record.id] = record
+                    self.schemas.setdefault(record.id, record)  # it may come again, as it was
                 elif isinstance(record, ChannelRecord):
-                    self.channels[record.id] = record
+                    self.channels.setdefault(record.id, record)
                 elif isinstance(record, Metadata):
                     self.metadata[record.name] = record.metadata
                 elif isinstance(record, DataEnd):
-                    self.whole = True
-                elif self.whole:
-                    continue  # a summary has no messages
+                    self.whole = True  # what follows only helps to find messages
                 elif isinstance(record, Message) and record.channel_id in self.channels:
                     yield self._message(record)
 
     def _end(self, begun: bool, why: str) -> None:
         if not begun:
             raise RecordingError(f"{self.path}: not an MCAP file")
-        if not self.whole:
-            self.cut = why
+        self.cut = why
 
     def _message(self, m: Message) -> Recorded:
         channel = self.channels[m.channel_id]
@@ -235,6 +228,12 @@ def _has_end(file: BinaryIO) -> bool:
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - len(MAGIC)))
     return file.read() == MAGIC
+
+
+def is_complete(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file ends as a complete one does; raises RecordingError for no file."""
+    with _opened(Path(path)) as file:
+        return _has_end(file)
 
 
 def is_written(path: Path) -> bool:

@@ -30,10 +30,12 @@ from edge.policies.base import Similarity
 from edge.tasks.legs import Leg
 from edge.tasks.refine import Refined
 from edge.tasks.write import Round
-from edge.text import without_secrets
+from edge.text import bounded_repr, read_json, without_secrets
 from edge.types import ContextBoxes, Detections, Goal, GoalStatus, Observation
 
 FORMAT, VERSION = "edge-recording", 1
+MAX_VALUES = 1 << 20
+"""Most values of one message; arrays are one each."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def decode_page(payload: bytes) -> Page:
     Raises:
         Exception: it did not, whichever comes of that.
     """
-    page = json.loads(payload)
+    page = read_json(payload, MAX_VALUES)
     entries = []
     for entry in page["entries"]:
         n, kind = entry.pop("n"), entry.pop("kind")
@@ -97,10 +99,11 @@ def _said(said: dict[str, Any] | None) -> dict[str, Any] | None:
         return None
     if not {"target", "phase", "goal", "sent"} <= said.keys():
         raise ValueError(f"said only {list(said)}")
-    for goal in (said["goal"] or _NOWHERE, *said["sent"]):
-        if not _NOWHERE.keys() <= goal.keys() or len([float(v) for v in goal["pose"]]) != 3:
+    for goal in (said["goal"] or dict(_NOWHERE), *said["sent"]):
+        if not _NOWHERE.keys() <= goal.keys() or len(goal["pose"]) != 3:
             raise ValueError("not a goal")
-        float(goal["score"])
+        goal["pose"] = [float(v) for v in goal["pose"]]
+        goal["score"] = float(goal["score"])
     return said
 
 
@@ -167,6 +170,9 @@ def observation_of(
     """
     rig.update(said.get("rig", {}))
     camera = rig["camera"]
+    for name in ("seq", "stamp_ns"):
+        if type(said[name]) is not int or not 0 <= said[name] < 1 << 63:
+            raise ValueError(f"{name}: {bounded_repr(said[name], 40)}")
     return Observation(
         said["seq"], said["stamp_ns"], _array_of(said["T_map_base"]), rgb, depth_m,
         None if camera is None else CameraModel(**camera), _array_of(rig["T_base_camera"]),
@@ -335,13 +341,14 @@ def _draft(d: Draft) -> dict[str, Any]:
         "refined": None if d.refined is None else _refined(d.refined), "error": d.error,
         "hopeless": d.hopeless, "mistakable": d.mistakable, "speed_mps": d.speed_mps,
         "coarse_m": None if d.coarse_m is None else _array(d.coarse_m),
-        "stops_at": d.stops_at, "upto": d.upto, "understood": d.understood, "prompt": d.prompt,
+        "stops_at": d.stops_at, "stops": d.stops, "upto": d.upto,
+        "understood": d.understood, "prompt": d.prompt,
         "rounds": [asdict(r) for r in d.rounds],
     }  # fmt: skip
 
 
 def draft_of(said: dict[str, Any]) -> Draft:
-    """See `edge.loop.draft.Draft`; recordings of before there was `mistakable` have none."""
+    """See `edge.loop.draft.Draft`; older recordings have no `mistakable`, or no `stops`."""
     refined, coarse_m, stops_at = said["refined"], said["coarse_m"], said["stops_at"]
     same = {name: said[name] for name in ("error", "hopeless", "upto", "understood", "prompt")}
     return Draft(
@@ -350,6 +357,10 @@ def draft_of(said: dict[str, Any]) -> Draft:
         coarse_m=None if coarse_m is None else _array_of(coarse_m),
         speed_mps=said["speed_mps"],
         stops_at=None if stops_at is None else (stops_at[0], stops_at[1]),
+        stops=tuple(
+            tuple((number, label) for number, label in step)
+            for step in said.get("stops", () if stops_at is None else ((stops_at,),))
+        ),
         rounds=tuple(Round(**r) for r in said["rounds"]),
         **same,
     )

@@ -15,7 +15,7 @@ from pathlib import Path
 from time import perf_counter_ns
 from typing import Any
 
-from edge.config import ChoiceCooccurrence, Config
+from edge.config import ChoiceCooccurrence, Config, DetectorOnnx, Mission
 from edge.errors import UserError
 from edge.loop.faults import TICK
 from edge.loop.journal import TASK, Input
@@ -116,16 +116,35 @@ class _Run:
         self, session: Session, config: Config | None, detect: bool, stack: ExitStack
     ) -> None:
         self._other = config is not None
-        given = session.config() if config is None else config
-        loop = given.loop.model_copy(update={"lockstep": True})
-        mission = given.mission.model_copy(update={"checkpoint": None})
-        self.config = given.model_copy(update={"loop": loop, "mission": mission, "sinks": ()})
-        self._detect, self._stack = detect, stack
+        self._session, self._detect, self._stack = session, detect, stack
+        self.config = self._recorded(session.config()) if config is None else _alone(config)
         self._now, self.sink = Now(), Said()
         self._journal: Replayed | None = None
         self._failed: Observation | None = None  # what a tick failed on
         self.service: Service | None = None
         self._worker: DetectorWorker | None = None
+
+    def _recorded(self, config: Config) -> Config:
+        """Return a recorded configuration that names no files and asks for no endless work."""
+        if self._session.trust:
+            return _alone(config)
+        mission, usual = config.mission, Mission()
+        limits = {
+            name: min(getattr(mission, name), getattr(usual, name))
+            for name in ("compile_limit_steps", "max_states")
+        }
+        config = config.model_copy(update={"mission": mission.model_copy(update=limits)})
+        config, detector = _alone(config), config.perception.detector
+        if not isinstance(detector, DetectorOnnx):
+            return config
+        if self._detect and detector.vocabulary is not None:
+            raise ReplayError(
+                "--detect: perception.detector.vocabulary: a recording may name any file: give "
+                "your own configuration with --config, or --trust if you know who made it"
+            )
+        detector = detector.model_copy(update={"engine_cache": None, "vocabulary": None})
+        perception = config.perception.model_copy(update={"detector": detector})
+        return config.model_copy(update={"perception": perception})
 
     @property
     def unseen(self) -> int:
@@ -248,10 +267,18 @@ class _Run:
     def _reconfigure(self, observation: Observation | None, config: Config) -> None:
         """Not with another configuration, which then holds for the whole run."""
         if not self._other:
-            service = self.service
+            self._session.check(config)
+            config, service = self._recorded(config), self.service
             same = config.policy == service.config.policy
             policy = service.policy if same else make_policy(config.policy, config.path)
             service.reconfigure(config, policy)
+
+
+def _alone(config: Config) -> Config:
+    """Return the configuration of a replay: in lockstep, without sinks and checkpoint."""
+    loop = config.loop.model_copy(update={"lockstep": True})
+    mission = config.mission.model_copy(update={"checkpoint": None})
+    return config.model_copy(update={"loop": loop, "mission": mission, "sinks": ()})
 
 
 _DO: dict[str, Callable[..., None]] = {

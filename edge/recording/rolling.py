@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ log = logging.getLogger("edge.recording")
 PREFIX = "edge-"
 AGAIN_S = 5.0
 _MB = 1_000_000
+_NAME = re.compile(rf"{PREFIX}\d{{8}}T\d{{6}}\.\d{{3}}Z\.mcap({re.escape(PARTIAL)})?", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -170,8 +172,12 @@ def _free_name(folder: Path) -> Path:
 
 
 def files_of(folder: Path) -> list[Path]:
-    """The recordings of a folder, complete or not, the oldest first."""
-    return sorted([*folder.glob(f"{PREFIX}*.mcap"), *folder.glob(f"{PREFIX}*.mcap{PARTIAL}")])
+    """The recordings of a folder, complete or not, the oldest first.
+
+    Only names that `_free_name` gives: the oldest are deleted, and a file that a person named or
+    copied here is not ours.
+    """
+    return sorted(path for path in folder.glob(f"{PREFIX}*") if _NAME.fullmatch(path.name))
 
 
 def make_room(folder: Path, most_bytes: int) -> None:

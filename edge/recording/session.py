@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +11,13 @@ import numpy as np
 
 from edge.bus.wire import compressed, messages
 from edge.config import Config
+from edge.config.section import own_kinds
 from edge.errors import ConfigError
 from edge.recording import channels, journal
 from edge.recording.file import McapReading, Recorded, RecordingError
 from edge.recording.journal import FORMAT, VERSION, Page
 from edge.recording.rolling import files_of
-from edge.text import one_line
+from edge.text import one_line, read_json
 from edge.types import Observation
 
 
@@ -65,9 +65,10 @@ def head_of(path: Path) -> Head:
             f"{one_line(said.get('version', '?'), 20)} of the format, this one reads {VERSION}"
         )
     try:
-        config = dict(json.loads(said["config"]).items())
-        return Head(path, said["session"], int(said["part"]), said["edge"], config)
-    except (KeyError, ValueError, AttributeError, RecursionError):
+        config = dict(read_json(said["config"], journal.MAX_VALUES).items())
+        edge = one_line(said["edge"], 40)
+        return Head(path, said["session"], int(said["part"]), edge, config)
+    except (KeyError, ValueError, AttributeError):
         raise RecordingError(f"{path}: damaged: what it says of itself cannot be read") from None
 
 
@@ -81,11 +82,16 @@ class Session:
         gap: why it ends before its files do; likewise.
         latency: as the run said last; None before it has.
 
+    Args:
+        trust: allow the recorded configuration to name classes and files. Who made a recording
+            would else choose what runs on the computer that replays it.
+
     Raises:
         RecordingError: see `head_of`.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, trust: bool = False) -> None:
+        self.trust = trust
         self.head = head_of(path)
         self.files = _from(self.head)
         self.cut = self.gap = ""
@@ -95,16 +101,31 @@ class Session:
         """The configuration that was recorded with; what was secret in it is not there.
 
         Raises:
-            RecordingError: this version of edge cannot use it.
+            RecordingError: this version of edge cannot use it, or see `check`.
         """
         try:
-            return journal.config_of(dict(self.head.config))
+            config = journal.config_of(dict(self.head.config))
         except ConfigError as error:
-            first = str(error).splitlines()[0]
+            first = one_line(str(error).splitlines()[0], 400)
             raise RecordingError(
-                f"{self.head.path}: its configuration is of edge {self.head.edge} and cannot be "
-                f"used: {first}; give one with --config"
+                f"{self.head.path}: its configuration is of edge {self.head.edge} "
+                f"and cannot be used: {first}; give one with --config"
             ) from None
+        self.check(config)
+        return config
+
+    def check(self, config: Config) -> None:
+        """Refuse a recorded configuration that names a class, unless the recording is trusted.
+
+        Raises:
+            RecordingError: it names one; nothing of it was imported.
+        """
+        for key, kind in () if self.trust else own_kinds(config):
+            raise RecordingError(
+                f"{self.head.path}: {key}: {one_line(kind, 80)} is no built-in kind, and a "
+                "recording may name any program: give your own configuration with --config, or "
+                "--trust if you know who made the recording"
+            )
 
     def messages(self) -> Iterator[Recorded]:
         """Of all files, in the order in which they were written."""
@@ -180,8 +201,7 @@ def _moment(page: Page, beside: dict[str, Recorded], rig: dict[str, Any]) -> Mom
     picture = rgb is not None
     if rgb is None and said["rgb_hw"] is not None:
         height, width = said["rgb_hw"]
-        if not 0 <= height * width <= _MOST_PIXELS:
-            raise ValueError(f"a picture of {height}x{width} pixels")
+        _check_pixels(height, width)
         rgb = np.zeros((height, width, 3), np.uint8)
     arrays = {"depth": depth_m, "cloud": cloud_m}
     lacks = tuple(name for name, array in arrays.items() if said[name] and array is None)
@@ -189,11 +209,16 @@ def _moment(page: Page, beside: dict[str, Recorded], rig: dict[str, Any]) -> Mom
     return Moment(page, observation, picture, lacks)
 
 
+def _check_pixels(height: int, width: int) -> None:
+    if not 0 <= height * width <= _MOST_PIXELS:
+        raise ValueError(f"a picture of {height}x{width} pixels")
+
+
 def _latency(payload: bytes) -> dict[str, Any]:
-    said = json.loads(payload)
+    said = read_json(payload, journal.MAX_VALUES)
     for row in (said["tick"], *said["stages"].values()):
-        if not all(isinstance(row[name], (int, float)) for name in ("p50_ms", "p95_ms")):
-            raise ValueError("no percentiles")
+        for name in ("p50_ms", "p95_ms"):
+            row[name] = float(row[name])
     return said
 
 
@@ -217,6 +242,7 @@ def _picture(beside: dict[str, Recorded]) -> np.ndarray | None:
     if (m := beside.get(channels.PICTURE.topic)) is None:
         return None
     header = compressed.decode_compressed_header(m.payload)
+    _check_pixels(header.height, header.width)
     out = np.empty((header.height, header.width, 3), np.uint8)
     compressed.decode_compressed_into(m.payload, header, out)
     return out

@@ -135,14 +135,16 @@ def _ms(value_ms: float, n: int) -> str:
 
 
 def _latency(report: LatencyReport) -> str:
-    names = ("stage", "n", "p50", "p95", "p99", "max", "budget", "over", "drops")
-    head = "".join(f"<th>{name}</th>" for name in names) + '<th class="bar">against the budget</th>'
+    limit = report.limit
+    names = ("stage", "n", "p50", "p95", "p99", "max", limit, "over", "drops")
+    head = "".join(f"<th>{name}</th>" for name in names)
+    head += f'<th class="bar">against the {limit}</th>'
     rows = "".join(_latency_row(row) for row in report.rows)
     tick = report.tick
     return (
         f'<section><h2>Latency, ms</h2><div class="scroll"><table><tr>{head}</tr>{rows}</table>'
         '</div><p class="note">Bars: p50 dark, p95 light, thin line = max, dashed line = the '
-        f"budget that p95 is held to. The tick's deadline of {report.deadline_ms:g} ms was missed "
+        f"{limit} that p95 is held to. The tick's deadline of {report.deadline_ms:g} ms was missed "
         f"{tick.overruns} of {tick.count} times. * runs beside the tick. "
         f"{escape(report.computer[:1].upper() + report.computer[1:])}.</p></section>"
     )
@@ -153,10 +155,9 @@ def _latency_row(row: StageLatency) -> str:
     texts = [f"{value:.2f}" if row.n else "–" for value in times]
     verdict = row.verdict if row.verdict in ("ok", "over") else ""
     texts[1] = f'<span class="{verdict}">{texts[1]}</span>'
-    cells = (
-        escape(row.name if row.in_tick else f"{row.name}*"), f"{row.count}", *texts,
-        f"{row.budget_ms:.3g}", f"{row.overruns}", f"{row.drops}",
-    )  # fmt: skip
+    held_to = ("–", "–") if row.budget_ms is None else (f"{row.budget_ms:.3g}", f"{row.overruns}")
+    name = escape(row.name if row.in_tick else f"{row.name}*")
+    cells = (name, f"{row.count}", *texts, *held_to, f"{row.drops}")
     kind = "" if row.name != "tick" else ' class="tick"'
     tds = "".join(f"<td>{cell}</td>" for cell in cells)
     return f'<tr{kind}>{tds}<td class="bar">{_bar(row)}</td></tr>'
@@ -164,12 +165,16 @@ def _latency_row(row: StageLatency) -> str:
 
 def _bar(row: StageLatency) -> str:
     """p50 and p95 as bars on a track that is 1.5 budgets long; what is longer is cut off."""
+    budget_ms = row.budget_ms
+    if budget_ms is None:
+        return ""
 
     def x(value_ms: float) -> str:
-        return f"{min(100.0, 100.0 * value_ms / (1.5 * row.budget_ms)):.2f}"
+        return f"{min(100.0, 100.0 * value_ms / (1.5 * budget_ms)):.2f}"
 
     over = " over" if row.verdict == "over" else ""
-    words = f"p95 is {100 * row.p95_ms / row.budget_ms:.0f} % of the budget" if row.n else "not run"
+    share = f"p95 is {100 * row.p95_ms / budget_ms:.0f} % of {budget_ms:.3g} ms"
+    words = share if row.n else "not run"
     return (
         f'<svg viewBox="0 0 100 8" preserveAspectRatio="none" role="img" aria-label="{words}">'
         f'<title>{words}</title><rect class="track" width="100" height="8" rx="1"/>'

@@ -79,6 +79,7 @@ class RunRecord:
         targets: boxes and instances of these names, or others for the same, are targets'.
         story: the mission, what was understood, what became of it; None when it is not known.
         task: that the mission was, as it stood at the end; None: it was none.
+        driven: the task as it stood when each of its trajectories was begun, in order of time.
         start_ns: stamp that `trajectory_t_s` and `events` count from.
         trajectory: (n, 3) float64: x_m, y_m, yaw_rad in `map`.
         trajectory_t_s: (n,) float64.
@@ -111,6 +112,7 @@ class RunRecord:
     machine: str = ""
     story: MissionFacts | None = None
     task: TaskFacts | None = None
+    driven: tuple[TaskFacts, ...] = ()
 
     @property
     def simple(self) -> bool:
@@ -124,6 +126,14 @@ class RunRecord:
     def steps(self) -> tuple[Step, ...]:
         """What happened to the mission, in order of time."""
         return () if self.story is None else self.story.steps
+
+    @property
+    def trajectories(self) -> tuple[TaskFacts, ...]:
+        """A task's trajectories as each was begun; the last as it stood in the end."""
+        last = self.task
+        if last is None or last.refined is None:
+            return self.driven
+        return (*(one for one in self.driven if one.refined is not last.refined), last)
 
     @property
     def reached(self) -> tuple[Step, ...]:

@@ -18,6 +18,8 @@ from edge.mission.translate import Translation
 from edge.report.album import Album
 from edge.report.choices import Choices
 from edge.report.record import RunRecord
+from edge.tasks.facts import TaskFacts
+from edge.tasks.refine import Refined
 from edge.text import shorten, without_secrets
 from edge.types import Goal, MissionStatus
 
@@ -101,6 +103,8 @@ class Recorder:
         self._choices = Choices(config.report.frames)
         self._goals: Ends[Goal] = Ends()
         self._events: Ends[Event] = Ends()
+        self._driven: Ends[TaskFacts] = Ends(20, 80)
+        self._refined: Refined | None = None
         self._start_ns: int | None = None
 
     def tick(self, result: TickResult) -> None:
@@ -113,10 +117,19 @@ class Recorder:
         self._choices.offer(result)
         for event in result.events:
             self._events.append(event)
+        if result.events:  # each trajectory is told of
+            self._note(result.task())
         for goal in result.goals:
             self._goals.append(goal)
         if observation is not None:
             self._trail.append(observation.stamp_ns, observation.pose)
+
+    def _note(self, task: TaskFacts | None) -> None:
+        """Keep a task's trajectory when it is another one than before."""
+        refined = None if task is None else task.refined
+        if task is not None and refined is not None and refined is not self._refined:
+            self._driven.append(task)
+        self._refined = refined
 
     def close(self) -> None:
         """See `edge.loop.result.Sink`."""
@@ -159,6 +172,7 @@ class Recorder:
             machine=machine(),
             story=story,
             task=end.task(),
+            driven=self._driven.items(),
         )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -37,15 +39,14 @@ def section(record: RunRecord, linked: bool) -> str:
     if task is None:
         return ""
     pairs = [("asked", task.instruction), ("written by", task.writer), ("came to", task.phase)]
-    if task.understood:
+    trajectories = _written(record)
+    if task.understood and len(trajectories) < 2:
         pairs.append(("understood as", task.understood))
     if len(task.steps) > 1:
         pairs += [(step.state, step.said) for step in task.steps]
     if task.missing:
         pairs.append(("not seen", ", ".join(task.missing)))
-    if task.refined is not None:
-        pairs.append(("trajectory", _in_words(task)))
-    pairs += [("note", note) for note in task.notes]
+    pairs += _told(trajectories)
     rows = "".join(
         f"<dt>{escape(k)}</dt><dd>{escape(one_line(v, MAX_TEXT))}</dd>" for k, v in pairs
     )
@@ -59,13 +60,43 @@ def section(record: RunRecord, linked: bool) -> str:
     )  # fmt: skip
 
 
-def _in_words(task: TaskFacts) -> str:
-    refined = task.refined
-    assert refined is not None
-    length_m, driven_m = lengths_m(refined, task.index)
-    words = f"{length_m:.1f} m in {refined.times_s[-1]:.1f} s, {driven_m:.1f} m of it driven"
-    if task.refinements > 1:
-        words += f"; refined anew {task.refinements - 1} times, since the map had changed"
+def _written(record: RunRecord) -> list[list[TaskFacts]]:
+    """The trajectories that were written, in order of time: each as it was refined at first, and
+    each time again."""
+    found: list[list[TaskFacts]] = []
+    for one in record.trajectories:
+        if found and found[-1][-1].coarse_m is one.coarse_m:
+            found[-1].append(one)
+        else:
+            found.append([one])
+    return found
+
+
+def _told(written: Sequence[Sequence[TaskFacts]]) -> list[tuple[str, str]]:
+    """Each trajectory in words, and its notes, by a name."""
+    pairs = []
+    for number, refined in enumerate(written, start=1):
+        name, words = "trajectory", _in_words(refined)
+        if len(written) > 1:
+            name, words = f"trajectory {number}", f"{refined[0].understood}: {words}"
+        notes = dict.fromkeys(note for one in refined for note in one.notes)
+        pairs += [(name, words), *(("note", note) for note in notes)]
+    return pairs
+
+
+def _in_words(written: Sequence[TaskFacts]) -> str:
+    """How long a trajectory was at first, and how often the rest of it was refined again."""
+    first, last = written[0], written[-1]
+    assert first.refined is not None
+    assert last.refined is not None
+    length_m, driven_m = lengths_m(first.refined, first.index)
+    words = f"{length_m:.1f} m in {first.refined.times_s[-1]:.1f} s"
+    if first is last and driven_m:
+        words += f", {driven_m:.1f} m of it driven"
+    if (times := len(written) - 1) or (times := last.refinements - 1):
+        length_m, driven_m = lengths_m(last.refined, last.index)
+        words += f"; the rest refined again {times} times"
+        words += f", {driven_m:.1f} of the last {length_m:.1f} m driven"
     return words
 
 
@@ -89,42 +120,50 @@ def _folded(summary: str, body: str) -> str:
 
 def points_m(record: RunRecord) -> list[np.ndarray]:
     """(n, 2 or more) each, in `map`: what `draw` draws."""
-    task = record.task
-    lines = [] if task is None else [task.coarse_m, task.refined and task.refined.poses]
+    lines = [
+        line
+        for one in record.trajectories
+        for line in (one.coarse_m, one.refined and one.refined.poses)
+    ]
     return [line for line in lines if line is not None]
 
 
 def draw(axes: Axes, record: RunRecord) -> None:
-    """The trajectory on the map, under the way: as it was written, and refined."""
-    if (task := record.task) is None:
-        return
-    if task.refined is not None:
-        x_m, y_m = task.refined.poses[:, :2].T
-        style = {"solid_capstyle": "round", "solid_joinstyle": "round"}
-        axes.plot(x_m, y_m, color=REFINED, lw=7.5, alpha=0.45, zorder=2.6, **style)
-    if task.coarse_m is not None:
-        axes.plot(*task.coarse_m.T, color=COARSE, lw=1.6, ls=(0, (1.2, 1.6)), zorder=4.5)
+    """The trajectories on the map, under the way: as they were written, and refined."""
+    for one in record.trajectories:
+        if one.refined is not None:
+            x_m, y_m = one.refined.poses[:, :2].T
+            style = {"solid_capstyle": "round", "solid_joinstyle": "round"}
+            axes.plot(x_m, y_m, color=REFINED, lw=7.5, alpha=0.45, zorder=2.6, **style)
+    for one, *_ in _written(record):
+        if one.coarse_m is not None:
+            axes.plot(*one.coarse_m.T, color=COARSE, lw=1.6, ls=(0, (1.2, 1.6)), zorder=4.5)
 
 
 def page(record: RunRecord) -> str | None:
     """The map, the things and the trajectories in three dimensions, a page of its own; None where
     nothing was to be driven, or nothing was mapped."""
     task, known = record.task, None if record.map is None else raster.crop(record.map)
-    if task is None or task.refined is None or task.coarse_m is None or known is None:
+    trajectories = [again for again in _written(record) if again[0].coarse_m is not None]
+    if task is None or not trajectories or known is None:
         return None
-    lines = coarse_and_refined(task.coarse_m, task.refined)
+    lines: list[Line] = []
+    for number, (one, *_) in enumerate(trajectories, start=1):
+        two = coarse_and_refined(one.coarse_m, one.refined)
+        many = len(trajectories) > 1
+        lines += [replace(line, name=f"{line.name} {number}") if many else line for line in two]
     driven = Line("driven", record.trajectory[:, :2], palette.START, 3.0)
     facts = [
         (name, one_line(text, MAX_TEXT))
         for name, text in (
             ("asked", task.instruction), ("understood", task.understood), ("by", task.writer),
-            ("trajectory", _in_words(task)), *(("note", note) for note in task.notes),
+            *_told(trajectories),
         )
         if text
     ]  # fmt: skip
     return scene_page(
         record.title, _scene(record, known), (*lines, driven), record.machine,
-        refined=task.refined, facts=facts,
+        refined=trajectories[-1][0].refined, facts=facts,
     )  # fmt: skip
 
 

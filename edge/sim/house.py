@@ -23,6 +23,7 @@ from edge.host.files import read_regular
 from edge.sim import assemblies, kernels, shading
 from edge.sim.base import WorldError, WorldObject
 from edge.sim.boxworld import BoxWorld, Part
+from edge.text import bounded_repr
 
 HOUSES = Path(__file__).resolve().parent / "houses"
 FLOORS = {
@@ -112,7 +113,7 @@ def read_house(path: Path) -> House:
         message = fault["msg"].removeprefix("Value error, ")
         rest = f" (and {more} more faults)" if more else ""
         raise WorldError(
-            f"{path}: {place}: {message}, got {fault.get('input')!r:.60}{rest}"
+            f"{path}: {place}: {message}, got {bounded_repr(fault.get('input'), 60)}{rest}"
         ) from None
 
 
@@ -126,7 +127,7 @@ def load_house(section: WorldHouse, config: Config) -> BoxWorld:
     path = built_in if built_in.is_file() else resources.expand(section.house)
     if not path.is_file():
         choices = ", ".join(sorted(p.stem for p in HOUSES.glob("*.json")))
-        raise WorldError(f"{config.path}: sim.world.house: no {path} (built-in: {choices})")
+        raise WorldError(f"{config.at('sim.world.house')}: no {path} (built-in: {choices})")
     return build_house(read_house(path), config)
 
 

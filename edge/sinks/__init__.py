@@ -27,10 +27,9 @@ def find_sinks(config: Config) -> list[Callable[..., Sink]]:
     Raises:
         ConfigError: see `edge.config.named.find_named`.
     """
-    needs, given = ("tick()", "close()"), ("config", "session")
+    needs, given, known = ("tick()", "close()"), ("config", "session"), {"config": config}
+    wheres = (config.at(f"sinks.{i}") for i in range(len(config.sinks)))
     return [
-        find_named(
-            "sink", sink.kind, sink.options, REGISTRY, f"{config.path}: sinks.{i}", needs, given
-        )
-        for i, sink in enumerate(config.sinks)
+        find_named("sink", sink.kind, sink.options, REGISTRY, where, needs, given, known)
+        for sink, where in zip(config.sinks, wheres, strict=True)
     ]

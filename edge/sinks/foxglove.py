@@ -11,7 +11,7 @@ from typing import Any
 
 from edge.config import Config
 from edge.errors import ConfigError, UnavailableError
-from edge.host.ports import is_loopback
+from edge.host.ports import MOST_PORT, is_loopback
 from edge.host.worker import Worker
 from edge.loop.result import TickResult
 from edge.recording import channels
@@ -73,6 +73,16 @@ class FoxgloveSink:
                         self.port)  # fmt: skip
         self._teller = Teller(config, rgb_hz, self._wanted)
         self._worker: Worker[Moment, None] = Worker("foxglove-sink", self._send)
+
+    @staticmethod
+    def check_options(host: str = "127.0.0.1", port: int = 8765, rgb_hz: float = 10.0) -> None:
+        """Refuse a port that is none, and an installation without the SDK; see
+        `edge.config.named`."""
+        if type(port) is not int or not 0 <= port <= MOST_PORT:
+            raise ConfigError(
+                f"sinks: foxglove: port: expected a number from 0 to {MOST_PORT}, got {port!r:.40}"
+            )
+        _sdk()
 
     def tick(self, result: TickResult) -> None:
         """See `edge.loop.result.Sink`."""

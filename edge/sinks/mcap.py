@@ -7,6 +7,7 @@ What does not fit is dropped, pictures, depth and clouds first, and counted.
 from __future__ import annotations
 
 import errno
+import inspect
 import json
 import threading
 import uuid
@@ -102,6 +103,13 @@ class McapSink:
         )  # fmt: skip
 
     # -- on the loop's thread -------------------------------------------------------------------
+
+    @classmethod
+    def check_options(cls, **options: Any) -> None:
+        """Refuse numbers and names that cannot be; see `edge.config.named`."""
+        bound = inspect.signature(cls).bind(config=None, **options)
+        bound.apply_defaults()
+        _check(**{k: v for k, v in bound.arguments.items() if k not in ("config", "folder")})
 
     def tick(self, result: TickResult) -> None:
         """See `edge.loop.result.Sink`."""

@@ -37,6 +37,7 @@ def find_source(config: Config) -> Callable[..., Source]:
     Raises:
         ConfigError: see `edge.config.named.find_named`.
     """
-    kind, options, where = config.source.kind, config.source.options, f"{config.path}: source"
+    kind, options, where = config.source.kind, config.source.options, config.at("source")
     given = ("config", "session")
-    return find_named("source", kind, options, REGISTRY, where, NEEDS, given)
+    known = {"config": config}
+    return find_named("source", kind, options, REGISTRY, where, NEEDS, given, known)

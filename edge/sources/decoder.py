@@ -95,7 +95,7 @@ class CdrDecoder:
         Args:
             type_name: what it is, where that is not the topic's own type.
         """
-        self._synchronizer.counters["received"] += 1
+        self._synchronizer.received(topic.key)
         if not payload:
             self._synchronizer.count(topic.key, "empty")
             return

@@ -10,7 +10,7 @@ from edge.bus import topics
 from edge.bus.session import Ring
 from edge.config import Zenoh
 from edge.geometry import FARTHEST_M
-from edge.text import one_line, read_json_object
+from edge.text import bounded_repr, one_line, read_json_object
 from edge.types import GoalStatus
 
 log = logging.getLogger("edge.sources.goal_status")
@@ -31,11 +31,11 @@ def parse_goal_status(payload: bytes) -> GoalStatus:
     data = read_json_object(payload, _MAX_BYTES)
     stamp, state, reason = data.get("stamp"), data.get("state"), data.get("reason", "")
     if type(stamp) is not int:
-        raise ValueError(f"stamp: expected nanoseconds, got {stamp!r:.40}")
+        raise ValueError(f"stamp: expected nanoseconds, got {bounded_repr(stamp, 40)}")
     if state not in STATES:
-        raise ValueError(f"state: unknown {state!r:.40} (choices: {', '.join(STATES)})")
+        raise ValueError(f"state: unknown {bounded_repr(state, 40)} (choices: {', '.join(STATES)})")
     if not isinstance(reason, str):
-        raise ValueError(f"reason: expected text, got {reason!r:.40}")
+        raise ValueError(f"reason: expected text, got {bounded_repr(reason, 40)}")
     return GoalStatus(stamp, state, one_line(reason), _place(data.get("blocked")))
 
 
@@ -45,7 +45,7 @@ def _place(blocked: object) -> tuple[float, float] | None:
         return None
     is_pair = isinstance(blocked, list) and len(blocked) == 2
     if not is_pair or not all(type(v) in (int, float) and abs(v) <= FARTHEST_M for v in blocked):
-        raise ValueError(f"blocked: expected [x, y] in metres, got {blocked!r:.40}")
+        raise ValueError(f"blocked: expected [x, y] in metres, got {bounded_repr(blocked, 40)}")
     return float(blocked[0]), float(blocked[1])
 
 

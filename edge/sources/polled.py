@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from typing import Any
 
 import zenoh
 
 from edge.bus import topics
+from edge.bus.topics import Topic
 from edge.config import Config
 from edge.geometry import SE2
+from edge.loop.source import InputRow
 from edge.sources.decoder import KINDS, CdrDecoder
 from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.streams import KEPT
-from edge.sources.synchronizer import TimeSynchronizer
+from edge.sources.synchronizer import TimeSynchronizer, streams_of
 from edge.sources.tf import Frames
 from edge.types import Observation
 
@@ -21,7 +24,7 @@ PAUSE_S = 0.0003
 
 
 class PolledSource(ABC):
-    """An `edge.loop.source.Source`, but for `_drain`, which brings the messages.
+    """An `edge.loop.source.Source`, but for `_drain`, which brings the messages, and `_where`.
 
     Args:
         frames: see `CdrDecoder`.
@@ -41,6 +44,13 @@ class PolledSource(ABC):
         self._kept = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
         self._kept |= {topic: KEPT for topic, kind in KINDS.items() if kind.field in heard}
         """How many messages of each topic to keep between polls; odometry is drained first."""
+        for topic in self._kept:
+            self._synchronizer.inputs.listen(topic.key, self._where(topic))
+
+    @staticmethod
+    def check_options(config: Config, **options: Any) -> None:
+        """Refuse a configuration that no source could be made of; see `edge.config.named`."""
+        streams_of(config)
 
     @property
     def counters(self) -> dict[str, int]:
@@ -53,6 +63,10 @@ class PolledSource(ABC):
     @property
     def pose(self) -> SE2 | None:
         return self._synchronizer.odometry.newest_pose
+
+    def input_table(self) -> tuple[InputRow, ...]:
+        """See `edge.loop.source.Source`."""
+        return self._synchronizer.inputs.rows()
 
     def poll(self) -> Observation | None:
         """See `edge.loop.source.Source`."""
@@ -72,6 +86,11 @@ class PolledSource(ABC):
         self.inbox.close()
 
     @abstractmethod
+    def _where(self, topic: Topic) -> str:
+        """Return the key, the ROS topic or the address where a topic is listened to. The
+        constructor calls it."""
+
+    @abstractmethod
     def _drain(self) -> int:
         """Hand what came to the synchronizer, a ring's worth of each topic at most; how many
         messages it was."""
@@ -80,5 +99,6 @@ class PolledSource(ABC):
         """Counts it too, under this name."""
         size = len(payload)
         if size > self._max_bytes:
+            self._synchronizer.inputs.came(name)
             self._synchronizer.count(name, "oversized", f"{size} bytes")
         return size > self._max_bytes

@@ -7,6 +7,7 @@ Foxglove and the ROS 2 tools open them.
 from __future__ import annotations
 
 import argparse
+import heapq
 import os
 import subprocess
 import sys
@@ -18,8 +19,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import zenoh
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 
 from edge.bus import topics
 from edge.bus.session import Ring, declare_publisher, open_session, zenoh_session
@@ -30,15 +29,17 @@ from edge.bus.wire.messages import peek_stamp_ns
 from edge.config import Config, Zenoh, load
 from edge.errors import UnavailableError, UserError
 from edge.host.children import python_module
-from edge.host.files import open_regular
 from edge.host.signals import stop_on_signals
 from edge.recording.channels import of_topic
-from edge.recording.file import McapFile, RecordingError
-from edge.text import one_line
+from edge.recording.file import McapFile, McapReading, RecordingError, is_complete
+from edge.recording.file import Recorded as Message
 
 _RING = 64
 _PAUSE_S = 0.002
 _SYNC_S = 2.0
+_WINDOW_NS = 1_000_000_000  # messages lie no farther from their place in time
+_MOST_WAITING_BYTES = 1 << 28
+_MESSAGE_BYTES = 1000  # what a message takes besides its payload
 _TOPICS = {f"/{topic.key}": topic for topic in topics.ALL}
 
 
@@ -115,24 +116,36 @@ class Recorded(NamedTuple):
 
 
 def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
-    """The messages of a recording in the order in which they were heard.
+    """Yield the messages of a recording in the order in which they were heard.
 
     Raises:
         RecordingError: no such file, or not a complete MCAP file.
     """
-    try:
-        with open_regular(path) as file:
-            for _, channel, message in make_reader(file).iter_messages():
-                topic = _TOPICS.get(channel.topic)
-                if topic is not None:
-                    yield Recorded(topic, message.log_time, message.data)
-    except OSError as error:
-        raise RecordingError(f"{path}: {error.strerror}") from None
-    except (McapError, EOFError, ValueError) as error:
-        detail = one_line(error, 120) or type(error).__name__
-        raise RecordingError(
-            f"{path}: not a complete MCAP file: {detail}; `edge recover` makes one of it"
-        ) from None
+    reading = McapReading(path)
+    if is_complete(path):  # else nothing of it is played
+        for message in _in_order(reading):
+            topic = _TOPICS.get(message.topic)
+            if topic is not None:
+                yield Recorded(topic, message.log_ns, message.payload)
+        if not reading.cut:
+            return
+    why = reading.cut or "cut off"
+    raise RecordingError(f"{path}: not a complete MCAP file: {why}; `edge recover` makes one of it")
+
+
+def _in_order(messages: Iterable[Message]) -> Iterator[Message]:
+    """Yield messages by the time at which they were heard; they are written nearly so."""
+    waiting: list[tuple[int, int, Message]] = []
+    size = 0
+    for n, message in enumerate(messages):
+        heapq.heappush(waiting, (message.log_ns, n, message))
+        size += len(message.payload) + _MESSAGE_BYTES
+        while size > _MOST_WAITING_BYTES or message.log_ns - waiting[0][0] > _WINDOW_NS:
+            first = heapq.heappop(waiting)[2]
+            size -= len(first.payload) + _MESSAGE_BYTES
+            yield first
+    while waiting:
+        yield heapq.heappop(waiting)[2]
 
 
 class Played(NamedTuple):

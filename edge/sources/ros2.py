@@ -30,6 +30,9 @@ class Ros2Source(PolledSource):
         self._node = open_node(config, session, "source")
         # What was moored first: a frame whose sensor sits nowhere yet is dropped.
         self._transforms = [self._subscribe(name, _TF_KEPT) for name in ("tf_static", "tf")]
+        for name in ("tf", "tf_static"):
+            self._synchronizer.inputs.add(name, "tf", needed=self._frames.by_tf)
+            self._synchronizer.inputs.listen(name, self._settings.topic(name))
         self._sensors = {topic: self._subscribe(topic.key, n) for topic, n in self._kept.items()}
 
     def _subscribe(self, name: str, kept: int) -> Subscription:
@@ -40,6 +43,9 @@ class Ros2Source(PolledSource):
     def close(self) -> None:
         self._node.close()
         super().close()
+
+    def _where(self, topic: Topic) -> str:
+        return self._settings.topic(topic.key)
 
     def _drain(self) -> int:
         self._node.look()
@@ -62,6 +68,7 @@ class Ros2Source(PolledSource):
         if self._is_too_large(topic.key, payload):
             return
         if type_name not in subscription.types:
+            self._synchronizer.inputs.came(topic.key)
             expected = " or ".join(subscription.types)
             self._synchronizer.count(
                 topic.key, "malformed",
@@ -71,7 +78,7 @@ class Ros2Source(PolledSource):
             self._decoder.offer(topic, payload.to_bytes(), type_name.replace("/msg/", "/"))
 
     def _take_transforms(self, name: str, payload: zenoh.ZBytes) -> None:
-        self.counters["received"] += 1
+        self._synchronizer.received(name)
         if self._is_too_large(name, payload):
             return
         try:
@@ -81,3 +88,5 @@ class Ros2Source(PolledSource):
             return
         if untaken:
             self._synchronizer.count(name, "malformed", f"{untaken} transforms that fit nowhere")
+        else:
+            self._synchronizer.inputs.used(name)

@@ -44,10 +44,14 @@ class Stream:
 
     def near(self, stamp_ns: int) -> Frame | None:
         """The frame nearest to an instant, within the tolerance."""
-        best = min(self._frames, key=lambda f: abs(f.stamp_ns - stamp_ns), default=None)
+        best = self.nearest(stamp_ns)
         if best is None or abs(best.stamp_ns - stamp_ns) > self._tolerance_ns:
             return None
         return best
+
+    def nearest(self, stamp_ns: int) -> Frame | None:
+        """Return the frame nearest to an instant, however far; None: there is none."""
+        return min(self._frames, key=lambda f: abs(f.stamp_ns - stamp_ns), default=None)
 
     def is_past(self, stamp_ns: int) -> bool:
         """Whether every frame still to come is too late for this instant."""

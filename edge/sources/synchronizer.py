@@ -18,10 +18,13 @@ import numpy as np
 
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
+from edge.sources.inputs import InputTable
 from edge.sources.messages import (
     CameraInfo,
     Cloud,
+    DepthImage,
     Frame,
+    Image,
     Message,
     Mount,
     Odometry,
@@ -37,6 +40,7 @@ log = logging.getLogger("edge.sources")
 
 PATIENCE_NS = 50_000_000
 _POSES_APART_NS = 1_000_000
+_NAMES = {kind.field: kind.topic for kind in (Image, DepthImage, Cloud)}
 
 REASONS = (
     "malformed", "oversized", "empty", "wrong_size", "repeated", "backward", "stale", "superseded",
@@ -55,7 +59,7 @@ def streams_of(config: Config) -> dict[str, Stream]:
     cloud_leads = config.mapping.input == "cloud"
     if lidar is None and (cloud_leads or perception.lift == "cloud"):
         key = "mapping.input" if cloud_leads else "perception.lift"
-        raise ConfigError(f"{config.path}: {key}: cloud needs sensors.lidar (where it is mounted)")
+        raise ConfigError(f"{config.at(key)}: cloud needs sensors.lidar (where it is mounted)")
     must = config.loop.lockstep or not cloud_leads
     half_frame_ns = int(0.5e9 / config.sensors.camera.rate_hz)
     streams = {}
@@ -70,12 +74,20 @@ def streams_of(config: Config) -> dict[str, Stream]:
     return {leader: streams.pop(leader), **streams}
 
 
+def _apart(leader: Frame, name: str, nearest_ns: int | None) -> str:
+    if nearest_ns is None:
+        return f"no {name}"
+    ms = (nearest_ns - leader.stamp_ns) / 1e6
+    return f"the nearest {name} is {abs(ms):.0f} ms {'later' if ms > 0 else 'earlier'}"
+
+
 class TimeSynchronizer:
     """See the module. For one thread.
 
     Attributes:
         counters: `received` messages (counted by who hands them in), `observations` given out, and
             drops by reason (`REASONS`).
+        inputs: the same for each input by itself, and how often and when it came.
     """
 
     def __init__(self, config: Config, clock: Callable[[], int] = time.monotonic_ns) -> None:
@@ -92,6 +104,7 @@ class TimeSynchronizer:
         self.streams = streams_of(config)
         self._leader, *self._others = self.streams
         self._clock = clock
+        self.inputs = InputTable(config, self.streams, clock)
         self._patience_ns = math.inf if config.loop.lockstep else PATIENCE_NS
         self._camera: CameraModel | None = None
         self._pool: FramePool | None = None
@@ -101,12 +114,19 @@ class TimeSynchronizer:
         self._T_base_camera = camera.T_base_camera()
         self._T_base_lidar = np.eye(4) if lidar is None else lidar.T_base_mount()
 
+    def received(self, topic: str) -> None:
+        """Count a message, before it is decoded and offered."""
+        self.counters["received"] += 1
+        self.inputs.came(topic)
+
     def count(self, topic: str, reason: str, detail: object = "") -> None:
         """Count a drop; the first of its kind is also told."""
         self.counters[reason] += 1
+        detail = one_line(detail)
+        self.inputs.dropped(topic, reason, detail)
         if reason != "superseded" and (topic, reason) not in self._told:
             self._told.add((topic, reason))
-            said = f"({one_line(detail)}) " if detail else ""
+            said = f"({detail}) " if detail else ""
             log.warning("%s: dropped: %s %s(further ones are only counted)", topic, reason, said)
 
     # -- messages in --------------------------------------------------------------------------
@@ -116,6 +136,8 @@ class TimeSynchronizer:
         reason = ""
         if isinstance(message, Odometry):
             reason = self.odometry.push(message.stamp_ns, message.T_map_base)
+            if reason not in ("repeated", "backward"):
+                self.inputs.used(message.topic)
         elif isinstance(message, CameraInfo):
             self._describe(message)
         elif isinstance(message, Mount):
@@ -138,6 +160,7 @@ class TimeSynchronizer:
     def _describe(self, message: CameraInfo) -> None:
         camera = message.camera
         if camera == self._camera:
+            self.inputs.used(message.topic)
             return
         size = camera.width_px * camera.height_px * 3
         if size > self.config.source.max_message_mb * 1e6:
@@ -145,6 +168,7 @@ class TimeSynchronizer:
             self.count(message.topic, "oversized", detail)
             return
         self._camera, self._pool = camera, None
+        self.inputs.used(message.topic)
 
     # -- observations out ---------------------------------------------------------------------
 
@@ -158,7 +182,7 @@ class TimeSynchronizer:
                 continue
             leading.drop(frame)  # at once: one that cannot be decoded must not come up again
             if T_map_base is None:
-                self.count(frame.topic, reason)
+                self.count(frame.topic, reason, self._why(frame, reason))
                 continue
             observation = self._observe(frame, joined, T_map_base)
             if observation is None:
@@ -189,6 +213,21 @@ class TimeSynchronizer:
         reason = "" if T_map_base is not None else "stale" if missing == "too_old" else "no_pose"
         return joined, T_map_base, reason
 
+    def _why(self, leader: Frame, reason: str) -> str:
+        """Say which input lacks a message for this frame, and how far its nearest one is."""
+        if reason != "unpaired":
+            return _apart(leader, Odometry.topic, self.odometry.newest_ns)
+        required = (field for field in self._others if self.streams[field].required)
+        return self._apart(
+            leader, next(f for f in required if self.streams[f].near(leader.stamp_ns) is None)
+        )
+
+    def _apart(self, leader: Frame, field: str) -> str:
+        nearest = self.streams[field].nearest(leader.stamp_ns)
+        if nearest is None:
+            return _apart(leader, _NAMES[field], None)
+        return _apart(leader, nearest.topic, nearest.stamp_ns)
+
     def _observe(
         self, leader: Frame, joined: list[Frame], T_map_base: np.ndarray
     ) -> Observation | None:
@@ -212,6 +251,12 @@ class TimeSynchronizer:
         if fields is None:
             return None
         self._seq += 1
+        for frame in frames:
+            if frame.field in fields:
+                self.inputs.used(frame.topic)
+        for field in self._others:
+            if field not in fields:  # an observation is one without it, too
+                self.inputs.unpaired(field, self._apart(leader, field))
         return Observation(
             seq=self._seq - 1,
             stamp_ns=leader.stamp_ns,

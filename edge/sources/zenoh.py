@@ -24,6 +24,7 @@ class ZenohSource(PolledSource):
     """What comes by other means."""
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
+        self._key = config.zenoh.key
         super().__init__(config, session)
         self._rings = {
             topic: Ring(session, config.zenoh.key(topic.key), n)
@@ -35,6 +36,9 @@ class ZenohSource(PolledSource):
         for ring in self._rings.values():
             ring.close()
         super().close()
+
+    def _where(self, topic: Topic) -> str:
+        return self._key(topic.key)
 
     def _drain(self) -> int:
         n = 0

@@ -13,24 +13,28 @@ little-endian); `intrinsics`, in pixels, are needed once, and again when they ch
 from __future__ import annotations
 
 import logging
+import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import zenoh
 
 from edge.bus import topics
+from edge.bus.topics import Topic
 from edge.bus.wire import images
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
+from edge.host.interruptible import start_unjoined
 from edge.sources.messages import CameraInfo, DepthImage, Frame, Image, WrongSizeError
 from edge.sources.streams import KEPT
 from edge.sources.zenoh import ZenohSource
-from edge.text import one_line, read_json_object
+from edge.text import bounded_repr, one_line, read_json_object
 
 if TYPE_CHECKING:
     import zmq
@@ -71,10 +75,14 @@ def parse_header(data: bytes, n_bytes: int) -> Header:
         names = ", ".join(_FIELDS)
         raise ValueError(f"unknown {one_line(min(unknown), 40)!r} (there are {names})")
     topic, encoding = said.get("topic"), said.get("encoding")
-    if topic not in _FRAMES:
-        raise ValueError(f"topic: unknown {topic!r:.40} (choices: {', '.join(_FRAMES)})")
-    if encoding not in _BYTES_PX:
-        raise ValueError(f"encoding: unknown {encoding!r:.40} (choices: {', '.join(_BYTES_PX)})")
+    if not isinstance(topic, str) or topic not in _FRAMES:
+        raise ValueError(
+            f"topic: unknown {bounded_repr(topic, 40)} (choices: {', '.join(_FRAMES)})"
+        )
+    if not isinstance(encoding, str) or encoding not in _BYTES_PX:
+        raise ValueError(
+            f"encoding: unknown {bounded_repr(encoding, 40)} (choices: {', '.join(_BYTES_PX)})"
+        )
     stamp_ns, height, width = (_whole(said, name) for name in ("stamp", "height", "width"))
     step = width * _BYTES_PX[encoding]
     if height * step != n_bytes:
@@ -86,7 +94,7 @@ def parse_header(data: bytes, n_bytes: int) -> Header:
 def _whole(said: dict[str, Any], name: str) -> int:
     value = said.get(name)
     if type(value) is not int or not 0 <= value < 1 << 63:
-        raise ValueError(f"{name}: expected a whole number, got {value!r:.40}")
+        raise ValueError(f"{name}: expected a whole number, got {bounded_repr(value, 40)}")
     return value
 
 
@@ -96,7 +104,9 @@ def _camera(intrinsics: object, width: int, height: int) -> CameraModel | None:
         return None
     is_four = isinstance(intrinsics, list) and len(intrinsics) == 4
     if not is_four or not all(type(v) in (int, float) and abs(v) <= _MOST_PX for v in intrinsics):
-        raise ValueError(f"intrinsics: expected [fx, fy, cx, cy] in px, got {intrinsics!r:.40}")
+        raise ValueError(
+            f"intrinsics: expected [fx, fy, cx, cy] in px, got {bounded_repr(intrinsics, 40)}"
+        )
     return CameraModel(width, height, *map(float, intrinsics))
 
 
@@ -129,24 +139,44 @@ class ZmqSource(ZenohSource):
         address: str,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        super().__init__(config, session)
         self._clock = clock
         self._address = address
+        super().__init__(config, session)
         self._look_s = 0.0
-        self._zmq, self._context, self._camera = _connect(config, address, self._max_bytes)
+        self.check_options(config, address)
+        self._zmq, self._context, self._camera = _socket(config, self._max_bytes)
+        # At the first poll: what came before would wait in queues, the camera's among them.
+        self._connected = False
+        start_unjoined("camera-name", _tell_of_no_address, address)
         self._hung_up = self._camera.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
         self._hung_up_told = False
+
+    @staticmethod
+    def check_options(config: Config, address: str, **options: Any) -> None:
+        """See `PolledSource.check_options`."""
+        ZenohSource.check_options(config)
+        _, context, camera = _socket(config, 0)
+        try:
+            _connect(config, camera, address)
+        finally:
+            context.destroy(linger=0)
 
     def close(self) -> None:
         super().close()
         self._camera.disable_monitor()
         self._context.destroy(linger=0)
 
+    def _where(self, topic: Topic) -> str:
+        return one_line(self._address) if topic in self.OTHERWISE else super()._where(topic)
+
     def _drain(self) -> int:
         return super()._drain() + self._drain_camera()
 
     def _drain_camera(self) -> int:
         """At most as many messages as the queue holds: a flood must not keep the loop."""
+        if not self._connected:
+            self._camera.connect(self._address)
+            self._connected = True
         for n in range(KEPT):
             try:
                 parts = self._camera.recv_multipart(self._zmq.NOBLOCK, copy=False)
@@ -157,7 +187,6 @@ class ZmqSource(ZenohSource):
         return KEPT
 
     def _offer(self, parts: list[zmq.Frame]) -> None:
-        self._synchronizer.counters["received"] += 1
         topic = one_line(self._address)
         try:
             if len(parts) != 2:
@@ -166,9 +195,12 @@ class ZmqSource(ZenohSource):
                 raise ValueError(f"a header of {len(parts[0])} bytes, at most {MAX_HEADER}")
             header = parse_header(parts[0].bytes, len(parts[1]))
         except ValueError as error:
+            self._synchronizer.received(topic)
             self._synchronizer.count(topic, "malformed", str(error))
             return
+        self._synchronizer.received(header.topic)
         if header.camera is not None:
+            self._synchronizer.inputs.came(CameraInfo.topic)
             self._synchronizer.offer(CameraInfo(header.camera))
         into = partial(_into, parts[1].buffer, header.image)
         frame = _FRAMES[header.topic](header.image.stamp_ns, self._clock(), into)
@@ -197,24 +229,38 @@ class ZmqSource(ZenohSource):
             )  # fmt: skip
 
 
-def _connect(config: Config, address: str, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socket]:
-    where = f"{config.path}: source"
+def _socket(config: Config, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socket]:
     try:
         import zmq
     except ImportError:
-        raise ConfigError(f"{where}.kind: zmq needs pyzmq: pip install 'edge-vln[zmq]'") from None
+        where = config.at("source.kind")
+        raise ConfigError(f"{where}: zmq needs pyzmq: pip install 'edge-vln[zmq]'") from None
     context = zmq.Context()
-    socket = context.socket(zmq.SUB)
-    socket.setsockopt(zmq.MAXMSGSIZE, max_bytes)
-    socket.setsockopt(zmq.RCVHWM, KEPT)
-    socket.setsockopt(zmq.LINGER, 0)
-    socket.subscribe(b"")
+    camera = context.socket(zmq.SUB)
+    camera.setsockopt(zmq.MAXMSGSIZE, max_bytes)
+    camera.setsockopt(zmq.RCVHWM, KEPT)
+    camera.setsockopt(zmq.LINGER, 0)
+    camera.subscribe(b"")
+    return zmq, context, camera
+
+
+def _tell_of_no_address(address: str) -> None:
+    """Log it if no address is known for the camera's host: ZeroMQ says nothing and tries on."""
+    host = urlsplit(address).hostname
+    if not address.startswith("tcp://") or host is None:
+        return
     try:
-        socket.connect(address)
-    except (zmq.ZMQError, TypeError) as error:
-        context.destroy(linger=0)
+        socket.getaddrinfo(host, None)
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or error
+        log.warning("source.options.address: no address is known for %r (%s); it is tried again "
+                    "and again", one_line(host), one_line(why))  # fmt: skip
+
+
+def _connect(config: Config, camera: zmq.Socket, address: str) -> None:
+    try:
+        camera.connect(address)
+    except Exception as error:  # ZMQError, or whatever an address that is no text raises
         said = f"{one_line(address)}: {one_line(error)}"
-        raise ConfigError(
-            f"{where}.options.address: {said}; expected one like tcp://127.0.0.1:5555"
-        ) from None
-    return zmq, context, socket
+        where = config.at("source.options.address")
+        raise ConfigError(f"{where}: {said}; expected one like tcp://127.0.0.1:5555") from None

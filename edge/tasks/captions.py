@@ -8,7 +8,8 @@ import numpy as np
 from edge.geometry import SE2
 from edge.types import Detections
 
-COLOURS = ("black", "gray", "white", "red", "orange", "yellow", "green", "blue", "purple", "pink",
+_GREYS = ("black", "gray", "white")
+COLOURS = (*_GREYS, "red", "orange", "yellow", "green", "blue", "purple", "pink",
            "brown")  # fmt: skip
 _HUES = ((8, "red"), (20, "orange"), (34, "yellow"), (85, "green"), (128, "blue"), (148, "purple"),
          (170, "pink"), (180, "red"))  # fmt: skip
@@ -16,11 +17,17 @@ _HUES = ((8, "red"), (20, "orange"), (34, "yellow"), (85, "green"), (128, "blue"
 _DARK, _LIGHT = 55, 165
 _PALE = 55
 """Saturation below which a colour is none; dark pixels are noisier, and need more."""
+_SHADED, _SHADED_SPREAD = 128, 20
+"""A dark pixel is black unless its saturation and the spread of its channels are as large: paint in
+the shade."""
 _BROWN_BELOW = 150
 _INNER = 0.6
 """Of a box without a mask, this share of its width and height shows the thing."""
 _LEAST_SHARE = 0.35
 """A thing has the colour that so many of its pixels have."""
+_PAINT_SHARE = 0.25
+"""A black thing, so many of whose pixels have one colour, has that: the rest are tyres, windows and
+shadow."""
 BESIDE_M = 1.0
 """A thing less far to the side is straight ahead or behind."""
 
@@ -37,12 +44,14 @@ def colour_names(rgb: np.ndarray) -> np.ndarray:
     ends, which = zip(*_HUES, strict=True)
     table = np.array([COLOURS.index(name) for name in which], np.uint8)
     out = table[np.searchsorted(ends, hue, side="right").clip(max=len(table) - 1)]
-    warm = (out == COLOURS.index("orange")) | (out == COLOURS.index("red")) & (hue > 2) & (hue < 90)
+    warm = (out == COLOURS.index("orange")) | (out == COLOURS.index("red")) & (hue > 4) & (hue < 90)
     out[warm & (value < _BROWN_BELOW)] = COLOURS.index("brown")
     pale = saturation < np.where(value < 100, 2 * _PALE, _PALE)
     out[pale] = COLOURS.index("gray")
     out[pale & (value >= _LIGHT)] = COLOURS.index("white")
-    out[value < _DARK] = COLOURS.index("black")
+    spread = saturation.astype(np.int32) * value // 255
+    paint = (saturation >= _SHADED) & (spread >= _SHADED_SPREAD)
+    out[(value < _DARK) & ~paint] = COLOURS.index("black")
     return out
 
 
@@ -71,6 +80,10 @@ def colour_of(rgb: np.ndarray, box: np.ndarray, mask: np.ndarray | None = None) 
         named = named[mask[np.ix_(v.clip(0, rows - 1), u.clip(0, columns - 1))]]
     counts = np.bincount(named.ravel(), minlength=len(COLOURS))
     best = int(np.argmax(counts))
+    if COLOURS[best] == "black":
+        paint = len(_GREYS) + int(np.argmax(counts[len(_GREYS) :]))
+        if counts[paint] > _PAINT_SHARE * counts.sum():
+            return COLOURS[paint]
     return COLOURS[best] if counts[best] > _LEAST_SHARE * max(counts.sum(), 1) else ""
 
 

@@ -31,7 +31,8 @@ BESIDE_M = 1.0
 """How far from a thing's outline one passes it, where nothing is said."""
 SIDES_RAD = {"behind": 0.0, "left": math.pi / 2, "right": -math.pi / 2, "in front of": math.pi}
 """Where the sides of a thing are, seen from its middle, against the direction that one looks."""
-_TURNS = {"left": -1.0, "right": 1.0}
+TURNS = {"left": -1.0, "right": 1.0}
+"""Which way round a thing leads past a side of it: 1.0 counter-clockwise, seen from above."""
 _ARC_STEP_RAD, _ARC_OFF_M = math.radians(3), 0.1
 _NEAR_STEP_M = 0.5
 _FARTHEST_BESIDE_M = 50.0
@@ -158,13 +159,13 @@ class Functions:
         """Round a thing from near one point to near another, past the side that is seen from the
         first; all round where they are in the same direction."""
         thing = self._object(id)
-        if not isinstance(side, str) or side not in _TURNS:
-            raise CallError(f"arc: side: expected {_choices(_TURNS)}, got {shown(side)}")
+        if not isinstance(side, str) or side not in TURNS:
+            raise CallError(f"arc: side: expected {_choices(TURNS)}, got {shown(side)}")
         begin_rad, end_rad = (
             wrap_angle(self._looking(thing, p) + math.pi)
             for p in (self._point(start, "start"), self._point(end, "end"))
         )
-        turn = _TURNS[side]
+        turn = TURNS[side]
         sweep_rad = (turn * (end_rad - begin_rad)) % (2.0 * math.pi) or 2.0 * math.pi
         steps = math.ceil(sweep_rad / _ARC_STEP_RAD)
         angles_rad = begin_rad + turn * np.linspace(0.0, sweep_rad, steps + 1)

@@ -55,6 +55,18 @@ class Ground:
         cell = self.scene.occupancy.cell_of(x_m, y_m)
         return cell is not None and bool(self.reachable[cell])
 
+    def is_occupied(self, x_m: float, y_m: float) -> bool:
+        """Whether something stands at a point of the map."""
+        cell = self.scene.occupancy.cell_of(x_m, y_m)
+        return cell is not None and bool(self.scene.occupancy.cells[cell] > 0)
+
+    def is_unseen(self, x_m: float, y_m: float) -> bool:
+        """Whether nobody has seen what is at a point; true outside the map."""
+        cell = self.scene.occupancy.cell_of(x_m, y_m)
+        if cell is None:
+            return True
+        return bool(self.scene.occupancy.cells[cell] < 0) and not self.region_at(x_m, y_m)
+
     def sees(self, a_m: tuple[float, float], b_m: tuple[float, float]) -> bool:
         """Whether a straight line between two points meets nothing that is occupied."""
         return line_is_free(self.unoccupied, a_m, b_m)

@@ -10,23 +10,42 @@ _SIDES = ("left", "right")
 
 PHRASES: dict[str, str] = {
     # Who is spoken to, and words that carry nothing.
-    "filler": "please|you|robot|the robot|can you|could you|now",
+    "filler": "please|you|robot|the robot|can you|could you|would you|will you|now|just|kindly|"
+    "i want you to|i need you to|i would like you to|i'd like you to|you should|you must|"
+    "you have to|you need to|your task is to|let's|ok|okay",
     "first": "first|first of all",
     # How steps hang together.
     "then": "then|and then|after that|and after that|afterwards|and afterwards|finally|and finally|"
     "next|and next",
     "and": "and",
     # What is done.
-    "go": "go|drive|move|head|navigate|walk|travel|proceed|continue|come|roll|return|"
-    "make your way|go on|drive on",
-    "pass": "pass|pass by",
+    "go": "go|drive|move|head|navigate|walk|travel|proceed|continue|come|roll|return|steer|get|"
+    "make your way|go on|drive on|keep going|keep driving",
+    "pass": "pass|pass by|overtake|bypass",
     "stop": "stop|halt|park|wait|end|come to a stop|come to a halt",
+    "reach": "approach|reach|visit",
+    "leave": "leave|keep",
+    # The same in a clause that hangs on another: "after passing the van".
+    "going": "going|driving|moving|heading|steering|gone|driven",
+    "passing": "passing|passing by|passed|passed by|overtaking|bypassing",
+    "stopping": "stopping|halting|stopped|halted",
+    "reaching": "approaching|reaching|visiting|reached|visited",
+    "leaving": "leaving|keeping|with",
+    "after": "after|once|as soon as|when",
+    "before": "before",
+    "while": "while|whilst",
+    "having": "having|you have|you've|you are|you're",
     # Where a thing is to the way.
     "to": "to|towards|toward|up to|over to|back to",
     "at": "at|near|next to|beside|close to|by",
     "past": "past",
     "around": "around|round",
-    "between": "between|in between",
+    "between": "between|in between|through between|halfway between|midway between|"
+    + "|".join(
+        f"{before} the {gap} between"
+        for before in ("through", "in", "into")
+        for gap in ("gap", "space", "middle")
+    ),
     "in front of": "in front of|to the front of",
     "behind": "behind",
     "straight": "straight|straight on|straight ahead|forward|forwards|ahead",
@@ -35,6 +54,8 @@ PHRASES: dict[str, str] = {
     # Which thing is meant.
     "article": "the|a|an|this|that|your|my",
     "pronoun": "it",
+    "there": "there",
+    "which is": "that is|which is|that's|that are|which are|that stands|which stands",
     "id": "object|number|object number|thing number",
     "nearest": "|".join(
         f"{word}{to}"
@@ -48,6 +69,13 @@ PHRASES: dict[str, str] = {
     "here behind": "behind you|behind the robot",
 }
 """Kind → its phrases, separated by `|`."""
+
+for _kind in ("at", "in front of", "behind", "here ahead", "here behind", "there"):
+    PHRASES[_kind] += "".join(
+        f"|{how} {phrase}"
+        for how in ("right", "directly", "just", "immediately")
+        for phrase in PHRASES[_kind].split("|")
+    )
 
 for _side in _SIDES:
     PHRASES[_side] = _side
@@ -66,7 +94,9 @@ for _side in _SIDES:
         for after in ("", " side", " hand side")
     )
     PHRASES[f"its {_side}"] = "|".join(
-        f"{before} its {_side}{after}" for before in ("on", "to", "by") for after in ("", " side")
+        f"{before}its {_side}{after}"
+        for before in ("", "on ", "to ", "by ", "at ")
+        for after in ("", " side", " hand side")
     )
     PHRASES[f"on the {_side}"] = "|".join(
         f"{before} {_side}{after}"
@@ -87,28 +117,38 @@ LONGEST = max(map(len, TABLE))
 MOST_DIGITS = 9
 
 _TOKEN = re.compile(
-    r"""(?P<ordinal>\d+(?:st|nd|rd|th)\b)|(?P<number>\d+(?:\.\d+)?)"""
-    r"""|(?P<word>[^\W\d_]+(?:['’][^\W\d_]+)*)|(?P<mark>\S)"""
+    r"""["“](?P<quoted>[^"“”]*\w[^"“”]*)["”]|(?<!\w)['‘](?P<quote>[^'‘’]*\w[^'‘’]*)['’](?!\w)"""
+    r"""|(?P<ordinal>\d+(?:st|nd|rd|th)\b)|(?P<number>\d+(?:\.\d+)?)"""
+    r"""|(?P<word>[^\W\d_]+(?:['’][^\W\d_]+)*|&)"""
+    r"""|(?P<dash>(?<=\s)[-–—](?=\s+[^\W\d_]))|(?P<mark>\S)"""
 )
+_HYPHEN = re.compile(r"(?<=[^\W_])-(?=[^\W\d_])")
+"""Between the parts of a word, as in "left-hand"; any other may be a minus, and is none."""
 _PUNCTUATION = {",": "comma", ";": "stop mark", ".": "stop mark", "!": "stop mark"}
 
 
 def tokenise(text: str) -> list[Token]:
     """An instruction's tokens, longest phrases first, with an "end" at the end.
 
-    Kinds are those of `PHRASES`; "word" (of a name or a description), "number", "ordinal" (its text
-    is the number), "comma", "stop mark" (a sentence's end), "mark" (nothing that is known), "end".
+    Kinds are those of `PHRASES`; "word" (of a name or a description; each word in quotes is one),
+    "number", "ordinal" (its text is the number), "comma", "stop mark" (a sentence's end), "mark"
+    (nothing that is known), "end".
     """
-    found = [
-        (match.lastgroup or "mark", match[0].lower().replace("’", "'"), *match.span())
-        for match in _TOKEN.finditer(text.replace("-", " "))
-    ]
+    found: list[tuple[str, str, int, int]] = []
+    for match in _TOKEN.finditer(_HYPHEN.sub(" ", text)):
+        kind = match.lastgroup or "mark"
+        if kind in ("quoted", "quote"):
+            found += [("quoted", word.lower(), *match.span()) for word in match[kind].split()]
+        else:
+            found.append((kind, match[0].lower().replace("’", "'"), *match.span()))
     tokens: list[Token] = []
     at = 0
     while at < len(found):
         length = _phrase_at(found, at)
         kind, word, start, end = found[at]
-        if length:
+        if kind == "quoted":
+            tokens.append(Token("word", word, start, end))
+        elif length:
             words, end = (
                 tuple(item[1] for item in found[at : at + length]),
                 found[at + length - 1][3],
@@ -123,12 +163,13 @@ def tokenise(text: str) -> list[Token]:
         elif kind == "ordinal":
             tokens.append(Token("ordinal", word[:-2], start, end))
         else:
-            tokens.append(Token(_PUNCTUATION.get(word, kind), word, start, end))
+            kind = "comma" if kind == "dash" else _PUNCTUATION.get(word, kind)
+            tokens.append(Token(kind, word, start, end))
         at += max(length, 1)
     return [*tokens, Token("end", "", len(text), len(text))]
 
 
 def _phrase_at(found: list[tuple[str, str, int, int]], at: int) -> int:
     """How many words from there make the longest phrase; 0 when none does."""
-    words = tuple(item[1] for item in found[at : at + LONGEST])
+    words = tuple("" if kind == "quoted" else word for kind, word, *_ in found[at : at + LONGEST])
     return next((n for n in range(len(words), 0, -1) if words[:n] in TABLE), 0)

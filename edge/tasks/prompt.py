@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 
 from edge.config import TrajectoryLimits
+from edge.motion.pursuit import CREEP_MPS
 from edge.tasks.functions import described
 from edge.tasks.picture import annotated
 from edge.tasks.scene import Scene
@@ -89,8 +90,8 @@ def describe(scene: Scene, limits: TrajectoryLimits) -> str:
         f"Robot: position ({pose.x_m:.2f}, {pose.y_m:.2f}), heading_rad {pose.yaw_rad:.3f}.",
         f"Map: x {x0:.1f} to {x1:.1f}, y {y0:.1f} to {y1:.1f}.",
         f"Limits: points at most {limits.max_jump_m:g} m apart, {limits.clearance_m:g} m clear of "
-        f"obstacles, in all {limits.max_length_m:g} m and {limits.max_points} points; speed_mps at "
-        f"most {limits.max_speed_mps:g}.",
+        f"obstacles, in all {limits.max_length_m:g} m and {limits.max_points} points; speed_mps "
+        f"from {CREEP_MPS:g} to {limits.max_speed_mps:g}.",
         "Camera: " + ("none." if scene.rgb is None else "the picture is what it sees."),
         "Drivable regions:",
         *(map(json.dumps, regions) if regions else ["none told apart"]),

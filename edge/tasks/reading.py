@@ -1,22 +1,30 @@
 """Instructions that a small grammar knows, read as steps.
 
-    task   = step { ("then" | "and" | "," | ".") step } ["stop"]
-    step   = go ("to" | "near" | …) thing
-           | (go "past" | "pass" | go "around") [side "of"] thing [on its side]
-           | go (side "of" | "in front of" | "behind") thing
+    task   = step { ("then" | "and" | "," | ".") step } ["stop" ["there"]]
+    step   = go ("to" | "near" | …) thing ["'s" side] | "approach" thing
+           | (go "past" | "pass" | go "around") [side "of"] thing [on its side | "'s" side | aside]
+           | ("leave" | "keep" | "with") thing aside
+           | go (side "of" | "in front of" | "behind") thing | go "to its" side
            | go "between" (thing "and" thing | "the two" things)
-           | go "straight" number "metres"
+           | go "straight" number "metres" | go number "metres straight"
            | "stop" ("at" | side "of" | "in front of" | "behind" | "between" …) thing
     thing  = [article] { description } name { place } | "it"
            | "object" number | [article] { description } name ["number"] number
              with `which` anywhere before the places
     which  = order | "second" | "left" | "right"
-    order  = ("nearest" | "farthest") ["to" thing] | "leftmost" | "rightmost" | "from the left"
+    order  = ("nearest" | "farthest") ["to" thing] | "leftmost" | "rightmost"
+           | "second from the left"
     place  = "on the left" | "on the right" | "ahead" | "behind you" | "near" thing
-           | order
+           | order | "that is" (description | place)
+    aside  = "on the left" | "on your left" | …
+
+Clauses may hang on one another ("after passing …", "before you …", see `edge.tasks.clauses`).
+Words in double quotes only name or describe.
 
 Which thing is meant is told from where the robot stands when it is asked, as its user sees it: a
-number counts from the nearest, from the left what is ahead is counted.
+number counts from the nearest, from the left what is ahead is counted. A thing that is passed "on
+your left" is on the robot's left then; passed "on the left", the robot is on the thing's left.
+Where "on the left" may as well say which thing is meant, it is refused.
 """
 
 from __future__ import annotations
@@ -32,6 +40,7 @@ import numpy as np
 from edge import names
 from edge.mission.brief import TaskStep
 from edge.mission.language.words import Reader, Token, TranslationError
+from edge.tasks.clauses import in_order
 from edge.tasks.outline import outline_of
 from edge.tasks.phrases import tokenise
 from edge.tasks.scene import Scene, SceneObject
@@ -90,7 +99,7 @@ def read(instruction: str, scene: Scene, which: slice = slice(None)) -> list[Ste
 
 def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list[Step]:
     """All of them; `scene_of` gives the scene that the step of a number is read in."""
-    reader = Reader(instruction, tokenise(instruction))
+    reader = Reader(instruction, in_order(instruction, tokenise(instruction)))
     steps: list[Step] = []
     reader.skip("filler", "first")
     while not reader.sees("end"):
@@ -98,7 +107,8 @@ def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list
         step = _step(reader, scene_of(len(steps)), steps)
         end = reader.peek(-1).end
         steps.append(replace(step, said=instruction[start.start : end]))
-        if not reader.sees("end", "then", "and", "comma", "stop mark"):
+        on_to = step.kind in ("past", "around") and reader.sees("to")  # "past the van to the gate"
+        if not (on_to or reader.sees("end", "then", "and", "comma", "stop mark")):
             reader.refuse("not known here; a step ends with 'then', 'and' or a comma")
         joint = reader.peek()
         reader.skip("then", "and", "comma", "stop mark", "filler", "first")
@@ -140,7 +150,7 @@ def task_steps(instruction: str) -> tuple[TaskStep, ...]:
             step.said,
             # The way around a thing ends towards what comes next.
             tuple(dict.fromkeys(sum(named[n : n + 2], ()) if step.kind == "around" else named[n])),
-            any(token.kind == "pronoun" for token in tokenise(step.said)),
+            unseen[n].refers,
         )
         for n, step in enumerate(steps)
     )
@@ -151,15 +161,17 @@ def named(instruction: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for step in task_steps(instruction) for name in step.names))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Unseen:
     """In the place of a scene: each name that is read stands for one thing.
 
     Attributes:
         names: those that were read, by the one name of what they stand for.
+        refers: the step speaks of the thing of the step before it.
     """
 
     names: dict[str, str] = field(default_factory=dict)
+    refers: bool = False
 
     def thing(self, words: Sequence[Token] = ()) -> SceneObject:
         """What words stand for; without any, whatever has some number."""
@@ -173,20 +185,35 @@ class _Unseen:
 
 
 def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Step:
-    verb = reader.take("go", "pass", "stop")
+    verb = reader.take("go", "pass", "stop", "reach", "leave")
     reader.skip("first", "filler")
     if verb is None and not (before and reader.sees(*_RELATIONS)):
+        if reader.peek().text == "back":
+            reader.refuse(_RETURN)
         reader.refuse("expected what to do: go to, drive past, around, between, stop at, …")
-    if verb and verb.kind == "pass":
+    doing = verb.kind if verb else "go"
+    if doing == "pass" and not reader.sees("between"):
         return _passing(reader, scene, before, "past")
+    if doing == "leave":
+        return _leaving(reader, scene, before)
+    if doing == "reach":
+        return _at(reader, scene, before)
+    if doing == "go" and reader.sees("number") and reader.sees("metres", ahead=1):
+        return _straight(reader)
+    if doing == "stop" and (there := reader.take("there")):
+        if not before or before[-1].kind not in ("to", "beside", "between", "straight"):
+            reader.refuse("it is not clear where; name a thing", there)
+        return Step("stop")
     relation = reader.take(*_RELATIONS)
     if relation is None:
-        if verb and verb.kind == "stop":
+        if doing == "stop":
             return Step("stop")
+        if verb and (verb.text == "return" or reader.peek().text == "back"):
+            reader.refuse(_RETURN, verb)
         reader.refuse("expected where: to, past, around, between, left of, straight, …")
-    if verb and verb.kind == "go" and relation.text == "by":
+    if doing == "go" and relation.text == "by":
         reader.refuse("it can be read in two ways; say 'past' or 'to'", relation)
-    if verb and verb.kind == "stop" and relation.kind in ("past", "around", "straight"):
+    if doing == "stop" and relation.kind in ("past", "around", "straight"):
         reader.refuse("a robot cannot stop there; say 'at', 'left of', 'behind', …", relation)
     match relation.kind:
         case "past" | "around":
@@ -196,12 +223,39 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
         case "straight" if reader.sees("to"):
             reader.refuse("a way that is straight to a thing is not known; say 'to'", relation)
         case "straight":
+            reader.take("for") or (reader.peek().text == "by" and reader.take("at"))
             return Step("straight", distance_m=_metres(reader))
         case "to" | "at":
-            return Step("to", (_thing(reader, scene, before),))
-    return Step(
-        "beside", (_thing(reader, scene, before),), _SIDE_OF.get(relation.kind, relation.kind)
-    )
+            return _at(reader, scene, before)
+        case "its left" | "its right":
+            return Step("beside", (_it(scene, before, reader, relation),), _SIDE_OF[relation.kind])
+    thing = _thing(reader, scene, before)
+    return Step("beside", (thing,), _SIDE_OF.get(relation.kind, relation.kind))
+
+
+def _at(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Step:
+    """Read `the van`, `the van's left side`."""
+    thing = _thing(reader, scene, before)
+    side = _own_side(reader)
+    return Step("beside", (thing,), side) if side else Step("to", (thing,))
+
+
+def _straight(reader: Reader) -> Step:
+    """Read `3 metres forward`."""
+    distance_m = _metres(reader)
+    if not reader.take("straight"):
+        reader.refuse("say in which direction, as '3 metres straight on'")
+    return Step("straight", distance_m=distance_m)
+
+
+def _own_side(reader: Reader) -> str:
+    """Read the side that follows `the van's`; "" where none does."""
+    token = reader.take("left", "right")
+    if token is None:
+        return ""
+    while reader.peek().text in ("hand", "side"):
+        reader.at += 1
+    return token.kind
 
 
 OF = {"left": " of", "right": " of"}
@@ -210,16 +264,91 @@ _SIDE_OF = {
 }  # fmt: skip
 _RELATIONS = (
     "to", "at", "past", "around", "between", "left of", "right of", "in front of", "behind",
-    "straight",
+    "straight", "its left", "its right",
 )  # fmt: skip
+_RETURN = "say where to return to, as 'back to the gate'"
+OTHER = {"left": "right", "right": "left"}
 
 
 def _passing(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], kind: Kind) -> Step:
-    """`past the left of the van`, `around the van on its left`, `past the van`."""
-    side = reader.take("left of", "right of")
-    thing = _thing(reader, scene, before)
-    side = side or reader.take("its left", "its right")
-    return Step(kind, (thing,), _SIDE_OF[side.kind] if side else "")
+    """Read `past the left of the van`, `around the van on its left`, `past the van`."""
+    if side := reader.take("left of", "right of"):
+        return Step(kind, (_thing(reader, scene, before),), _SIDE_OF[side.kind])
+    if side := reader.take("its left", "its right"):
+        return Step(kind, (_it(scene, before, reader, side),), _SIDE_OF[side.kind])
+    begin, start = reader.at, reader.peek()
+    found = _things(reader, scene, before, parting=True)
+    said, aside = reader.peek(), _aside(reader)
+    if aside is None or reader.sees("its left", "its right"):
+        if aside is not None:  # "the car on the left on its right": the first says which
+            reader.at = begin
+            found = _things(reader, scene, before)
+        side = reader.take("its left", "its right")
+        whose = _SIDE_OF[side.kind] if side else _own_side(reader)
+        return Step(kind, (_only(found, reader, start),), whose)
+    end, reader.at = reader.at, begin
+    try:
+        named = _things(reader, scene, before)
+    except TranslationError:
+        named = []  # none stands there: it can only say on which side to pass
+    reader.at = end
+    side = OTHER[aside.side] if aside.of_robot else aside.side
+    differs = isinstance(scene, Scene) and bool(named) and named[0] is not found[0]
+    if len(found) > 1 or differs:
+        reader.refuse(
+            f"it may say which one is meant, or on which side to pass it; say '{kind} the {side} "
+            f"of …', or '… that is on the {aside.side}'", said,
+        )  # fmt: skip
+    return Step(kind, (found[0],), side)
+
+
+def _leaving(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Step:
+    """Read `leave the van on your left`: the robot passes its right."""
+    start = reader.peek()
+    thing = _only(_things(reader, scene, before, parting=True), reader, start)
+    aside = _aside(reader)
+    if aside is None:
+        reader.refuse("say on which side, as 'on your left'", start)
+    return Step("past", (thing,), OTHER[aside.side])
+
+
+@dataclass(frozen=True, slots=True)
+class _Aside:
+    """`on the left`, or, `of_robot`, `on your left`."""
+
+    side: str
+    of_robot: bool
+
+
+def _aside(reader: Reader) -> _Aside | None:
+    """Read the side behind a thing that is passed; None: there is no such phrase."""
+    token, at = reader.peek(), reader.at
+    if _parts(reader):
+        reader.at += 1
+        return _Aside(token.kind.removeprefix("on the "), token.text.split()[1] != "the")
+    if reader.take("to") and reader.take("article"):
+        side = _own_side(reader)
+        if side and not reader.sees("word"):
+            return _Aside(side, reader.tokens[at + 1].text in ("your", "my"))
+    reader.at = at
+    return None
+
+
+def _parts(reader: Reader) -> bool:
+    """Whether a side comes here that ends a phrase, and is not one of the road."""
+    ends = not reader.sees(*_PLACES, *_ORDER, "at", "which is", ahead=1)
+    return ends and reader.sees("on the left", "on the right") and " of " not in reader.peek().text
+
+
+def _it(
+    scene: Scene | _Unseen, before: Sequence[Step], reader: Reader, token: Token
+) -> SceneObject:
+    """The one thing of the step before, which `it` or `its` stands for."""
+    if not before or len(before[-1].things) != 1:
+        reader.refuse("it is not clear what this stands for; name it", token)
+    if isinstance(scene, _Unseen):
+        scene.refers = True
+    return before[-1].things[0]
 
 
 def _two(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> tuple[SceneObject, ...]:
@@ -238,10 +367,9 @@ def _two(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> tupl
 
 
 def _metres(reader: Reader) -> float:
-    reader.skip("for")
     start = reader.peek()
     token = reader.take("number")
-    if token is None or not reader.take("metres"):
+    if token is None or not reader.take("metres") or not float(token.text):
         reader.refuse("say how far, as 'straight for 5 metres'", start)
     return float(token.text)
 
@@ -276,19 +404,29 @@ def _only(found: list[SceneObject], reader: Reader, start: Token) -> SceneObject
     return found[0]
 
 
-def _things(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> list[SceneObject]:
-    """What the noun phrase here may mean, at least one thing."""
+def _things(
+    reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], parting: bool = False
+) -> list[SceneObject]:
+    """What the noun phrase here may mean, at least one thing.
+
+    Args:
+        parting: leave a side at its end to the caller: the thing is passed.
+    """
     start = reader.peek()
     if token := reader.take("pronoun"):
-        if not before or len(before[-1].things) != 1:
-            reader.refuse("it is not clear what this stands for; name it", token)
-        return list(before[-1].things)
+        return [_it(scene, before, reader, token)]
     reader.skip("article")
     which, words = [], []
-    while token := reader.take("word", "ordinal", "first", "left", "right", *_ORDER, "id"):
+    while token := _describing(reader, bool(words)):
         if token.kind == "id":
             return [_by_id(reader, scene, words, which)]
-        (words if token.kind == "word" else which).append(token)
+        if token.kind != "word":
+            which.append(token)
+            continue
+        if token.text.endswith("'s") and _is_own_side(reader):
+            words.append(replace(token, text=token.text.removesuffix("'s")))
+            break
+        words.append(token)
     if words and reader.sees("number"):
         return [_by_id(reader, scene, words, which)]
     if not words:
@@ -298,7 +436,13 @@ def _things(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> l
         [scene.thing(words)] if unseen else _described(_named(reader, scene, words), reader, words)
     )
     origin = _measured_from(reader, scene, before, which)
-    while token := reader.take(*_PLACES, "at", *_ORDER):
+    while not (parting and _parts(reader)) and (
+        token := reader.take(*_PLACES, "at", *_ORDER, "which is")
+    ):
+        if token.kind == "which is":
+            found = _such(found, reader, scene)
+            parting = parting and not reader.sees("on the left", "on the right")
+            continue
         if token.kind in _ORDER:
             which.append(token)
             origin = origin or _measured_from(reader, scene, before, [token])
@@ -312,18 +456,65 @@ def _things(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> l
             found = _kept(found, lambda t, k=token.kind: _PLACES[k](_bearing_rad(scene, t)))
         if not found:
             reader.refuse("no such thing is there", token)
+    for token in which:
+        if token.kind.startswith("from the") and not any(t.kind in _COUNTS for t in which):
+            reader.refuse(f"say which, as 'second {token.text}'", token)
     return found if unseen else _chosen(found, reader, scene, which, origin)
+
+
+_COUNTS = ("ordinal", "first")
+
+
+def _describing(reader: Reader, named: bool) -> Token | None:
+    """Read the next word of a noun phrase: one of a name, or one that says which.
+
+    Args:
+        named: a word of the name came before. A word that is also a verb or a unit is one of a
+            name before another word ("the stop sign"), or where nothing else can be meant
+            ("the shower head", "the parking meter").
+    """
+    token = reader.peek()
+    begins = reader.sees("word", ahead=1)
+    if (begins and token.kind in ("go", "stop", "pass", "metres")) or (
+        named and token.kind in ("go", "metres")
+    ):
+        reader.at += 1
+        return replace(token, kind="word")
+    if token.text in _NO_NAMES:
+        return None
+    return reader.take("word", "ordinal", "first", "left", "right", *_ORDER, "id")
+
+
+_NO_NAMES = ("not", "or", "nor", "but", "no", "except", "unless", "until", "instead", "never")
+"""They change what is asked for, and describe nothing."""
+
+
+def _is_own_side(reader: Reader) -> bool:
+    """Whether a side comes here that is no word of a name: `the van's left`, and no `left door`."""
+    beyond = reader.peek(1)
+    own = beyond.kind != "word" or beyond.text in ("hand", "side")
+    return reader.sees("left", "right") and own
+
+
+def _such(found: list[SceneObject], reader: Reader, scene: Scene | _Unseen) -> list[SceneObject]:
+    """Read what comes after `that is`: words that describe, or else a place follows."""
+    words = []
+    while reader.sees("word") and reader.peek().text not in _NO_NAMES:
+        words.append(reader.take("word"))
+    if not words and not reader.sees(*_PLACES, "at", *_ORDER):
+        reader.refuse("expected what it is like, or where it is")
+    return found if isinstance(scene, _Unseen) else _described(found, reader, words)
 
 
 def _measured_from(
     reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], which: Sequence[Token]
 ) -> SceneObject | None:
     """The thing of `nearest to the sign`; None: the robot is meant."""
-    if any(token.kind in ("nearest", "farthest") for token in which) and (
-        reader.take("to") or reader.take("from")
-    ):
-        return _thing(reader, scene, before)
-    return None
+    at = reader.at
+    if not any(token.kind in ("nearest", "farthest") for token in which) or _aside(reader):
+        reader.at = at  # "the nearest tree to the left"
+        return None
+    return _thing(reader, scene, before) if reader.take("to", "from") else None
 
 
 def _by_id(

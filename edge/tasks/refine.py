@@ -132,7 +132,7 @@ def refine_legs(
         notes.append(f"the robot stands too near to something: led {gone:.1f} m away from it first")
     kept, ends = _ends(costmap, legs, body.tube_m, notes)
     paths = _search(costmap, begin, ends)
-    points, leg, control_m = _smooth(costmap, paths)
+    points, leg, control_m = _smooth(costmap, paths, kept)
     if not control_m:
         notes.append(
             "not smoothed: every spline came too near to something, or left the ground chosen"
@@ -250,14 +250,16 @@ def _search(
     return paths
 
 
-def _smooth(costmap: CostMap, paths: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, float]:
+def _smooth(
+    costmap: CostMap, paths: Sequence[np.ndarray], legs: Sequence[Leg]
+) -> tuple[np.ndarray, np.ndarray, float]:
     """(points (n, 2), the leg of each, distance of the control points or 0)."""
     plain, leg = _joined([smoothing.smooth(costmap, path, SPACING_M) for path in paths])
     most_m = DEARER * smoothing.polyline_cost_m(costmap, plain)
     most_off_m = _length_at_m(costmap, plain, HIGH)
     for control_m in CONTROL_M:
-        control, of_control = _joined(
-            [smoothing.smooth(costmap, path, control_m) for path in paths]
+        control, of_control = _through_ends(
+            *_joined([smoothing.smooth(costmap, path, control_m) for path in paths]), legs
         )
         curve, at = b_spline(control, SPACING_M)
         if len(curve) < 2 or (
@@ -275,6 +277,28 @@ def _joined(paths: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     leg = np.repeat(np.arange(len(paths)), [len(path) for path in paths])
     moved = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-9)
     return points[moved], leg[moved]
+
+
+def _through_ends(
+    control_m: np.ndarray, leg: np.ndarray, legs: Sequence[Leg]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Repeat the control points at the ends of segments, and of legs that double back there: a
+    spline leads through a point that counts three times, and would else cut the tip of a hairpin.
+
+    Args:
+        leg: (n,) of each control point.
+
+    Returns:
+        The same with those points; the last of three counts to the leg that comes next.
+    """
+    segment = np.cumsum([0, *(leg.ends_segment for leg in legs)])[leg]
+    ends = np.append(np.diff(segment) > 0, False)
+    way_m = np.diff(control_m, axis=0)
+    ends[1:-1] |= (np.diff(leg)[1:] > 0) & ((way_m[:-1] * way_m[1:]).sum(axis=1) < 0.0)
+    times = np.where(ends, 3, 1)
+    of_control, last = np.repeat(leg, times), np.cumsum(times)[ends] - 1
+    of_control[last] = of_control[last + 1]
+    return np.repeat(control_m, times, axis=0), of_control
 
 
 def _length_at_m(costmap: CostMap, points_m: np.ndarray, weight: int) -> float:

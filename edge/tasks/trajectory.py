@@ -16,6 +16,7 @@ import numpy as np
 from edge.config import TrajectoryLimits
 from edge.errors import UserError
 from edge.geometry import FARTHEST_M
+from edge.motion.pursuit import CREEP_MPS
 from edge.tasks.ground import ESCAPE_M, Ground
 from edge.text import one_line
 
@@ -105,9 +106,11 @@ def check(coarse: Coarse, ground: Ground, limits: TrajectoryLimits) -> None:
         there = ", ".join(map(str, scene.regions)) or "none"
         raise TrajectoryError(f"there is no region {unknown[0]} (there: {there})")
     speed_mps = coarse.speed_mps
-    if speed_mps is not None and not 0 < speed_mps <= limits.max_speed_mps:  # NaN as well
+    # NaN is not within, either.
+    if speed_mps is not None and not CREEP_MPS <= speed_mps <= limits.max_speed_mps:
         raise TrajectoryError(
-            f"a speed of {speed_mps:g} m/s is not above 0 and at most {limits.max_speed_mps:g} m/s"
+            f"a speed of {speed_mps:g} m/s is not within {CREEP_MPS:g} to "
+            f"{limits.max_speed_mps:g} m/s"
         )
     way = np.vstack([(scene.pose.x_m, scene.pose.y_m), coarse.points_m])
     steps_m = np.hypot(*np.diff(way, axis=0).T)

@@ -15,6 +15,7 @@ from edge.tasks import rules
 from edge.tasks.functions import Functions
 from edge.tasks.ground import Ground, ground_of
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, messages, version
+from edge.tasks.reading import Step
 from edge.tasks.scene import Scene
 from edge.tasks.script import run
 from edge.tasks.trajectory import Coarse
@@ -55,6 +56,8 @@ class Written:
         ground: what the trajectory was checked on.
         stops_at: number of the thing that the rules read it to end at, wherever one gets nearest;
             None: it ends elsewhere, or a model wrote it.
+        stops: for each step of the rules the numbers of the things that the robot stops at;
+            empty of a model.
     """
 
     instruction: str
@@ -64,6 +67,7 @@ class Written:
     rounds: tuple[Round, ...] = ()
     prompt: str = ""
     stops_at: int | None = None
+    stops: tuple[tuple[int, ...], ...] = ()
 
 
 class WriteError(UserError):
@@ -112,7 +116,18 @@ def write(
     assert functions.given is not None
     understood = "; ".join(map(str, steps))
     stops_at = steps[-1].things[0].id if steps[-1].kind == "to" else None
-    return Written(instruction, functions.given, ground, understood, stops_at=stops_at)
+    stops = [_stops(step) for step in steps]
+    if which.stop is None:  # at the end of all steps the robot stops
+        stops[-1] = tuple(thing.id for thing in steps[-1].things)
+    return Written(
+        instruction, functions.given, ground, understood, stops_at=stops_at, stops=tuple(stops)
+    )
+
+
+def _stops(step: Step) -> tuple[int, ...]:
+    """The numbers of the things that the robot stops at with a step."""
+    stops = step.kind in ("to", "beside", "between")
+    return tuple(thing.id for thing in step.things) if stops else ()
 
 
 def check_instruction(instruction: str) -> None:

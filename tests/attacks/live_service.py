@@ -14,7 +14,7 @@ from pathlib import Path
 
 import zenoh
 from absurd_sensors import HEIGHT, WIDTH, Batch, batch
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 from simulated import simulated
 
 from edge.bus import topics

@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 from fresh_process import descriptors, resident_mb
-from patience import eventually
+from live_patience import eventually
 
 from edge.config import parse
 from edge.geometry import CameraModel
@@ -29,7 +29,7 @@ def swap(isolation: str, swaps: int, names: tuple[str, str]) -> dict:
         },
     }).perception  # fmt: skip
     worker, told = DetectorWorker(make_detector(perception, ["chair"])), []
-    swapper = Swapper(perception, worker, lambda text, now_ns: told.append(text))
+    swapper = Swapper(perception, worker, lambda text, *_: told.append(text))
     rgb = np.random.default_rng(0).integers(0, 255, (256, 320, 3), np.uint8)
     camera, seq = CameraModel.from_hfov(320, 256, 1.3), 0
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 from absurd_sensors import ABSURD, NUMBERS, STAMPS_NS, batch, changed, scan
+from live_patience import eventually
 from live_service import Live, live
-from patience import eventually
 
 from edge.bus import topics
 from edge.bus.topics import Topic

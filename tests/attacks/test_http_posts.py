@@ -13,7 +13,7 @@ import pytest
 from decoders import mutate
 from hypothesis import given
 from hypothesis import strategies as st
-from patience import PATIENCE_S
+from live_patience import PATIENCE_S
 from simulated import simulated
 
 from edge.bus.request_queue import RequestQueue

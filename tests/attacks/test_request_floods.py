@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from edge_processes import write_config
-from patience import PATIENCE_S
+from live_patience import PATIENCE_S
 
 from edge.bus.client import ask
 from edge.bus.session import open_session

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from edge_processes import write_config
-from patience import PATIENCE_S
+from live_patience import PATIENCE_S
 
 from edge.host.ports import free_port
 from edge.host.resources import data_dir

@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from live_patience import eventually
 from live_service import flood, live
-from patience import eventually
 
 pytestmark = pytest.mark.slow
 

@@ -15,7 +15,7 @@ import psutil
 import pytest
 import zenoh
 from edge_processes import write_config
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 from viewer_peer import ALIVE
 
 from edge.bus import topics

@@ -13,7 +13,7 @@ from typing import get_args
 import pytest
 import zenoh
 from fake_zenoh import Flooded
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 
 from edge.bus import session as bus
 from edge.bus import topics, zenoh_file
@@ -98,13 +98,47 @@ def test_waiting_can_be_stopped(free_endpoint):
     assert told == [f"waiting for somebody at {free_endpoint}"]
 
 
-@pytest.mark.parametrize("endpoint", ["nonsense", "tcp/127.0.0.1:port", "carrier-pigeon/home"])
-def test_an_endpoint_that_is_none_is_named_in_one_line(endpoint):
+@pytest.mark.parametrize("role", ["listen", "connect"])
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "nonsense", "", "tcp/", "/127.0.0.1:7447", "tcp/127.0.0.1:port", "tcp/127.0.0.1",
+        "tcp/127.0.0.1:70000", "tcp/robot:7447:1", "tcp/a b:7447", "tcp//robot:7447", "tcp/:7447",
+        "tcp/[::1:7447", "tcp:127.0.0.1:7447", "carrier-pigeon/home:1", "http://127.0.0.1:7447",
+    ],
+)  # fmt: skip
+def test_an_endpoint_that_is_none_is_named_in_one_line(endpoint, role):
+    """To who connects Zenoh would not say so: it would wait for ever."""
     with pytest.raises(bus.BusError) as caught:
-        bus.open_session(Zenoh(endpoint=endpoint), "listen")
-    assert str(caught.value).startswith("zenoh.endpoint: cannot listen")
+        bus.open_session(Zenoh(endpoint=endpoint, mode="client"), role)
+    assert str(caught.value).startswith(f"zenoh.endpoint: cannot {role}")
     assert endpoint in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    ["tcp/127.0.0.1:0", "udp/robot.local:7447", "tls/[fe80::1%eth0]:7447#so_rcvbuf=65535",
+     "tcp/0.0.0.0:7447?prio=1", "unixsock-stream//tmp/edge.sock", "serial//dev/ttyUSB0"],
+)  # fmt: skip
+def test_other_endpoints_are_left_to_zenoh(endpoint):
+    assert zenoh_file.fault_of(endpoint) is None
+
+
+def test_a_host_without_an_address_is_not_waited_for_without_end(monkeypatch):
+    settings, told = Zenoh(endpoint="tcp/no.such.host.invalid:7447", mode="client"), []
+    why = "zenoh.endpoint: tcp/no.such.host.invalid:7447: no address is known for "
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(bus.NotTakenIn) as stopped:
+        bus.open_session(settings, "connect", stop, tell=told.append)
+    assert "no address is known" in stopped.value.unknown
+    assert told[0].startswith(why)
+    assert told[0].endswith("; trying for 30 s")
+    monkeypatch.setattr(bus, "HOST_S", 0.0)
+    with pytest.raises(bus.BusError) as given_up:
+        bus.open_session(settings, "connect")
+    assert str(given_up.value).startswith(why)
 
 
 @pytest.mark.parametrize("topic", topics.ALL, ids=lambda t: t.key)

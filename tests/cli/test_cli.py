@@ -29,6 +29,7 @@ from edge.cli.main import main
 from edge.cli.parsers import make_parser
 from edge.config import ConfigError
 from edge.errors import EXIT_CODES, FAILED, Stopped, UserError
+from edge.host.ports import free_port
 from edge.mission.checkpoint import CheckpointError
 from edge.mission.language.words import TranslationError
 from edge.perception.model_file import ModelError
@@ -281,6 +282,41 @@ def test_the_service_is_told_the_mission_that_was_asked_for(
     path.write_text(json.dumps({"mission": mission, "perception": detector}))
     assert main([command, str(path), *words, "--report", str(tmp_path / "report")]) == 0
     assert opened == [expected]
+
+
+@pytest.mark.parametrize(
+    ("words", "configured", "is_taken", "served_at"),
+    [
+        ([], None, False, None),
+        (["--live"], None, False, "the usual port"),
+        (["--live"], None, True, "another port"),
+        (["--live"], 7999, True, 7999),
+        (["--live", "7998"], 7999, True, 7998),
+    ],
+)
+def test_the_demos_page_is_at_one_port_and_stays(
+    words, configured, is_taken, served_at, tmp_path, monkeypatch, capsys
+):
+    usual, served = free_port(), []
+
+    def serve(config, *_, stay):
+        served.append((config.http.port, stay))
+        raise Stopped
+
+    monkeypatch.setattr(run_commands, "LIVE_PORT", usual)
+    monkeypatch.setattr(run_commands, "_serve", serve)
+    monkeypatch.setattr(run_commands, "children", lambda *_: nullcontext())
+    if configured is not None:
+        monkeypatch.setenv("EDGE__HTTP__PORT", str(configured))
+    with socket.create_server(("127.0.0.1", usual)) if is_taken else nullcontext():
+        assert main(["demo", *words, "--report", str(tmp_path)]) == 0
+    ((port, stays),) = served
+    assert stays == bool(words)
+    if served_at == "another port":
+        assert port not in (None, usual)
+        assert f"port {usual} is taken, port {port} is used instead" in capsys.readouterr().err
+    else:
+        assert port == (usual if served_at == "the usual port" else served_at)
 
 
 def test_a_demo_whose_simulator_ends_before_the_service_is_ready_is_an_error(

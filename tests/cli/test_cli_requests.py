@@ -53,6 +53,8 @@ from edge.cli.requests import ANSWER_S, NEW_S, add_arguments, as_text
             ],
         ),
         ({"task": None}, ["done"]),
+        ({"phase": "searching", "robot": {"amiss": ["nothing to be seen: no odom", "b"]}},
+         ["phase:       searching", "not ready:   nothing to be seen: no odom; b"]),
         ({"task": {"phase": "looking", "missing": ["van", "gate"], "writer": "rules",
                    "steps": [{"said": "go there", "state": "driven"},
                              {"said": "stop at the gate", "state": "looked for"}]}},
@@ -93,8 +95,9 @@ def test_a_service_that_answers_anything_gets_a_line_a_row(value):
     of_task = ["phase", "writer", "understood", "missing", "answers", "rounds", "trajectory"]
     of_task += ["length_m", "driven_m", "refinements", "notes", "steps"]
     answer = {**dict.fromkeys(keys, value), "task": dict.fromkeys(of_task, value)}
+    answer["robot"] = {"amiss": value}
     lines = as_text(answer).split("\n")
-    assert len(lines) <= 21
+    assert len(lines) <= 22
     assert all(line.isprintable() and len(line) < 1100 for line in lines)
 
 

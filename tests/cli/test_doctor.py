@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import socket
 import sys
 from types import SimpleNamespace
@@ -312,13 +313,50 @@ def test_only_the_configured_model_must_be_there(monkeypatch, tmp_path):
     assert "made-up" in finding.what
 
 
-def test_model_files_that_are_not_there():
-    """Those that the package brings are; and a similarity card has no file of its own."""
-    findings = list(doctor.check_models(SIM))
-    missing = [f for f in findings if f.level != "ok"]
-    assert missing
-    assert all(f.level == "warn" and "edge models" in f.todo for f in missing)
-    assert not any("similarity" in f.what for f in findings)
+def test_models_that_are_neither_here_nor_named_are_only_counted(cache):
+    """Those that the package brings are here; and a similarity card has no file of its own."""
+    *here, others = doctor.check_models(SIM)
+    assert {f.level for f in (*here, others)} == {"ok"}
+    assert re.match(r"\d+ other models are not here", others.what)
+    assert not any("similarity" in f.what for f in here)
+    broken = cache / "models" / "yolo-world-s-256x320-fp32.onnx"
+    broken.parent.mkdir(parents=True)
+    broken.write_bytes(b"")
+    (finding,) = (f for f in doctor.check_models(SIM) if f.level != "ok")
+    assert (finding.level, str(broken) in finding.what) == ("warn", True)
+
+
+@pytest.mark.parametrize(
+    "named",
+    [
+        {"detector": {"kind": "onnx", "model": "yolo-world-s-256x320-fp32"}},
+        {
+            "detector": {"kind": "onnx", "model": "mini-house-256x320-int8-cpu"},
+            "governor": {"ladder": [{"model": "yolo-world-s-256x320-fp32"}]},
+        },
+        {"choice": {"kind": "onnx", "card": "smollm2-135m-q4"}},
+    ],
+)
+def test_a_model_that_the_configuration_names_must_be_here(named):
+    (finding,) = (
+        f for f in doctor.check_models(simulated({"perception": named})) if f.level != "ok"
+    )
+    assert finding.level == "fail"
+    assert "edge models" in finding.todo
+
+
+@pytest.mark.parametrize(
+    ("sections", "says"),
+    [
+        ({"sinks": ["zenoh"]}, None),
+        ({"sinks": ["zenho"]}, "sinks.0.kind: unknown 'zenho'"),
+        ({"policy": {"kind": "no.such:Policy"}}, "policy.kind: 'no.such:Policy'"),
+    ],
+)
+def test_classes_that_the_configuration_names(sections, says):
+    findings = list(doctor.check_classes(simulated(sections)))
+    assert [f.level for f in findings] == ([] if says is None else ["fail"])
+    assert all(says in f.what and f.todo for f in findings)
 
 
 def test_vocabulary(monkeypatch, tmp_path):

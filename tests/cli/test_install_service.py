@@ -146,6 +146,30 @@ def test_what_its_user_cannot_read_is_refused_with_what_to_do(private):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("what", "says"),
+    [
+        ("executable", "^the Python of this environment, {}: .* make the environment with one"),
+        ("base_prefix", "^the Python of this environment, {}: .* make the environment with one"),
+        ("PACKAGE", "^the package, {}: .* install it where all can read it"),
+    ],
+)
+def test_it_is_said_what_of_this_installation_cannot_be_read(private, monkeypatch, what, says):
+    """A pyenv's Python lies in a home, wherever the environment that is linked to it lies."""
+    file = private.parent / "python3"
+    file.touch()
+    link = private.parent.parent / "link"
+    link.symlink_to(file)
+    private.parent.parent.chmod(0o755)
+    owner = install_service.resources if what == "PACKAGE" else sys
+    monkeypatch.setattr(install_service, "_may_read", lambda path, *_: path != private.parent)
+    monkeypatch.setattr(owner, what, link if what == "PACKAGE" else str(link))
+    with pytest.raises(UserError, match=says.format(file)) as caught:
+        unit(settings("/etc/hostname"), "edge", None)
+    assert f", who may not go through {private.parent}, " in str(caught.value)
+    assert "--user" in str(caught.value)
+
+
 def test_what_lies_in_a_folder_that_is_another_to_the_service_is_refused(private, monkeypatch):
     me = pwd.getpwuid(os.getuid()).pw_name
     monkeypatch.setattr(install_service, "_TEMPORARY", (str(private.parent),))

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from edge.eval.kitti import (
     frames_in,
     kitti_scene,
     read_frame,
+    solid_m,
     things_in,
     true_boxes,
 )
@@ -215,3 +218,16 @@ def test_without_labels_flat_ground_is_one_region(sequence):
     scene = kitti_scene(sequence, [0], by_labels=False)
     assert scene.regions[1].label == "ground"
     assert scene.regions[1].area_m2 > 1000.0
+
+
+def test_what_a_robot_would_run_into_is_told_by_points(tmp_path):
+    """Of things that stand, and no higher than a robot is."""
+    frame = read_frame(write(tmp_path), 0)
+    solid = solid_m([frame])
+    assert 20 < len(solid) <= 30
+    assert ((solid[:, 0] > 9.9) & (solid[:, 0] < 10.3)).all()
+    high = frame.observation.cloud_m + np.where(frame.semantic == 10, 3.0, 0.0)[:, None] * (0, 0, 1)
+    tall = replace(frame.observation, cloud_m=high.astype(np.float32))
+    moved = np.where(frame.semantic == 10, 252, frame.semantic).astype(np.uint16)
+    for other in (replace(frame, observation=tall), replace(frame, semantic=moved)):
+        assert len(solid_m([other])) == 0

@@ -16,6 +16,7 @@ from edge.eval.trajectory_metrics import (
     likeness,
     navigation_error_m,
     ndtw,
+    point_contacts,
 )
 from edge.geometry import Grid
 from edge.trajectory.smoothing import resample
@@ -196,3 +197,13 @@ def test_ndtw_is_1_for_the_same_and_less_for_others(a, b):
     if ndtw(a, b) == 1.0:
         # Corners between two points are not looked at.
         assert frechet_m(a, b) <= 0.5
+
+
+@pytest.mark.parametrize(
+    ("solid", "expected"),
+    [([], 0), ([[5.0, 1.1]], 0), ([[5.0, 0.9]], 1), ([[5.0, 0.9], [5.5, -0.9]], 1),
+     ([[2.0, 0.9], [8.0, 0.0]], 2)],
+)  # fmt: skip
+def test_contacts_with_points_are_no_coarser_than_these(solid, expected):
+    solid_m = np.array(solid, np.float64).reshape(-1, 2)
+    assert point_contacts(path([[0, 0], [10, 0]]), solid_m, 1.0) == expected

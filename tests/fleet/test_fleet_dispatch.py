@@ -1,55 +1,189 @@
-"""The dispatcher's patience with robots that are gone, or give no account."""
+"""The dispatcher's patience with robots that are gone, silent, or forget what they took."""
 
 from __future__ import annotations
 
-import pytest
+import dataclasses
 
-from edge.fleet.dispatch import Dispatcher, Plan
-from edge.fleet.orders import Part
-from edge.fleet.roster import Account, Body, Robot
+import pytest
+from fake_robots import LIMITS
+
+from edge.fleet.dispatch import Dispatcher, Plan, plan
+from edge.fleet.orders import TRIES, Outcome, Part
+from edge.fleet.roster import Account, Body, Past, Robot
+from edge.mission.brief import prepare
 
 PATIENCE_S = 10.0
 BODY = Body((0.0, 0.0, 0.0), "answers", (), {})
-FREE = Robot("b", Account("", "words", "idle", "", "x", 0.0, (), BODY))
-AT_IT = Robot("a", Account("m.1", "words", "searching", "", "x", 0.0, (), BODY))
+BED = Part("m.1", "F bed", "Reach the bed.", ("bed",))
+SOFA = Part("m.2", "F sofa", "Reach the sofa.", ("sofa",))
+
+
+def robot(name: str, at: str = "", phase: str = "idle", reason: str = "", **known: float) -> Robot:
+    body = dataclasses.replace(BODY, known=known)
+    return Robot(name, Account(at, "words", phase, reason, "x", 0.0, (), body))
+
+
+FREE = robot("b")
+AT_IT = robot("a", "m.1", "searching")
 MUTE = Robot("a", problem="no answer within 2 s")
+FAILED = robot("a", "m.1", "failed", "no bed")
 
 
-class Seen:
-    """A roster that sees what it is told to; None: the router is gone."""
+class Fleet:
+    """A roster that sees what it is told to, and a dispatcher that looks at it.
 
-    robots: dict[str, Robot] | None
+    Attributes:
+        robots: who is there; None: the router is gone.
+        accepts: whether robots answer what they are told to do.
+    """
+
+    def __init__(self, *parts: Part, accepts: bool = False) -> None:
+        self.robots: dict[str, Robot] | None = {}
+        self.accepts, self.now_s, self.told = accepts, 0.0, []
+        clock = lambda: self.now_s  # noqa: E731
+        self.dispatcher = Dispatcher(self, Plan("m", parts), self.told.append, PATIENCE_S, clock)
 
     def seen(self):
         return self.robots
 
     def each(self, calls):
-        """Nothing that is asked for arrives."""
+        for call in calls if self.accepts else ():
+            call()
+
+    def tell(self, name, request, timeout_s):
+        return {}
+
+    def look(self, at_s: float, *robots: Robot):
+        self.now_s, self.robots = at_s, {robot.name: robot for robot in robots}
+        return self.dispatcher.step()
+
+    def given_to(self, at_s: float, *robots: Robot) -> list[str]:
+        return [give.robot for give in self.look(at_s, *robots).give]
+
+    def router_is_gone(self) -> None:
+        self.robots = None
+        assert self.dispatcher.step() is None
 
 
 @pytest.mark.parametrize("missing", [(FREE,), (FREE, MUTE)])
 @pytest.mark.parametrize("between", ["nothing", "it is back", "the router is gone"])
 def test_patience_counts_from_the_look_that_first_misses_a_robot(missing, between):
-    roster, now_s, told = Seen(), [0.0], []
-    part = Part("m.1", "F bed", "Reach the bed.", ("bed",))
-    dispatcher = Dispatcher(roster, Plan("m", (part,)), told.append, PATIENCE_S, lambda: now_s[0])
-
-    def given_to(at_s, *robots):
-        now_s[0] = at_s
-        roster.robots = {robot.name: robot for robot in robots}
-        return [give.robot for give in dispatcher.step().give]
-
-    assert given_to(0.0, FREE, AT_IT) == []
-    assert given_to(100.0, *missing) == []  # not since it was last seen
-    assert given_to(109.9, *missing) == []
+    fleet = Fleet(BED)
+    assert fleet.given_to(0.0, FREE, AT_IT) == []
+    assert fleet.given_to(100.0, *missing) == []  # not since it was last seen
+    assert fleet.given_to(109.9, *missing) == []
     if between == "nothing":
-        assert given_to(110.0, *missing) == ["b"]
+        assert fleet.given_to(110.0, *missing) == ["b"]
         return
     if between == "it is back":
-        assert given_to(109.9, FREE, AT_IT) == []
+        assert fleet.given_to(109.9, FREE, AT_IT) == []
     else:
-        roster.robots = None
-        assert dispatcher.step() is None
-    assert given_to(200.0, *missing) == []  # counted anew
-    assert given_to(209.9, *missing) == []
-    assert given_to(210.0, *missing) == ["b"]
+        fleet.router_is_gone()
+    assert fleet.given_to(200.0, *missing) == []  # counted anew
+    assert fleet.given_to(209.9, *missing) == []
+    assert fleet.given_to(210.0, *missing) == ["b"]
+
+
+@pytest.mark.parametrize(
+    ("part", "there", "reason"),
+    [
+        (BED, (FAILED,), "a: no bed"),
+        (dataclasses.replace(BED, only="b"), (robot("a"),), "it is not there"),
+        (dataclasses.replace(BED, only="b"), (), "it is not there"),
+    ],
+)
+@pytest.mark.parametrize("between", ["nothing", "it is back", "the router is gone"])
+def test_a_part_is_lost_only_after_no_other_robot_came_for_the_patience(
+    part, there, reason, between
+):
+    """One look may lack a robot that is there."""
+    fleet = Fleet(part)
+    over = fleet.dispatcher._is_over
+    first = fleet.look(100.0, *there)
+    assert (first.outcomes, over(first), first.failed) == ({}, False, False)
+    assert any(f"{reason}; failed unless another robot comes" in line for line in fleet.told)
+    assert not over(fleet.look(109.9, *there))
+    since_s = 100.0
+    if between == "it is back":
+        assert fleet.given_to(109.9, *there, FREE) == ["b"]
+    elif between == "the router is gone":
+        fleet.router_is_gone()
+    if between != "nothing":
+        since_s = 200.0
+        assert not over(fleet.look(since_s, *there))
+        assert not over(fleet.look(since_s + 9.9, *there))
+    last = fleet.look(since_s + 10.0, *there)
+    assert over(last)
+    assert last.outcomes["m.1"].reason == reason
+
+
+def test_a_lost_part_is_given_out_again_if_a_robot_comes_while_another_part_is_under_way():
+    fleet = Fleet(BED, SOFA)
+    account = robot("c", "m.2", "searching").account
+    past = (Past("m.1", "failed", "no bed"),)
+    busy = Robot("c", dataclasses.replace(account, past=past))
+    fleet.look(0.0, FAILED, busy)
+    assert fleet.look(10.0, FAILED, busy).failed
+    assert "m.1" in fleet.dispatcher.ended_ns
+    assert fleet.given_to(11.0, FAILED, busy, FREE) == ["b"]
+    assert fleet.dispatcher.ended_ns == {}
+
+
+@pytest.mark.parametrize(
+    ("part", "robots", "outcome"),
+    [
+        (BED, (robot("a", "m.1", "failed", "cancelled"),), Outcome("failed", "a", "cancelled")),
+        (dataclasses.replace(BED, only="a"), (FAILED,), Outcome("failed", "a", "no bed")),
+        (BED, (robot("a", "m.1", "reached", "seen"),), Outcome("reached", "a", "seen")),
+    ],
+)
+def test_what_no_other_robot_can_change_is_over_at_once_and_stays_so(part, robots, outcome):
+    fleet = Fleet(part)
+    for now_s, there in enumerate([robots, (FREE,), ()]):
+        assert fleet.look(now_s, *there).outcomes == {"m.1": outcome}
+
+
+def test_a_robot_that_forgets_what_it_took_does_not_keep_it_from_others():
+    liar, other = robot("liar", bed=0.0), robot("other")
+    fleet = Fleet(BED, accepts=True)
+    assert fleet.given_to(0.0, liar, other) == ["liar"]
+    assert fleet.given_to(1.0, liar, other) == ["other"]
+    assert "liar forgot what it was given: Reach the bed." in fleet.told
+    assert fleet.look(2.0, liar, robot("other", "m.1", "searching")).under_way == {"m.1": "other"}
+
+
+@pytest.mark.parametrize(
+    "between",
+    [
+        (),
+        (FAILED,),  # it says one thing, then another
+        (AT_IT,),
+        (robot("a", "other", "searching"),),
+        (MUTE,),
+    ],
+)
+def test_a_robot_that_forgets_again_and_again_gets_no_more(between):
+    """Whatever it reports in between, and though nobody else is there."""
+    fleet = Fleet(BED, accepts=True)
+    gives, now_s = 0, 0.0
+    for _ in range(3 * TRIES):
+        for there in (robot("a"), *between):
+            now_s += 1.0
+            orders = fleet.look(now_s, there)
+            gives += len(orders.give)
+    assert gives == TRIES
+    fleet.look(now_s + 100.0, robot("a"))
+    assert fleet.look(now_s + 200.0, robot("a")).outcomes == {
+        "m.1": Outcome("failed", "a", "a: it forgot it")
+    }
+
+
+def test_a_mission_is_taken_up_while_a_part_is_under_way_though_one_look_finds_another_lost():
+    brief = prepare(LIMITS, instruction="go to the bed and the sofa")
+    first = plan(brief, LIMITS, {}, share=True)
+    bed, sofa = (part.id for part in first.parts)
+    past = (Past(sofa, "failed", "no sofa"),)
+    account = dataclasses.replace(robot("a", bed, "searching").account, past=past)
+    assert plan(brief, LIMITS, {"a": Robot("a", account)}, share=True) == first
+    over = dataclasses.replace(account, phase="reached")
+    assert plan(brief, LIMITS, {"a": Robot("a", over)}, share=True).id != first.id

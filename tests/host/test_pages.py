@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import socket
+import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from http import HTTPStatus
 from http.client import HTTPConnection
@@ -18,6 +20,7 @@ from edge.host.credentials import Token
 from edge.host.pages import MOST_BYTES, MOST_OPEN, Page, json_page, serve
 
 HERE = "127.0.0.1"
+LONGEST_LINE = 65536
 
 
 def ask(port: int, path: str, method: str = "GET", **headers: str) -> tuple[int, bytes]:
@@ -115,6 +118,56 @@ def test_of_a_burst_of_connections_the_newest_are_kept(monkeypatch):
             sock.setblocking(False)
             with pytest.raises(BlockingIOError):
                 sock.recv(1)
+
+
+@pytest.mark.parametrize("silent", [2 * MOST_OPEN, 0])
+def test_a_post_that_is_being_carried_out_is_answered_whoever_connects(silent):
+    """Strangers give way first, then those who know the token and wait for nothing."""
+    begun, go_on = threading.Event(), threading.Event()
+
+    def take(body: bytes) -> Page:
+        begun.set()
+        assert go_on.wait(PATIENCE_S)
+        return Page(b"taken", "text/plain")
+
+    known = b"GET / HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer right\r\n\r\n"
+    pages = {"/": lambda: Page(b"here", "text/plain")}
+    with (
+        serve(pages, HERE, 0, Token(b"right"), forms={"/form": take}) as port,
+        ThreadPoolExecutor() as pool,
+        ExitStack() as opened,
+    ):
+        posted = pool.submit(post, port)
+        assert begun.wait(PATIENCE_S)
+        for _ in range(silent):
+            opened.enter_context(socket.create_connection((HERE, port)))
+        for _ in range(2 * MOST_OPEN):  # each of those who know the token is let in
+            sock = opened.enter_context(socket.create_connection((HERE, port), PATIENCE_S))
+            sock.sendall(known)
+            assert sock.recv(1 << 16).endswith(b"here")
+        go_on.set()
+        assert posted.result(PATIENCE_S) == (200, b"taken")
+
+
+def test_while_every_connection_has_a_post_under_way_a_new_one_is_closed():
+    begun, go_on = threading.Semaphore(0), threading.Event()
+
+    def take(body: bytes) -> Page:
+        begun.release()
+        assert go_on.wait(PATIENCE_S)
+        return Page(b"taken", "text/plain")
+
+    with (
+        serve({}, HERE, 0, Token(b"right"), forms={"/form": take}) as port,
+        ThreadPoolExecutor(MOST_OPEN) as pool,
+    ):
+        posted = [pool.submit(post, port) for _ in range(MOST_OPEN)]
+        for _ in posted:
+            assert begun.acquire(timeout=PATIENCE_S)
+        with socket.create_connection((HERE, port), PATIENCE_S) as sock:
+            assert sock.recv(1) == b""
+        go_on.set()
+        assert [p.result(PATIENCE_S) for p in posted] == [(200, b"taken")] * MOST_OPEN
 
 
 @pytest.mark.parametrize(
@@ -288,8 +341,31 @@ def test_a_connection_is_kept_and_ends_with_the_block():
     connection.close()
 
 
-def test_every_answer_says_what_a_page_may_do():
+@pytest.mark.parametrize(
+    ("request_head", "status"),
+    [
+        (b"GET /else HTTP/1.0", 404),
+        (b"GET /else HTTP/1.1\r\nContent-Length: 1", 413),
+        (b"POST /else HTTP/1.1", 405),
+        (b"<b> /else HTTP/1.1", 501),
+        (b"GET /else HTTP/1.1" + b"\r\nX: y" * 101, 431),
+        (b"GET /else HTTP/1.1\r\n" + b"X: y".ljust(LONGEST_LINE + 1, b"y"), 431),
+        (b"GET /".ljust(LONGEST_LINE + 1, b"y"), 414),
+        (b"GET /else HTTP/2.0", 505),
+        (b"GET /else HTTP/x", 400),
+        (b"a b c d", 400),
+    ],
+    ids=lambda value: repr(value)[:30],
+)
+def test_every_answer_says_what_a_page_may_do(request_head, status):
     with serve({}, HERE, 0) as port:
-        answer = say(port, b"GET /else HTTP/1.0\r\n\r\n")
-    assert b"Content-Security-Policy: default-src 'none'; script-src 'self';" in answer
-    assert b"X-Content-Type-Options: nosniff" in answer
+        # A line that is too long is cut there: bytes that nobody reads would lose the answer.
+        end = b"" if len(request_head) > LONGEST_LINE else b"\r\n\r\n"
+        answer = say(port, request_head + end)
+    head, _, body = answer.partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 %d " % status)
+    for name, value in pages._HEADERS.items():
+        assert f"\r\n{name}: {value}".encode() in head
+    assert b"\r\nContent-Type: text/plain; charset=utf-8" in head
+    assert b"\r\nContent-Length: %d" % len(body) in head
+    assert (body.count(b"\n"), body[-1:]) == (1, b"\n")

@@ -7,7 +7,7 @@ import sys
 
 import psutil
 import pytest
-from patience import eventually
+from live_patience import eventually
 
 from edge.host.processes import Process, descendants, usage
 

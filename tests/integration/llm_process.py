@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from patience import PATIENCE_S
+from live_patience import PATIENCE_S
 
 SERVER = Path(__file__).with_name("llm_server.py")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 from secure_files import USERS, etc_edge, settings_of
 from zenoh import ext
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 
 import pytest
 from chromium import open_chromium
@@ -37,6 +38,8 @@ def test_the_demo_is_watched_and_commanded_from_its_page(edge, tmp_path):
         tab.click("#cancel")
         tab.says("#cancel", "Really?")
         tab.click("#cancel")
+        demo.says(f"failed; {url} stays until Ctrl-C")
+        tab.says("#phase", "FAILED")
+        assert demo.stop(signal.SIGINT) == 1, demo.output
         tab.says("#banner", "does not answer: last seen")
-    assert demo.wait() == 1, demo.output
     assert "failed: find the toilet (cancelled)" in demo.output

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from live_patience import PATIENCE_S
 from llm_process import serving_llm
-from patience import PATIENCE_S
 
 from edge.chat import ChatClient, ChatError, CutOffError
 from edge.config import TranslatorLlm

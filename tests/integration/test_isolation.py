@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import psutil
 import pytest
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
 from fake_model_process import __file__ as fake

@@ -18,7 +18,7 @@ import httpx
 import numpy as np
 import pytest
 import yaml
-from patience import eventually
+from live_patience import eventually
 
 from edge import config
 from edge.cli.main import main

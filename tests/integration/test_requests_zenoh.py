@@ -15,7 +15,7 @@ import pytest
 import requests_peer
 import zenoh
 from edge_processes import write_config
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 
 from edge.bus.client import RequestError, ask
 from edge.bus.session import open_session

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 from secure_files import etc_edge, page_section, refusal
 
 from edge.bus.ros2.node import Node, Publisher, Subscription

@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 import zenoh
 from edge_processes import LOCKSTEP, write_config
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 from secure_files import (
     PAGE,
     ROOT,

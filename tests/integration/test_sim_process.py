@@ -13,7 +13,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import zenoh
-from patience import PATIENCE_S
+from live_patience import PATIENCE_S
 
 from edge.bus import topics
 from edge.bus.session import declare_publisher, open_session

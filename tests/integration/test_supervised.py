@@ -16,11 +16,15 @@ from pathlib import Path
 
 import pytest
 from edge_processes import Edge, write_config
-from patience import PATIENCE_S
+from live_patience import PATIENCE_S
 
 from edge.host.ports import free_port
 
 WATCHDOG_S = 2.0
+UNSEEN = (
+    "nothing to be seen: no message yet on edge/camera/rgb, edge/camera/depth, edge/camera/info, "
+    "edge/odom"
+)
 TOKEN = "a token of more than sixteen letters".replace(" ", "-")
 HANGING = """
 import pathlib, threading
@@ -117,7 +121,7 @@ def test_from_the_start_to_the_stop(edge, config, manager):
     assert steps[-1] == "STATUS=preparing kernels 7/7: tasks"
     assert "WATCHDOG=1" not in manager.heard, "the start has a limit of its own"
     manager.hears("WATCHDOG=1")
-    manager.hears("STATUS=not ready: nothing to be seen (searching: bed)")
+    manager.hears(f"STATUS=not ready: {UNSEEN} (searching: bed)")
     assert service.stop(signal.SIGTERM) == 0, service.output
     manager.hears("STOPPING=1")
 
@@ -134,7 +138,7 @@ def test_a_loop_that_hangs_gives_no_sign_of_life_though_its_process_lives(
     )  # fmt: skip
     assert answer(port, "/readyz") == (503, b""), "a probe has no token"
     assert asked(port, "/healthz") == (200, [])
-    assert asked(port, "/readyz") == (503, ["nothing to be seen"])
+    service.until(lambda: asked(port, "/readyz") == (503, [UNSEEN]), "it names no input")
     manager.hears("WATCHDOG=1")
     (tmp_path / "hang").touch()
     assert manager.silence(2 * WATCHDOG_S), "systemd would have killed it by now"

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import yaml
 from edge_processes import write_config
-from patience import PATIENCE_S
+from live_patience import PATIENCE_S
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
 from onnx_bytes import DETECTOR, field, graph, interface, model, tensor
@@ -31,6 +31,7 @@ from edge.launch import open_service
 from edge.loop.runner import loop
 from edge.loop.status import status_of
 from edge.models import use
+from edge.perception.detector import UNSOUND
 from edge.types import Observation
 
 pytest.importorskip("onnxruntime")
@@ -197,8 +198,7 @@ def test_models_are_swapped_in_the_running_service(config, capsys):
         code, lines = use_one("good", force=True)
         assert code == 1
         assert lines[-1] == (
-            "rolled back: it returns values that are not finite (3 boxes of an image); "
-            "elsewhere runs again"
+            f"rolled back: it returns 3 boxes of an image that are {UNSOUND}; elsewhere runs again"
         )
         assert seen[-1] == "elsewhere"
         assert "good" in seen

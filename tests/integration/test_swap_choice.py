@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import pytest
 from edge_processes import write_config
-from patience import PATIENCE_S
+from live_patience import PATIENCE_S
 from tiny_vlm import publish
 
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `cpu`)")

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 from chat_server import saying, send, serving
-from patience import PATIENCE_S
+from live_patience import PATIENCE_S
 from simulated import simulated
 
 from edge.eval.closed_loop import ClosedLoop

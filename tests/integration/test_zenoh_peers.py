@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 from results import result
 from simulated import simulated
 

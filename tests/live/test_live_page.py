@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 import pytest
 from chromium import Tab, open_chromium
 from live_house import HERE, TOKEN, House, open_house
-from patience import eventually
+from live_patience import eventually
 from simulated import simulated
 from task_facts import INSTRUCTION as TASK
 from task_facts import by_a_model, driving, looking
@@ -18,6 +18,7 @@ from edge.host.pages import serve
 from edge.host.service_manager import ServiceManager
 from edge.live.view import LiveView
 from edge.loop.vitals import Vitals
+from edge.sources.synchronizer import TimeSynchronizer
 
 SLOWLY = {"max_speed_mps": 0.15}
 INSTRUCTION = "find the <b>sofa</b>"
@@ -205,6 +206,22 @@ def test_without_sensors_it_says_what_to_look_at(page, house):
     page.says("#camera-note", "no new image for")
     house.robot.blind = False
     page.until("document.getElementById('banner').hidden")
+
+
+def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
+    inputs = TimeSynchronizer(house.closed.config, lambda: 0).inputs
+    for name in ("camera/rgb", "camera/info", "odom"):
+        inputs.came(name)
+    inputs.dropped("odom", "malformed", "<b>no odometry</b>")
+    house.service.inputs = house.service._health._inputs = inputs.rows
+    house.robot.blind = True
+    page.says(
+        "#banner", "nothing to be seen: no message yet on camera/depth; every message on odom"
+    )
+    page.says("#health", "camera/depth\nno message yet\n")
+    page.says("#health", "odom\nall are dropped: malformed (")
+    assert page.run("document.querySelectorAll('#banner b, #health b').length") == 0
+    house.robot.blind = False
 
 
 def test_a_degraded_loop_is_told_and_its_words_are_no_markup(page, house):

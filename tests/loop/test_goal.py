@@ -33,7 +33,7 @@ class Map:
     def __init__(self) -> None:
         self.walled: list[tuple[float, float]] = []
         self.closed: list[tuple[float, float]] = []
-        self.generation, self.opened = 7, False
+        self.generation, self.closed_m = 7, []
         self.camera_yaw_rad, self.view, self.here = 0.0, None, HERE
         self.reach = self.coverage = self.bumps = self
         self.asked: list[tuple[float, int]] = []
@@ -57,7 +57,8 @@ class Map:
         return 100 if (round(x, 3), round(y, 3)) in self.closed else 0
 
     def open_all(self) -> bool:
-        return self.opened
+        closed, self.closed_m = self.closed_m, []
+        return bool(closed)
 
     def start_over(self) -> None:
         """Nothing was seen badly, but for `view`."""
@@ -418,7 +419,7 @@ def test_with_nothing_to_go_to_nor_to_see_it_is_exhausted():
 @pytest.mark.parametrize("reach_s", [0.2, 5.0], ids=["small map", "large map"])
 def test_what_was_opened_is_tried_until_the_reach_field_leads_there_and_a_frontier_lasts(reach_s):
     case = Case()
-    case.map.opened = True
+    case.map.closed_m = [(1.0, 0.0)]
     case.turn_round()
     opened_ns = case.now_ns
     while case.now_ns < opened_ns + max(reach_s, 2.5) * S:
@@ -522,6 +523,41 @@ def test_what_counts_as_reached(away_m, state, confirmed, phase, came_to):
     assert (case.things[9].state == "reached") == bool(case.mission.arrivals)
     # What was settled is left alone, here by a mission that asks for a second chair.
     assert (case.goals.goal is None) == bool(came_to)
+
+
+@pytest.mark.parametrize(
+    ("off_m", "off_rad", "said", "steps_m", "reached"),
+    [
+        (0.0, 0.0, "", 0.0, True),
+        (0.25, 3.0, "", 0.0, True),  # many controllers do not turn at the end
+        (0.4, 0.0, "", 0.0, False),
+        (0.0, 0.0, "", 0.06, False),  # it is driving past
+        (0.0, 0.0, "accepted", 0.0, False),  # a controller that answers says when it is there
+    ],
+)
+def test_an_unanswered_goal_is_reached_where_the_robot_stops(
+    off_m, off_rad, said, steps_m, reached
+):
+    case = Case()
+    goal = case.choose(chair(9, 3.0, 0.8)).pose
+    if said:
+        case.answer(said)
+    for i in range(4):  # 0.5 s apart
+        pose = SE2(goal.x_m - off_m + i * steps_m, goal.y_m, goal.yaw_rad + off_rad)
+        case.judge(pose=pose, after_s=0.5)
+        assert case.goals.phase == "approaching"
+    case.judge(pose=SE2(pose.x_m + steps_m, pose.y_m, pose.yaw_rad), after_s=0.5)
+    assert case.goals.phase == ("verifying" if reached else "approaching")
+    assert case.goals.client.driving != reached
+
+
+@pytest.mark.parametrize(("turned_rad", "done"), [(0.0, False), (2.0, True), (2.6, False)])
+def test_an_unanswered_turn_is_done_where_the_robot_has_turned(turned_rad, done):
+    case = Case()
+    case.turn()
+    for _ in range(5):
+        case.judge(pose=SE2(0.0, 0.0, turned_rad), after_s=0.5)
+    assert (case.goals.goal is None) == done
 
 
 def test_what_is_out_of_reach_twice_from_one_place_is_left_alone():

@@ -69,9 +69,7 @@ class Bench:
         self.models = {"large": Fake("large", 20.0), "small": Fake("small", 10.0)}
         self.worker = DetectorWorker(self.models["large"], inline=True)
         self.scorers = SimpleNamespace(resting=frozenset())
-        self.swapper = Swapper(
-            config.perception, self.worker, lambda text, now_ns: None, self._make
-        )
+        self.swapper = Swapper(config.perception, self.worker, lambda *_: None, self._make)
         self.governor = Governor(
             config.perception, self.worker, self.swapper, self.scorers,
             lambda text, now_ns: self.said.append(text), self._read,

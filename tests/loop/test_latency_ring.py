@@ -16,6 +16,7 @@ from edge.loop.latency import LatencyRing, StageLatency
 from edge.loop.stages import STAGES, TICK_DEADLINE_MS
 
 MS = 1_000_000
+REFERENCE = Calibration("m", 1.0, {})
 NAMES = [stage.name for stage in STAGES]
 INGEST, DETECT, MAP, LIFT = (NAMES.index(name) for name in ("ingest", "detect", "map", "lift"))
 
@@ -58,22 +59,41 @@ def test_percentiles_are_numpys_over_the_newest(durations, capacity, last):
 @pytest.mark.parametrize(
     ("slowdown", "map_ms", "tick_ms", "says"),
     [
-        (None, 1.5, 3.0, "measure this computer with"),
+        (1.0, 1.5, 3.0, "as fast as the reference computer"),
         (2.0, 3.0, 6.0, "2.0 times slower than the reference computer"),
         (20.0, 30.0, TICK_DEADLINE_MS, "20.0 times slower"),
     ],
 )
 def test_budgets_grow_with_a_slower_computer_and_deadlines_do_not(slowdown, map_ms, tick_ms, says):
-    ring = LatencyRing(calibration=slowdown and Calibration("m", slowdown, {}))
+    ring = LatencyRing(calibration=Calibration("m", slowdown, {}))
     tick(ring, {MAP: round(1.6 * MS)}, 2 * MS)
     report = ring.report()
     found = report.stage("map")
     assert (found.budget_ms, report.tick.budget_ms) == (map_ms, tick_ms)
-    assert (found.verdict, found.overruns) == (("over", 1) if slowdown is None else ("ok", 0))
+    assert (found.verdict, found.overruns) == (("over", 1) if slowdown == 1.0 else ("ok", 0))
     assert report.stage("detect").budget_ms == STAGES[DETECT].budget_ms
     assert report.deadline_ms == TICK_DEADLINE_MS
     assert says in report.table().splitlines()[-1]
     assert report.as_dict()["slowdown"] == slowdown
+
+
+def test_without_a_calibration_only_deadlines_are_told():
+    """A first run that met every deadline must not end in rows that say `over`."""
+    ring = LatencyRing()
+    for _ in range(3):
+        ring.span(DETECT, round(1.1 * TICK_DEADLINE_MS * MS))
+        tick(ring, {MAP: 20 * MS, LIFT: 5 * MS}, 32 * MS)
+    report = ring.report()
+    verdicts = {row.name: row.verdict for row in report.rows if row.verdict != "-"}
+    assert verdicts == {"detect": "over", "tick": "ok"}
+    assert (report.stage("map").budget_ms, report.stage("map").overruns) == (None, 0)
+    assert report.tick.budget_ms == report.deadline_ms == TICK_DEADLINE_MS
+    told = report.as_dict()
+    assert (told["slowdown"], told["stages"]["map"]["budget_ms"]) == (None, None)
+    *table, hint = report.table().splitlines()
+    assert "edge bench --calibrate" in hint
+    assert "deadline" in table[0]
+    assert "budget" not in "".join(table)
 
 
 def test_an_abandoned_tick_is_a_drop_and_nothing_else():
@@ -121,7 +141,7 @@ def test_a_tick_that_never_ended_is_forgotten():
 
 
 def test_overruns_and_drops_outlive_the_window():
-    ring = LatencyRing(capacity=2)
+    ring = LatencyRing(capacity=2, calibration=REFERENCE)
     budget_ns = round(STAGES[MAP].budget_ms * MS)
     deadline_ns = round(TICK_DEADLINE_MS * MS)
     tick(ring, {MAP: budget_ns + 1}, deadline_ns + 1)
@@ -147,7 +167,7 @@ def test_verdict(n, p95_ms, verdict):
 
 
 def test_table_is_aligned_and_marks_what_is_over():
-    ring = LatencyRing()
+    ring = LatencyRing(calibration=REFERENCE)
     tick(ring, {INGEST: 100, MAP: 2 * MS, LIFT: 123_456_789}, 200 * MS)
     lines = ring.report().table().splitlines()
     header, rows = lines[0], [line for line in lines[1:-2] if not line.startswith("-")]

@@ -142,7 +142,7 @@ def test_a_deep_nest_is_a_value_error(depth):
 def test_a_request_about_the_model_is_answered_with_how_the_swap_stands():
     perception = simulated().perception
     worker = DetectorWorker(SimDetector(perception.detector, ["chair"]), inline=True)
-    swapper = Swapper(perception, worker, lambda text, now_ns: None)
+    swapper = Swapper(perception, worker, lambda *_: None)
 
     def use(model: str) -> dict:
         return handle_model(swapper, Request("use", {"model": model, "force": False}), 0)

@@ -25,11 +25,12 @@ from edge.tasks.reading import AmbiguousError
 
 STRAIGHT = "go straight for 2 metres"
 TO_THE_OVEN = "go to the oven"
+OVENS = (TO_THE_OVEN, "go past the left of the oven", "stop in front of the oven")
 START = (8.4, 6.1, 1.6)  # from where the oven is found within half a minute
 
 
 def closed(task: str | None = STRAIGHT, **sections: dict) -> ClosedLoop:
-    start = START if task == TO_THE_OVEN else None  # else where the house has it
+    start = START if task and task.startswith(OVENS) else None  # else where the house has it
     sim = {"lockstep": True, "step_s": 0.2, "start": start}
     base = {"loop": {"lockstep": True}, "sim": sim}
     return ClosedLoop(simulated({**base, **sections}), task=task, colour=False)
@@ -89,23 +90,32 @@ def test_what_it_names_is_looked_for_first_and_reached_by_no_look(at_the_oven):
     assert json.dumps(status_of(loop.service.result()))
 
 
-def test_what_it_stops_at_is_made_sure_of_or_left_for_another(monkeypatch):
-    loop = until(closed(TO_THE_OVEN), "verifying")
+@pytest.mark.parametrize("task", [*OVENS, f"{TO_THE_OVEN}, then {STRAIGHT}"])
+def test_what_it_stops_at_is_made_sure_of_or_left_for_another(task, monkeypatch):
+    loop = until(closed(task), "verifying")
+    assert states(loop)[0] == "under way"
     tracker = loop.service.map.tracker
     (oven,) = tracker.of("oven")
     monkeypatch.setattr(tracker, "confirmed", lambda one: False)
     until(loop, "looking").step()
     assert oven.state == "refuted"
-    assert (loop.service.status.done, states(loop)) == (False, ["looked for"])
+    assert (loop.service.status.done, states(loop)[0]) == (False, "looked for")
     assert any(
         f"oven {oven.id} is none, as seen from near by: looking further" in event
         for event in loop.notes.events
     )
 
 
+def test_at_a_stop_on_the_way_the_robot_makes_sure_and_drives_on():
+    loop = until(closed(f"{TO_THE_OVEN}, then go straight for 0.5 metres"), "verifying")
+    until(loop, "reached")
+    assert loop.service.result().task().refinements == 1, "of one trajectory"
+
+
 def test_what_is_too_far_off_to_make_sure_of_is_taken_for_it():
     loop = closed(TO_THE_OVEN, perception={"confirm_range_m": 0.2}).run(200)
     assert not loop.service.map.tracker.of("oven", sure=True)
+    assert any("too far to make sure that it is one" in event for event in loop.notes.events)
     assert loop.service.status.phase == "reached", loop.notes.events
 
 
@@ -227,6 +237,14 @@ def test_what_is_nowhere_fails_with_what_was_missed():
     assert (status.phase, status.reason) == ("failed", "no surfboard within 5 s")
     assert loop.service.result().task().phase == "failed"
     assert states(loop) == ["driven", "not driven"]
+
+
+def test_beats_between_frames_are_no_search_while_a_task_is_driven():
+    loop = until(closed(mission={"search_limit_s": 1.0}), "driving")
+    while not loop.service.status.done:
+        loop.service.idle(loop.drive.motion.stamp_ns - 1, None)
+        loop.step()
+    assert "failed" not in {step.kind for step in loop.service.mission.steps}
 
 
 def test_the_same_observations_give_the_same_task(at_the_oven):

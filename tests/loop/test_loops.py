@@ -94,13 +94,21 @@ def run_out(run: Running, seen: list[Observation]) -> None:
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-@pytest.mark.parametrize("frames", [0, 2])
+@pytest.mark.parametrize("frames", [1, 2])
 def test_once_ends_though_nothing_is_to_be_seen_any_more(lockstep, frames):
     # The first tick loads kernels; simulated time stands still meanwhile.
     run = running(lockstep, frames, time_limit_s=0.5)
     status = loop(run, threading.Event(), once=True)
     assert status.phase == "failed"
     assert "0.5 s" in status.reason
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_once_waits_for_sensors_that_have_not_spoken_yet(lockstep):
+    run, stop = running(lockstep, 0, time_limit_s=0.05), threading.Event()
+    end_s = time.monotonic() + 0.5  # ten times what the mission may take
+    status = loop(run, stop, True, lambda: stop.set() if time.monotonic() > end_s else None)
+    assert (status.phase, status.elapsed_s) == ("searching", 0.0)
 
 
 @pytest.mark.parametrize("lockstep", [False, True])

@@ -131,9 +131,14 @@ def test_a_policy_whose_settings_are_the_same_is_not_made_anew(bench):
         ({"policy": {"kind": "nowhere.at:All"}}, "policy.kind: 'nowhere.at:All'"),
     ],
 )
-def test_what_cannot_be_switched_is_refused_by_name_and_nothing_changes(bench, sections, says):
+def test_what_cannot_be_switched_is_refused_by_name_and_nothing_changes(
+    bench, sections, says, caplog
+):
     policy, before = bench.service.policy, bench.service.config
     outcome = bench.reload(config(**sections))
+    assert [r.getMessage() for r in caplog.records if r.levelname == "WARNING"] == [
+        f"reload: {outcome}"
+    ]
     assert outcome.startswith("refused, nothing has changed: ")
     assert says in outcome
     assert bench.service.policy is policy

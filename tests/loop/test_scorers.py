@@ -54,6 +54,34 @@ def frontiers_in_view(loop: ClosedLoop) -> ClosedLoop:
     raise AssertionError("no frontier came into view")
 
 
+@pytest.mark.parametrize("isolation", ["thread", "process"])
+def test_a_model_that_is_swapped_in_is_loaded_in_a_process_first(isolation):
+    """A model that never ends could not be killed in a thread."""
+    made: list[tuple[str, str, str]] = []
+
+    class Fake:
+        def __init__(self, name: str, where: str) -> None:
+            self.name, self.where = name, where
+            made.append(("open", name, where))
+
+        def close(self) -> None:
+            made.append(("close", self.name, self.where))
+
+    perception = simulated({"perception": {"choice": {"kind": "onnx", "card": "old"}}})
+    config = perception.model_copy(
+        update={"perception": perception.perception.model_copy(update={"isolation": isolation})}
+    )
+    scorers = make_scorers(
+        config, ["bed"], make_choice=lambda choice, p: Fake(choice.card, p.isolation)
+    )
+    scorers.swap.request("new")
+    eventually(lambda: ("open", "new", isolation) in made)
+    apart = [("open", "new", "process"), ("close", "new", "process")]
+    tried = apart if isolation == "thread" else []
+    assert made == [("open", "old", isolation), *tried, ("open", "new", isolation)]
+    scorers.swap.close()
+
+
 def test_without_scorers_nothing_runs():
     loop = ClosedLoop(simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}}))
     loop.step()

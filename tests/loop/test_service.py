@@ -142,6 +142,9 @@ def test_a_frontier_that_the_robot_came_near_is_done_with(away_m, done):
     assert any(xy == pytest.approx(near) for xy in service.map.pool._discarded_xy_m) == done
 
 
+TOPIC = {"ros2": {"goals": "topic"}, "sinks": ["zenoh", "ros2"]}  # which nobody answers
+
+
 @pytest.mark.parametrize(("answers", "stuck"), [(True, True), (False, False)])
 def test_a_robot_that_does_not_move_drops_its_goal_if_it_was_to_move(answers, stuck, caplog):
     loop = ClosedLoop(config(mission={"target": "surfboard", "stuck_s": 2.0}), colour=False)
@@ -154,6 +157,30 @@ def test_a_robot_that_does_not_move_drops_its_goal_if_it_was_to_move(answers, st
     assert status_of(loop.service.result())["controller"] == ("answers" if answers else "silent")
     told = [r for r in caplog.records if "no motion controller" in r.getMessage()]
     assert len(told) == (0 if answers else 1)
+
+
+@pytest.mark.parametrize("sections", [{}, TOPIC])
+def test_a_controller_that_never_answers_gets_the_robot_there(sections, caplog):
+    loop = ClosedLoop(config(mission={"target": "bed"}, **sections), colour=False)
+    loop.service.goal_answered = lambda answer: None
+    loop.run(240)
+    assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
+    assert loop.distance_m("bed") <= 1.0
+    told = [r for r in caplog.records if "no motion controller" in r.getMessage()]
+    assert bool(told) != bool(sections), "on a topic nobody is expected to answer"
+
+
+@pytest.mark.parametrize("sections", [{}, TOPIC])
+def test_a_robot_that_nobody_answers_for_is_held_up_all_the_same(sections):
+    settings = config(mission={"target": "surfboard", "stuck_s": 2.0}, **sections)
+    loop = ClosedLoop(settings, colour=False)
+    loop.service.goal_answered = lambda answer: None
+    while loop.drive.motion.path_m < 1.0:
+        loop.step()
+    stands_ns = loop.drive.motion.stamp_ns
+    for i in range(60):
+        loop.service.tick(loop.observe(), stands_ns + i * TICK_NS)
+    assert any("stuck" in event for event in loop.notes.events)
 
 
 def driving(**mission) -> ClosedLoop:
@@ -203,13 +230,41 @@ def test_rare_frames_are_waited_for():
     assert len(loop.notes.goals) == before + 1
 
 
+def waiting(how: str) -> ClosedLoop:
+    """A mission of at most 5 s whose sensors have not spoken yet, nor have since it began."""
+    loop = ClosedLoop(config(mission={"target": "bed", "time_limit_s": 5.0}), colour=False)
+    if how == "restored":
+        loop.service.mission.restore((), (), (), 4.0, 0.0, False)
+    elif how == "asked for while blind":
+        loop.step()
+        loop.service.begin(loop.service.mission.brief, START_NS + TICK_NS)
+    return loop
+
+
 @pytest.mark.parametrize("pose", [None, SE2(1.0, 0.0, 0.0)])
-def test_a_mission_ends_in_time_though_nothing_was_ever_to_be_seen(pose):
+@pytest.mark.parametrize("how", ["at the start", "restored", "asked for while blind"])
+def test_a_missions_time_runs_from_its_first_observation_on(how, pose):
+    loop = waiting(how)
+    service, goals = loop.service, len(loop.notes.goals)
+    before_s = service.status.elapsed_s
+    for i in range(2, 600):
+        service.idle(START_NS + i * TICK_NS, pose)
+    assert (service.status.phase, service.status.elapsed_s) == ("searching", before_s)
+    assert [goal.kind for goal in loop.notes.goals[goals:]] in ([], ["look"])
+    now_ns = START_NS + 600 * TICK_NS
+    service.tick(blank_observation(9, now_ns, SE2(0, 0, 0), loop), now_ns)
+    assert (service.status.phase, service.status.elapsed_s) == ("searching", before_s)
+    for i in range(601, 660):  # sensors that have gone must not keep a mission for ever
+        service.idle(START_NS + i * TICK_NS, pose)
+    assert service.status.reason == "time limit of 5 s"
+
+
+def test_a_mission_ends_in_time_though_every_tick_fails():
     loop = ClosedLoop(config(mission={"target": "bed", "time_limit_s": 5.0}), colour=False)
     for i in range(60):
-        loop.service.idle(START_NS + i * TICK_NS, pose)
+        now_ns = START_NS + i * TICK_NS
+        loop.service.idle(now_ns, None, blank_observation(i, now_ns, SE2(0, 0, 0), loop))
     assert loop.service.status.reason == "time limit of 5 s"
-    assert loop.notes.goals == []
 
 
 @pytest.mark.parametrize("blind", [False, True])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -81,10 +82,11 @@ def test_a_long_sill_is_not_felt_out_from_end_to_end(tmp_path, width_m, most):
     assert loop.service.status.elapsed_s < 70
 
 
-def test_where_no_other_way_leads_it_tries_once_more_and_says_why_it_ends(tmp_path):
+def test_where_no_other_way_leads_it_tries_twice_more_and_says_why_it_ends(tmp_path):
     loop = closed_loop(tmp_path, way_round=False).run(200)
     status = loop.service.status
     assert status.phase == "failed"
+    assert re.match(r"no way to the \d+ frontiers left,", status.reason)
     assert "no way to bed; held up at (3.9, 1." in status.reason
     assert loop.drive.motion.collisions <= 3
     assert status.elapsed_s < 90

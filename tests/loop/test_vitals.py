@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import socket
 import threading
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from edge.loop.runner import Running
 from edge.loop.vitals import HANGS_S, PROBES, Vitals
 from edge.perception.detector import Health
 from edge.perception.worker import DetectorWorker
+from edge.sources.synchronizer import TimeSynchronizer
 
 WATCHDOG_S = 8.0
 
@@ -90,6 +92,35 @@ def test_it_is_ready_once_it_sees(watched):
     watched.beat(2.0)
     assert watched.vitals.unseen_s == 2.0
     assert watched.page("/readyz")[0] == 503, "the camera is gone"
+
+
+def test_it_says_which_input_is_missing_and_logs_that_once(watched, caplog):
+    inputs = TimeSynchronizer(watched.closed.config, lambda: 0).inputs
+    watched.running.service.inputs = inputs.rows
+    watched.vitals.ready()
+    why = "nothing to be seen: no message yet on camera/rgb, camera/depth, camera/info, odom"
+    assert watched.beat()[-1] == f"STATUS=not ready: {why} (searching: bed)"
+    assert watched.page("/readyz")[1]["why"] == [why]
+    assert caplog.messages == [], "sensors may start a moment later"
+    for _ in range(20):
+        watched.beat(1.0)
+    assert caplog.messages == [why]
+    for name in ("odom", "camera/info"):
+        inputs.came(name)
+    for _ in range(20):
+        watched.beat(1.0)
+    assert caplog.messages[1:] == [why.replace(", camera/info, odom", "")]
+    watched.see()
+    watched.beat(1.0)
+    assert watched.page("/readyz")[0] == 200
+
+
+def test_a_source_that_cannot_tell_of_its_inputs_does_not_end_the_loop(watched):
+    watched.running.service.inputs = lambda: 1 / 0
+    watched.vitals.ready()
+    watched.beat()
+    assert watched.vitals.amiss() == ("nothing to be seen",)
+    assert watched.running.service.faults.failures == {"inputs: ZeroDivisionError": 1}
 
 
 def test_signs_of_life_come_from_beats_alone_and_no_oftener_than_need_be(watched):
@@ -173,3 +204,20 @@ def test_a_stop_is_told(watched):
     assert watched.page("/readyz") == (503, {"ok": False, "state": "stopping", "why": ["stopping"]})
     watched.now_s += 1e3
     assert watched.page("/healthz")[0] == 200
+
+
+def test_that_no_file_can_be_opened_is_told_once_and_makes_it_not_ready(
+    watched, monkeypatch, caplog
+):
+    short = "no file or connection can be opened (Too many open files; see `ulimit -n`)"
+    watched.vitals.ready()
+    for why, logged in ((short, short), (short, ""), ("", "can be opened again"), ("", "")):
+        caplog.clear()
+        monkeypatch.setattr("edge.loop.vitals.shortage", lambda why=why: why)
+        with caplog.at_level(logging.INFO, "edge.loop.vitals"):
+            watched.beat(after_s=1.0)
+        said = [r.message for r in caplog.records if r.name == "edge.loop.vitals"]
+        assert len(said) == bool(logged)
+        assert logged in "".join(said)
+        _, page = watched.page("/readyz")
+        assert (short in page["why"]) is bool(why)

@@ -15,11 +15,14 @@ from edge.geometry import SE2
 from edge.mapping import bumps
 from edge.mapping import layers as ly
 from edge.mapping.grid import RollingMap
+from edge.mapping.update import SEEN_FREE
 
 HOME = SE2(0.0, 0.0, 0.0)
 RADIUS_M = 0.2
 PLACE = (1.02, 0.03)
 MEMORY_NS = int(SMALL.bump_memory_s * 1e9)
+FIRST_NS = MEMORY_NS // 5  # a first touch is remembered for so long
+SILL = [(1.0, -0.6, 0.0, 1.05, 0.6, 0.085)]  # too low for an obstacle, too high to drive over
 
 
 def assert_consistent(grid: RollingMap) -> None:
@@ -50,8 +53,8 @@ def test_without_a_bump_nothing_is_to_be_forgotten():
 def test_a_bump_closes_what_the_front_touched_and_no_ray_clears_it():
     grid = seen_around()
     bump(grid, PLACE)
-    for _ in range(10 * SMALL.clear_after):
-        look(grid, HOME, [])
+    for _ in range(2 * SEEN_FREE):
+        look(grid, HOME, SILL)
     assert_consistent(grid)
     cells = grid.snapshot(inflated=50).cells
     rows, columns = np.nonzero(cells == 100)
@@ -67,7 +70,7 @@ def test_a_bump_closes_what_the_front_touched_and_no_ray_clears_it():
 @pytest.mark.parametrize(
     "open_again",
     [
-        lambda grid: grid.bumps.expire(MEMORY_NS),
+        lambda grid: grid.bumps.expire(FIRST_NS),
         lambda grid: grid.bumps.open_all(),
         lambda grid: look(grid, SE2(*PLACE, 0.0), []),
     ],
@@ -77,7 +80,7 @@ def test_a_bump_is_forgotten(open_again):
     grid = seen_around()
     bump(grid, PLACE, 0)
     look(grid, HOME, [])
-    grid.bumps.expire(MEMORY_NS - 1)
+    grid.bumps.expire(FIRST_NS - 1)
     assert grid.state_at(*PLACE) == 100
     open_again(grid)
     look(grid, HOME, [])
@@ -91,10 +94,57 @@ def test_the_same_place_again_is_remembered_afresh():
     bump(grid, PLACE, 0)
     bump(grid, (-1.0, 0.0), 5)
     bump(grid, PLACE, 10)
-    grid.bumps.expire(MEMORY_NS + 9)
+    grid.bumps.expire(FIRST_NS + 9)
     assert grid.bumps.closed_m == [PLACE]
     look(grid, HOME, [])
     assert_consistent(grid)
+
+
+PASSER_BY = [(1.01, -0.3, 0.0, 1.1, 0.3, 1.7)]
+AWAY = SE2(0.0, 0.0, math.pi)
+
+
+@pytest.mark.parametrize(
+    ("looks", "touched_before", "opens"),
+    [
+        ([(HOME, [], SEEN_FREE - 1)], False, False),
+        ([(HOME, [], SEEN_FREE)], False, True),
+        ([(HOME, PASSER_BY, 2 * SEEN_FREE)], False, False),
+        ([(HOME, PASSER_BY, 5), (HOME, [], SEEN_FREE)], False, True),
+        ([(HOME, [], SEEN_FREE - 1), (HOME, PASSER_BY, 1), (HOME, [], 1)], False, False),
+        ([(HOME, SILL, 2 * SEEN_FREE)], False, False),
+        ([(AWAY, [], 2 * SEEN_FREE)], False, False),
+        ([(HOME, [], 2 * SEEN_FREE)], True, False),
+    ],
+    ids=[
+        "not yet", "floor", "someone stands there", "who stood there went", "floor, with a break",
+        "a sill", "not looked at", "floor, but touched again",
+    ],
+)  # fmt: skip
+def test_a_bump_opens_where_the_sensors_see_floor(looks, touched_before, opens):
+    grid = seen_around()
+    bump(grid, PLACE)
+    if touched_before:
+        grid.bumps.open_all()
+        bump(grid, PLACE, 1)
+    for pose, boxes, times in looks:
+        for _ in range(times):
+            look(grid, pose, boxes)
+    assert (grid.bumps.closed_m == []) == opens
+    assert grid.bumps.known_m == [PLACE]
+    assert_consistent(grid)
+
+
+def test_a_second_touch_is_remembered_for_longer_than_a_first():
+    grid = seen_around()
+    bump(grid, PLACE, 0)
+    grid.bumps.open_all()
+    bump(grid, PLACE, 0)
+    bump(grid, (-1.0, 0.0), 0)
+    grid.bumps.expire(FIRST_NS)
+    assert grid.bumps.closed_m == [PLACE]
+    grid.bumps.expire(MEMORY_NS)
+    assert grid.bumps.known_m == []
 
 
 BOX = [(1.0, -0.1, 0.0, 1.2, 0.1, 1.0)]
@@ -350,10 +400,7 @@ def test_no_bump_shuts_the_robot_in(turns, headings):
         look(grid, pose, [])
     for now_ns, heading in enumerate([0.0, *headings]):
         pose = SE2(pose.x_m, pose.y_m, pose.yaw_rad + heading)
-        ahead = pose.ahead(RADIUS_M)
-        cell = grid.window.cell_of(*ahead)
-        if not ly.near_trail(grid._layers, cell[1] % grid.window.n, cell[0] % grid.window.n, 2.5):
-            grid.bumps.close(pose, ahead, RADIUS_M, now_ns)
+        grid.bumps.close(pose, pose.ahead(RADIUS_M), RADIUS_M, now_ns)
     look(grid, pose, [])
     complete(grid, pose)
     assert math.isfinite(grid.reach.distance_m(HOME.x_m, HOME.y_m))

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from edge.loop import place_file
 from edge.mission import checkpoint, saved
 from edge.mission.checkpoint import (
     CheckpointError,
@@ -55,6 +56,9 @@ states = st.builds(
     reason=st.text(), paused=st.booleans(), elapsed_s=st.floats(0, 1e9), path_m=st.floats(0, 1e9),
     id=st.text(max_size=64),
 )  # fmt: skip
+
+
+BEGINS = saved.FILE.begins
 
 
 def others(folder: Path, path: Path) -> list[str]:
@@ -133,16 +137,13 @@ def test_the_files_of_the_table_below_are_taken_when_nothing_is_wrong_with_them(
 @pytest.mark.parametrize(
     ("content", "text"),
     [
-        (b"", "not a whole checkpoint"),
-        (b"{}", "not a whole checkpoint"),
-        (b"\0" * 5000, "not a whole checkpoint"),
-        (b"\xff\xfe nonsense", "not a whole checkpoint"),
+        (BEGINS, "not a whole checkpoint"),
         (encode(BEGUN)[:-1], "not a whole checkpoint"),
         (encode(BEGUN)[:300], "not a whole checkpoint"),
         (encode(BEGUN) + b"\n", "not a whole checkpoint"),
         (encode(BEGUN).replace(b"12.5", b"13.5"), "checksum"),
         (encode(BEGUN).replace(b'"version":2', b'"version":1'), "version 1, this program reads 2"),
-        (b" " * (saved.MAX_BYTES + 1), "more than"),
+        (BEGINS + b" " * saved.MAX_BYTES, "more than"),
         (as_file([]), "mission"),
         (as_file("text"), "mission"),
         (as_file({}), "instruction"),
@@ -158,7 +159,7 @@ def test_the_files_of_the_table_below_are_taken_when_nothing_is_wrong_with_them(
         (as_file(mission(formula="F (")), "formula"),
     ],
 )  # fmt: skip
-def test_what_is_no_checkpoint_is_set_aside_and_reported(tmp_path, caplog, content, text):
+def test_a_checkpoint_that_is_of_no_use_is_set_aside_and_reported(tmp_path, caplog, content, text):
     path = tmp_path / "mission.json"
     path.write_bytes(content)
     with caplog.at_level(logging.WARNING):
@@ -174,13 +175,31 @@ def test_what_is_no_checkpoint_is_set_aside_and_reported(tmp_path, caplog, conte
     assert load(path) == Loaded(None, "")
 
 
+@pytest.mark.parametrize("use", [load, CheckpointWriter])
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"{}", b"\0" * 5000, b"alias ll='ls -l'\n", place_file.FILE.begins, b" " + BEGINS],
+)
+def test_a_file_of_somebody_else_is_refused_and_left_alone(tmp_path, use, content):
+    path = tmp_path / ".bashrc"
+    path.write_bytes(content)
+    with pytest.raises(CheckpointError) as error:
+        use(path)
+    assert str(error.value) == (
+        f"mission.checkpoint: {path}: not a checkpoint of a mission, and left as it is; name "
+        "another file, or move this one away"
+    )
+    assert [p.name for p in tmp_path.iterdir()] == [".bashrc"]
+    assert path.read_bytes() == content
+
+
 def test_what_was_set_aside_before_is_left_alone(tmp_path):
     path = tmp_path / "mission.json"
     for n in range(1, 4):
-        path.write_bytes(b"%d" % n)
+        path.write_bytes(BEGINS + b"%d" % n)
         load(path)
     kept = [(tmp_path / f"mission.json.damaged-{n}").read_bytes() for n in range(1, 4)]
-    assert kept == [b"1", b"2", b"3"]
+    assert kept == [BEGINS + b"%d" % n for n in range(1, 4)]
     save(path, BEGUN)
     assert load(path).saved == BEGUN
 

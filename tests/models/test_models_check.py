@@ -116,6 +116,7 @@ def test_a_scorer_is_checked_by_its_parts(put, put_card, capsys):
     [
         ("detect", ("Sigmoid (raw)", "Log (raw)"), "returns scores that are not finite"),
         ("detect", ("Sigmoid (raw)", "Exp (raw)"), "scores must lie in 0..1"),
+        ("detect", ("9.0, 9.0", "9.0, 1e9"), "far outside the image"),
         ("detect", ("9.0, 9.0", "inf, 9.0"), "returns boxes that are not finite"),
         ("detect", ("{1, 2, 8}", "{1, 3, 8}"), "scores (1, 3, 2), must be (1, 2, 2)"),
         ("text", ("{5, 8}", "{0, 8}"), "does not run"),

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import zenoh
 from fake_zenoh import Flooded
-from patience import PATIENCE_S
+from live_patience import PATIENCE_S
 from simulated import simulated
 
 from edge.bus import topics

@@ -11,7 +11,7 @@ from edge.config import Robot
 from edge.geometry import SE2, Grid
 from edge.motion.progress import DETOURS, Contact, Progress
 from edge.motion.pursuit import MotionLimits
-from edge.motion.recovery import BACK_M, TIME_NS, Recovery
+from edge.motion.recovery import BACK_M, STEP_M, TIME_NS, Recovery, Trail
 from edge.trajectory.costmap import from_weights
 
 S = 1_000_000_000
@@ -58,7 +58,7 @@ def test_progress_forgives_detours_but_not_for_ever():
 
 def _recovery(weights: np.ndarray) -> Recovery:
     costmap = from_weights(Grid(weights, (0.0, 0.0), 0.1))
-    return Recovery(HERE, costmap, MotionLimits.of(Robot()), 0)
+    return Recovery(HERE, costmap, Trail(), MotionLimits.of(Robot()), 0)
 
 
 def test_recovery_backs_up_where_the_map_is_open():
@@ -84,3 +84,33 @@ def test_recovery_turns_where_it_is_closed_behind():
 @pytest.mark.parametrize("now_ns", [TIME_NS, -1])
 def test_recovery_ends_in_time(now_ns):
     assert _recovery(np.ones((40, 40), np.uint8)).step(HERE, now_ns) is None
+
+
+@pytest.mark.parametrize("turned_rad", [0.0, 0.4, math.pi / 2, math.pi])
+def test_recovery_drives_out_the_way_the_robot_came(turned_rad):
+    """Round a corner too, whatever the map says, and however the robot has turned since."""
+    trail, way = Trail(), [(0.05 * k, 0.0) for k in range(20)] + [(0.95, 0.05), (0.95, 0.1)]
+    for x, y in way:
+        trail.extend(SE2(x, y, 0.0))
+    pose = SE2(0.95, 0.1, math.pi / 2 + turned_rad)
+    recovery = Recovery(pose, None, trail, MotionLimits.of(Robot()), 0)
+    driven, step_s = [pose], 0.05
+    for k in range(100):
+        command = recovery.step(pose, int(k * step_s * 1e9))
+        if command is None:
+            break
+        x, y = pose.ahead(command.v_mps * step_s)
+        pose = SE2(x, y, pose.yaw_rad + command.w_radps * step_s)
+        driven.append(pose)
+    assert pose.distance_to(*way[-1]) >= BACK_M - STEP_M
+    assert all(min(at.distance_to(*there) for there in way) < 0.06 for at in driven)
+
+
+def test_the_trail_has_no_loops_and_ends_where_the_robot_was_carried():
+    trail = Trail()
+    assert trail.back_from(HERE) == []
+    for x in (0.0, 0.1, 0.2, 0.3, 0.4, 0.3, 0.2):
+        trail.extend(SE2(x, 0.0, 0.0))
+    assert list(trail.xy_m) == [(0.0, 0.0), (0.1, 0.0), (0.2, 0.0)]
+    trail.extend(SE2(5.0, 0.0, 0.0))
+    assert list(trail.xy_m) == [(5.0, 0.0)]

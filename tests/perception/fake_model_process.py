@@ -54,10 +54,11 @@ ORDERS = {
 
 
 class Steered:
-    """Finds the whole image once for every prompt, with its mean as the score."""
+    """Finds the whole image once for every prompt, with its mean as the score, and seven boxes that
+    are not sound in the images that it saw so far."""
 
     name = "steered"
-    invalid_boxes = 7
+    invalid_boxes = 0
 
     def __init__(self, prompts):
         self._started = False
@@ -73,6 +74,7 @@ class Steered:
 
     def detect(self, observation):
         height, width = observation.rgb.shape[:2]
+        self.invalid_boxes = 7
         order, n = int(observation.rgb[0, 0, 0]), len(self.prompts)
         if order == TOO_MANY:  # a box takes more than a byte
             n = wire.MAX_BYTES

@@ -333,6 +333,25 @@ def test_a_broken_card_is_one_line_and_leaves_the_others(place, caplog):
         cards.load_card("none")
 
 
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("\n".join(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9 if i else 0}]" for i in range(9)),
+         "more than 20000 keys and values"),
+        ("sha256: null", "sha256: given twice, first in line"),
+    ],
+)  # fmt: skip
+def test_a_card_is_read_as_a_configuration_is(place, line, says):
+    place()
+    own("broken")
+    path = resources.models_dir() / "broken.yaml"
+    path.write_text(f"{path.read_text()}\n{line}\n")
+    with pytest.raises(cards.ModelError, match=says) as error:
+        cards.load_card("broken")
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)
+
+
 def test_list_shows_what_is_there(place):
     parity = {
         "reference": "tiny-fp32", "images": 40, "recall": 0.97, "precision": 0.9,

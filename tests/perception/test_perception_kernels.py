@@ -22,6 +22,7 @@ from twins import (
 from edge.perception import instance_kernels, kernels, lift_kernels
 
 TAU = np.float32(0.05)
+FAR_PX = 1000.0
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -35,7 +36,10 @@ def found_in(boxes, scores, n_targets, tau=TAU):
     places, n = len(boxes) * n_targets, len(boxes)
     anchor, label = np.zeros(places, np.int32), np.zeros(places, np.int32)
     score, top = np.zeros(places, np.float32), np.zeros(n, np.float32)
-    m, invalid = kernels.candidates(boxes, scores, n_targets, tau, anchor, label, score, top)
+    m, invalid = kernels.candidates(
+        boxes, scores, n_targets, tau, FAR_PX, anchor, label, score, top
+    )
+    assert kernels.count_unsound(boxes, scores, FAR_PX) == invalid
     return anchor, label, score, top, m, invalid
 
 
@@ -81,10 +85,12 @@ def test_candidates_and_suppress_agree_with_their_twins(seed, n, targets, rest):
     random = np.random.default_rng(seed)
     boxes = random_boxes(random, n)
     scores = random.uniform(0, 1, (n, targets + rest)).astype(np.float32) ** 2
-    scores[random.random(scores.shape) < 0.05] = np.nan
-    boxes[random.random(boxes.shape) < 0.02] = np.inf
+    bad = random.random(scores.shape) < 0.05
+    scores[bad] = random.choice(np.float32([np.nan, np.inf, 1e30, 1.1, -0.1]), bad.sum())
+    bad = random.random(boxes.shape) < 0.02
+    boxes[bad] = random.choice(np.float32([np.nan, -np.inf, 1e30, -FAR_PX - 1]), bad.sum())
     anchor, label, score, top, m, invalid = found_in(boxes, scores, targets)
-    t_anchor, t_label, t_score, t_top, t_invalid = candidates(boxes, scores, targets, TAU)
+    t_anchor, t_label, t_score, t_top, t_invalid = candidates(boxes, scores, targets, TAU, FAR_PX)
     assert (m, invalid) == (len(t_anchor), t_invalid)
     np.testing.assert_array_equal(anchor[:m], t_anchor)
     np.testing.assert_array_equal(label[:m], t_label)
@@ -102,7 +108,9 @@ def test_candidates_and_suppress_agree_with_their_twins(seed, n, targets, rest):
     kernels.strongest_rivals(
         boxes, scores, competes, TAU, top, anchor, label, keep, k, cut, 0.5, against
     )
-    expected = strongest_rivals(boxes, scores, competes, TAU, anchor, label, keep[:k], cut[:k], 0.5)
+    expected = strongest_rivals(
+        boxes, scores, competes, TAU, FAR_PX, anchor, label, keep[:k], cut[:k], 0.5
+    )
     np.testing.assert_array_equal(against[:k], expected)
 
 
@@ -112,7 +120,8 @@ def test_fold_agrees_with_its_twin(seed, n, names):
     random = np.random.default_rng(seed)
     thing = np.repeat(np.arange(len(names), dtype=np.int32), names)
     scores = random.random((n, len(thing)), np.float32)
-    scores[random.random(scores.shape) < 0.05] = np.nan
+    bad = random.random(scores.shape) < 0.3
+    scores[bad] = random.choice(np.float32([np.nan, 1e30, 1 + 2**-23, -(2**-24), 1.01]), bad.sum())
     ours = np.zeros((n, len(names)), np.float32)
     kernels.fold(scores, thing, ours)
     np.testing.assert_array_equal(ours, fold(scores, thing))

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 from simulated import simulated
 
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `cpu`)")

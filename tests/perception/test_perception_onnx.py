@@ -17,6 +17,7 @@ from edge.models.check import check_model
 from edge.perception import model_file
 from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.columns import competitors
+from edge.perception.detector import UNSOUND
 from edge.perception.factory import make_detector
 from edge.perception.model_file import TRUST_CACHE
 from edge.perception.text import PromptError, TextEmbeddings
@@ -227,11 +228,12 @@ def test_a_bad_image_is_one_clear_line(tiny, make_observation, rgb):
     assert "\n" not in str(error.value)
 
 
-def test_values_that_are_not_finite_are_dropped_counted_and_told_once(
-    tiny, make_observation, caplog
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30, -1e6])
+def test_boxes_that_cannot_be_are_dropped_counted_and_told_once(
+    tiny, make_observation, caplog, value
 ):
     boxes = BOXES.copy()
-    boxes[0, 2] = np.nan
+    boxes[0, 2] = value
     detector = tiny(prompts=("chair", "trash can"), model={"boxes": boxes})
     with caplog.at_level(logging.ERROR):
         for _ in range(3):
@@ -239,8 +241,12 @@ def test_values_that_are_not_finite_are_dropped_counted_and_told_once(
     assert list(found.class_id) == [0]
     assert detector.invalid_boxes == 3
     assert [r.message for r in caplog.records] == [
-        "model tiny: 1 of 3 boxes are not finite; dropped and counted"
+        f"model tiny: 1 of 3 boxes are {UNSOUND}; dropped and counted"
     ]
+    with pytest.raises(ModelError, match=f"model tiny: 1 boxes are {UNSOUND}"):
+        detector.best_scores(image())
+    with pytest.raises(ModelError, match=r"tiny\.onnx: (1 of 3 boxes|returns boxes) .*not finite"):
+        check_model(detector.card)
 
 
 def test_a_provider_that_is_not_there_is_an_error_that_lists_those_that_are(tiny):

@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 import pytest
 from fake_model_process import ENGINE, EXIT, FAILURE, HANG, NAN, NO_MEMORY, SEGFAULT, TOO_MANY
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 
 from edge import config
 from edge.host import resources
@@ -344,7 +344,7 @@ def test_a_swap_given_up_while_its_process_starts_ends_that(tmp_path, monkeypatc
         detector=config.DetectorOnnx(model="old", vocabulary=str(tmp_path / "script")),
     )
     worker = SimpleNamespace(detector=old, uses=lambda detector: False)
-    swapper = swaps.Swapper(perception, worker, lambda text, now_ns: None)
+    swapper = swaps.Swapper(perception, worker, lambda *_: None)
     others = set(psutil.Process().children())
     swapper.request("steered", False, 0)
     eventually(lambda: set(psutil.Process().children()) - others)

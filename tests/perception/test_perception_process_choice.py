@@ -8,7 +8,7 @@ import signal
 import numpy as np
 import psutil
 import pytest
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 from tiny_vlm import publish
 
 from edge.config import ChoiceOnnx, ModelProcess, Perception

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
 from contextlib import ExitStack
 from dataclasses import replace
 from types import SimpleNamespace
@@ -34,9 +33,10 @@ from edge.perception.worker import DetectorWorker
 SMALL = "mini-house-256x320-int8-cpu"
 PROMPTS = ("chair", "bed")
 NAN = float("nan")
+LIMIT_S = 60.0  # of a server that answers
 
 
-def card_of(server: KServe | str, time_limit_s: float = PATIENCE_S / 4):
+def card_of(server: KServe | str, time_limit_s: float = LIMIT_S):
     """The card of the small detector, as the server has it."""
     url = server if isinstance(server, str) else server.url
     told = Server(url=url, model="m", time_limit_s=time_limit_s)
@@ -222,7 +222,7 @@ BAD = [
 def test_whatever_a_server_does_costs_an_image_and_is_told(
     model, far, picture, behave, kind, why, monkeypatch
 ):
-    limit_s = 0.3 if kind == "slow" else PATIENCE_S / 4
+    limit_s = 0.3 if kind == "slow" else LIMIT_S
     with serving(KServe(model)) as server:
         there = far(server)
         found = there.detect(picture)
@@ -235,9 +235,7 @@ def test_whatever_a_server_does_costs_an_image_and_is_told(
         assert "\n" not in str(error.value)
         assert there.health() == ("degraded", str(error.value))
         server.behave, there.time.s = None, 1e6
-        there._session._server = there._session._server.model_copy(
-            update={"time_limit_s": PATIENCE_S / 4}
-        )
+        there._session._server = there._session._server.model_copy(update={"time_limit_s": LIMIT_S})
         assert len(there.detect(picture).score) == len(found.score)
         assert there.health() == ("ok", "")
 
@@ -308,7 +306,7 @@ def test_who_closes_it_does_not_wait_for_the_server(model, far, picture):
         thread.start()
         assert asked.wait(PATIENCE_S)
         there.close()
-        thread.join(PATIENCE_S / 8)  # the server's limit is twice that
+        thread.join(LIMIT_S / 2)
         assert not thread.is_alive()
         assert "it is no longer asked" in outcome[0]
         assert "it is no longer asked" in _error(there, picture, 1e6)
@@ -335,10 +333,9 @@ def test_beside_the_loop_the_newest_image_wins_and_frames_are_let_go(model, far,
         there.detect(picture)
         server.behave = slowly
         worker = DetectorWorker(there)
-        begin_s = time.monotonic()
         for seq in range(50):
             worker.submit(replace(picture, seq=seq))
-        assert time.monotonic() - begin_s < PATIENCE_S  # none waited for the server
+        assert not worker.idle  # none waited for the server
         gate.set()
         eventually(lambda: worker.idle)
         assert worker.poll().observation.seq == 49

@@ -200,5 +200,7 @@ def test_a_detectors_class_scores(by_detector):
 
 def test_scores_that_are_no_numbers_are_an_error(by_detector):
     scorer = by_detector(np.full((2, 512), np.nan, np.float32), ["chair"])
-    with pytest.raises(ModelError, match=r"tiny-by-detector: scores are not finite"):
+    with pytest.raises(
+        ModelError, match=r"model tiny-detector: 2 boxes are not finite, .* outside 0 to 1"
+    ):
         scorer.score(np.zeros((64, 64, 3), np.uint8), ["chair"])

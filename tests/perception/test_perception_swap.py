@@ -13,7 +13,7 @@ from patience import PATIENCE_S, eventually
 from simulated import simulated
 
 from edge.perception.cards import ModelError
-from edge.perception.detector import Health
+from edge.perception.detector import UNSOUND, Health
 from edge.perception.swap import swapper
 from edge.perception.swap.swapper import SwapError, Swapper
 from edge.perception.swap.trial import Sample, boxes_found_again, sample
@@ -68,15 +68,18 @@ class Fake:
 class Bench:
     """A worker, a swapper, and a loop that steps once for every image."""
 
-    def __init__(self, make_observation, old, new, inline=True, **swap):
+    def __init__(self, make_observation, old, new, inline=True, isolation="process", **swap):
         self.clock_s, self.building = 0.0, None
         self.old, self.new, self.said, self.seq = old, new, [], 0
         self.worker = DetectorWorker(old, inline)
         self._make_observation = make_observation
         settings = {"images": 2, "probation": 5, "budget_ms": 20.0, **swap}
         self.swapper = Swapper(
-            simulated({"perception": {"swap": settings}}).perception, self.worker,
-            lambda text, now_ns: self.said.append(text), self._make, lambda: self.clock_s,
+            simulated({"perception": {"swap": settings}}).perception.model_copy(
+                update={"isolation": isolation}
+            ),
+            self.worker,
+            lambda text, *_: self.said.append(text), self._make, lambda: self.clock_s,
         )  # fmt: skip
 
     def _make(self, perception, prompts, progress, cancelled):
@@ -175,9 +178,10 @@ def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline
         (Fake(words=("bed",)), "prompt 'chair': not in the vocabulary"),
         (Fake(error=RuntimeError("bad\nnode")), "it fails: RuntimeError: bad node"),
         (Fake(from_=3, error=RuntimeError("bad")), "it fails: RuntimeError: bad"),
-        (Fake(invalid=7), "it returns values that are not finite (7 boxes of an image)"),
-        (Fake(box=(0, 0, NAN, 9)), "it returns boxes or scores that are not finite"),
-        (Fake(score=float("inf")), "it returns boxes or scores that are not finite"),
+        (Fake(invalid=7), f"it returns 7 boxes of an image that are {UNSOUND}"),
+        (Fake(box=(0, 0, NAN, 9)), "it returns boxes that are not finite"),
+        *((Fake(score=score), "it returns scores that are not in 0 to 1")
+          for score in (float("inf"), NAN, 1e30, -0.5)),
         (Fake(ms=21), "too slow: median 21.0 ms on 2 images, perception.swap.budget_ms is 20; "
                       "--force takes it all the same"),
         (Fake(box=(40, 40, 60, 60)), "finds 0 of the 2 boxes of old, perception.swap.min_recall "
@@ -196,6 +200,24 @@ def test_a_model_that_does_badly_beside_the_running_one_is_refused(bench, new, r
     assert b.old.closed == 0
 
 
+@pytest.mark.parametrize("fails", [True, False])
+def test_for_a_thread_a_model_is_tried_in_a_process_first(bench, fails):
+    """A model that never ends could not be killed in a thread."""
+    b, made = bench(isolation="thread"), []
+    error = RuntimeError("its process was killed")
+
+    def make(perception, prompts, progress, cancelled):
+        apart = perception.isolation == "process"
+        made.append(Fake(perception.isolation, **({"error": error} if fails and apart else {})))
+        return made[-1]
+
+    b.swapper._make = make
+    assert b.swap()[0] == ("refused" if fails else "kept")
+    eventually(lambda: made[0].closed)
+    assert [one.name for one in made] == ["process"] + ["thread"] * (not fails)
+    assert made[0].images == (1 if fails else 2)
+
+
 def test_a_refused_model_is_closed(bench):
     b = bench(Fake(ms=21))
     b.swap()
@@ -206,8 +228,9 @@ def test_a_refused_model_is_closed(bench):
     ("then", "reason"),
     [
         ({"error": ValueError("no")}, "it fails: ValueError: no"),
-        ({"invalid": 1}, "it returns values that are not finite (1 boxes of an image)"),
-        ({"box": (NAN, 0, 1, 1)}, "it returns boxes or scores that are not finite"),
+        ({"invalid": 1}, f"it returns 1 boxes of an image that are {UNSOUND}"),
+        ({"box": (NAN, 0, 1, 1)}, "it returns boxes that are not finite"),
+        ({"score": 1e30}, "it returns scores that are not in 0 to 1"),
         ({"ms": 30}, "too slow: 5 images, median 30.0 ms, perception.swap.budget_ms is 20"),
         ({"health": Health("degraded", "ended 8 times")}, "degraded: ended 8 times"),
         ({"health": Health("restarting", "it ended")}, "restarting: it ended"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from edge.perception.kernels import ROUNDING
 from edge.perception.lift_kernels import APART, LEFT, MASKED, NEARLY, OTHER_M
 from edge.perception.look_kernels import LOOK_MIN_M, LOOK_RIM, MOST, OCCLUDED_M
 from edge.perception.sighting_kernels import FORGET, PARTIAL, PRIOR, SAME_M, WITHIN
@@ -23,15 +24,22 @@ def iou(a, b):
 
 
 def fold(scores, thing):
+    with np.errstate(invalid="ignore"):
+        nearly = (scores >= -ROUNDING) & (scores <= 1 + ROUNDING)
+    scores = np.where(nearly, scores.clip(0, 1), scores)
     return np.stack([scores[:, thing == k].max(axis=1) for k in range(thing.max() + 1)], axis=1)
 
 
-def candidates(boxes, scores, n_targets, tau):
+def sound(boxes, scores, far_px):
+    return (abs(boxes) <= far_px).all(axis=1) & ((scores >= 0) & (scores <= 1)).all(axis=1)
+
+
+def candidates(boxes, scores, n_targets, tau, far_px):
     """(anchor, label, score, top, invalid)."""
-    finite = np.isfinite(boxes).all(axis=1) & np.isfinite(scores).all(axis=1)
-    clean = np.where(finite[:, None] & (scores >= tau), scores, 0).astype(np.float32)
+    whole = sound(boxes, scores, far_px)
+    clean = np.where(whole[:, None] & (scores >= tau), scores, 0).astype(np.float32)
     anchor, label = np.nonzero(clean[:, :n_targets])
-    return anchor, label, clean[anchor, label], clean.max(axis=1), int((~finite).sum())
+    return anchor, label, clean[anchor, label], clean.max(axis=1), int((~whole).sum())
 
 
 def suppress(boxes, anchor, label, score, labels, one_word, iou_max, limit):
@@ -47,10 +55,11 @@ def suppress(boxes, anchor, label, score, labels, one_word, iou_max, limit):
     return kept
 
 
-def strongest_rivals(boxes, scores, competes, tau, anchor, label, keep, cut, iou_max):
+def strongest_rivals(boxes, scores, competes, tau, far_px, anchor, label, keep, cut, iou_max):
     """The best score of a competing column on the place of each kept box."""
-    finite = np.isfinite(boxes).all(axis=1) & np.isfinite(scores).all(axis=1)
-    clean = np.where(finite[:, None] & (scores >= tau), scores, 0).astype(np.float32)
+    clean = np.where(sound(boxes, scores, far_px)[:, None] & (scores >= tau), scores, 0).astype(
+        np.float32
+    )
     best = []
     for k, part in zip(keep, cut, strict=True):
         i = anchor[k]

@@ -125,9 +125,16 @@ def test_it_is_told_what_is_void(written):
         ("1 / 0", {"kind": "my_policy:P"}, "policy.kind: 'my_policy:P': ZeroDivisionError: "),
         ("", {"kind": "no_such.module:P"}, "policy.kind: 'no_such.module:P': ModuleNotFoundError"),
         ("class P: pass", {"kind": "my_policy:P"}, "policy.kind: my_policy:P is no policy: "),
+        ("def P(): 1 / 0", {"kind": "my_policy:P"}, "policy.kind: my_policy:P is no policy: it is"),
+        (
+            "",
+            {"kind": "subprocess:Popen", "options": {"args": ["false"]}},
+            "policy.kind: subprocess:Popen is no policy: it has no score()",
+        ),
         (SEES, {"kind": "my_policy:Spy", "options": {"x": 1}}, "policy.options: "),
         (
-            "class P:\n    def __init__(self, x): raise RuntimeError('a\\nb')",
+            "class P:\n    score = reset = print\n"
+            "    def __init__(self, x): raise RuntimeError('a\\nb')",
             {"kind": "my_policy:P", "options": {"x": 1}},
             "policy.options: my_policy:P: RuntimeError: ",
         ),

@@ -34,6 +34,9 @@ ROOT = Path(edge.__file__).parents[1]
 NOTED = re.compile(r"\.note\(\s*\"(\w+)\"")
 
 
+STOPS = (((1, "car"), (2, "car")), (), ((3, "van"),))
+
+
 def again(*inputs: Input) -> list[Input]:
     return decode_page(encode_page(inputs, result(), None, {})).entries
 
@@ -191,12 +194,13 @@ def test_a_refined_trajectory_comes_back_with_its_heading(heading_rad):
             "found",
             {
                 "worker": "task",
-                "what": Draft(refined, mistakable=(3, 5), stops_at=(3, "van"), upto=2),
+                "what": Draft(refined, mistakable=(3, 5), stops_at=(3, "van"), stops=STOPS, upto=2),
             },
         )
     )
     draft = journal.draft_of(entry.fields["what"])
     assert (draft.stops_at, draft.upto, draft.mistakable) == ((3, "van"), 2, (3, 5))
+    assert draft.stops == STOPS
     back = draft.refined
     assert back.heading_rad == heading_rad
     assert (back.drivable, back.notes) == (refined.drivable, refined.notes)

@@ -6,6 +6,7 @@ import argparse
 import json
 import re
 import shutil
+import sys
 import threading
 from collections import Counter
 from pathlib import Path
@@ -15,6 +16,8 @@ import pytest
 from patience import eventually
 from recordings import Recording, small
 
+from edge.cli.parsers import make_parser
+from edge.config import Config
 from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
 from edge.loop.goal import GoalTracker
@@ -26,9 +29,11 @@ from edge.loop.service import Service
 from edge.mission.brief import prepare
 from edge.perception.choice.question import Choice
 from edge.policies import make_policy
+from edge.policies.hvl import Hvl
 from edge.recording import commands
 from edge.recording.channels import DEPTH, JOURNAL, of_json
 from edge.recording.file import McapFile, McapReading, RecordingError
+from edge.recording.journal import config_text
 from edge.recording.replay import ReplayError, replay
 from edge.recording.rolling import files_of
 from edge.recording.session import Session
@@ -310,11 +315,12 @@ def test_a_run_that_was_cut_off(drive, tmp_path):
     assert outcome.ended == f"{path}: cut off"
 
 
-def copied(path: Path, out: Path, change) -> Path:
+def copied(path: Path, out: Path, change, head=None) -> Path:
     """A recording again, with each message as `change` makes it of (topic, payload); None: none."""
     reading = McapReading(path)
     messages = list(reading)
-    with McapFile(out, "lz4", reading.metadata) as file:
+    metadata = {"edge-recording": {**reading.metadata["edge-recording"], **(head or {})}}
+    with McapFile(out, "lz4", metadata) as file:
         for m in messages:
             payload = change(m.topic, m.payload)
             if payload is not None:
@@ -335,6 +341,16 @@ def page(change):
         return None if change(told) is False else json.dumps(told).encode()
 
     return changed
+
+
+@pytest.mark.parametrize("stamp_ns", [None, -1, 1 << 64, "1"])
+def test_a_frame_without_its_time_is_damage(drive, tmp_path, stamp_ns):
+    def change(told):
+        if told["observation"] is not None:
+            told["observation"]["stamp_ns"] = stamp_ns
+
+    with pytest.raises(RecordingError, match="damaged journal: ValueError: stamp_ns: "):
+        replay(Session(copied(drive, tmp_path / "edge-a.mcap", page(change))))
 
 
 def test_another_goal_then_is_a_difference_at_its_tick(drive, tmp_path, capsys):
@@ -399,6 +415,111 @@ def test_what_cannot_be_replayed_is_one_line(drive, tmp_path, metadata, payload,
     with pytest.raises(RecordingError, match=re.escape(why)) as caught:
         replay(Session(path))
     assert "\n" not in str(caught.value)
+
+
+OWN = "strangers_own:Thing"
+STRANGE = {
+    "policy.kind": {"policy": {"kind": OWN}},
+    "mission.planner.kind": {"mission": {"target": "bed", "planner": {"kind": OWN}}},
+    "source.kind": {"source": {"kind": OWN}},
+    "sinks.1.kind": {"sinks": ["zenoh", {"kind": OWN, "options": {"args": "true"}}]},
+    "tasks.chain.kind": {"tasks": {"chain": {"kind": OWN}}},
+}
+
+
+def rewritten(path: Path, out: Path, config: Config, reloaded: Config | None = None) -> Path:
+    """A recording again, with another configuration in its head, and in its reloads."""
+
+    def change(told):
+        for entry in told["entries"]:
+            if entry["kind"] == "config":
+                entry["config"] = config_text(reloaded)
+
+    return copied(path, out, page(change), {"config": json.dumps(config_text(config))})
+
+
+@pytest.fixture
+def strangers(tmp_path, monkeypatch):
+    """A module that leaves a mark where it is imported or called."""
+    mark = tmp_path / "imported"
+    (tmp_path / "strangers_own.py").write_text(f"open({str(mark)!r}, 'w')")
+    monkeypatch.syspath_prepend(tmp_path)
+    yield mark
+    sys.modules.pop("strangers_own", None)
+
+
+@pytest.mark.parametrize("key", STRANGE)
+def test_a_recording_runs_no_program_of_its_own(drive, tmp_path, strangers, key):
+    """Whoever made it would else choose what runs here."""
+    path = rewritten(drive, tmp_path / "edge-a.mcap", small(**STRANGE[key]))
+    args = argparse.Namespace(file=path, config=None, detect=False, trust=False)
+    for way in (lambda: replay(Session(path)), lambda: commands.replay(args)):
+        with pytest.raises(RecordingError) as caught:
+            way()
+        said = str(caught.value)
+        assert said.startswith(f"{path}: {key}: {OWN} is no built-in kind")
+        assert "--config" in said
+        assert "--trust" in said
+        assert "\n" not in said
+    assert replay(Session(path), small()).first is None  # one's own configuration takes its place
+    assert not strangers.exists()
+
+
+@pytest.fixture(scope="module")
+def reloaded(tmp_path_factory) -> Path:
+    recording = Recording(tmp_path_factory.mktemp("reloaded")).steps(2)
+    other = small(policy={"kind": "nearest_frontier"})
+    recording.service.reconfigure(other, make_policy(other.policy))
+    return recording.steps(2).close()
+
+
+@pytest.mark.parametrize("key", STRANGE)
+def test_nor_does_a_reload_that_was_recorded(reloaded, tmp_path, strangers, key):
+    path = rewritten(reloaded, tmp_path / "edge-a.mcap", small(), small(**STRANGE[key]))
+    with pytest.raises(RecordingError, match=f"{re.escape(key)}: {OWN} is no built-in kind"):
+        replay(Session(path))
+    assert replay(Session(path), small()).ticks == 4
+    assert not strangers.exists()
+
+
+class Own(Hvl):
+    """A policy of one's own."""
+
+    def __init__(self) -> None:
+        super().__init__(small().policy)
+
+
+def test_a_trusted_recording_runs_its_own_classes(tmp_path, capsys):
+    config = small(policy={"kind": f"{__name__}:Own"})
+    path = Recording(tmp_path, config).steps(3).close()
+    assert replay(Session(path, trust=True)).first is None
+    parser = make_parser("", {})
+    args = parser.parse_args(["replay", str(path), "--trust"])
+    assert commands.replay(args) == 0
+    assert "the same, tick for tick" in capsys.readouterr().out
+    assert not parser.parse_args(["replay", str(path)]).trust
+
+
+def test_a_recording_names_no_files(drive, tmp_path, monkeypatch):
+    """A detector that it asks for opens the files of its card, and writes beside them."""
+    folder = tmp_path / "engines"
+    onnx = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "engine_cache": str(folder),
+            "vocabulary": str(tmp_path / "words.npz")}  # fmt: skip
+    files = {"perception": {"detector": onnx}, "mission": {
+        "target": "bed", "checkpoint": str(tmp_path / "checkpoint.json")}}  # fmt: skip
+    path = rewritten(drive, tmp_path / "edge-a.mcap", small(**files))
+    replay(Session(path))
+    with pytest.raises(ReplayError, match=r"detector\.vocabulary: a recording may name any file"):
+        replay(Session(path), detect=True)
+    del onnx["vocabulary"]
+    path = rewritten(drive, tmp_path / "edge-b.mcap", small(**files))
+    made = []
+    monkeypatch.setattr("edge.recording.replay.make_detector", lambda p, _: made.append(p) or 1 / 0)
+    for trust in (False, True):
+        with pytest.raises(RecordingError, match="ZeroDivisionError"):
+            replay(Session(path, trust), detect=True)
+    assert [p.detector.engine_cache for p in made] == [None, str(folder)]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["edge-a.mcap", "edge-b.mcap"]
 
 
 def test_no_file(tmp_path):

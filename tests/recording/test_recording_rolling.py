@@ -83,14 +83,18 @@ def test_the_oldest_files_make_room_but_never_one_that_is_written(tmp_path, cloc
     other = rolling(tmp_path, clock)
     put(other, 5, NOISE)
     written = files_of(tmp_path)[0]
-    foreign = tmp_path / "holiday.mcap"
-    foreign.write_bytes(NOISE)
+    foreign = [
+        tmp_path / name
+        for name in ("holiday.mcap", "edge-1.mcap", "edge-20200101T000000.000Z.mcap.old")
+    ]
+    for path in foreign:
+        path.write_bytes(NOISE)
     files = rolling(tmp_path, clock, max_mb=1.0, keep_mb=3.0, sync_s=0.0)
     put(files, 60, NOISE)
     files.close()
     left = files_of(tmp_path)
     assert left[0] == written
-    assert foreign.exists()
+    assert all(path.exists() for path in foreign)
     assert sum(path.stat().st_size for path in left) <= 3_300_000
     parts = []
     for path in left[1:]:

@@ -14,6 +14,7 @@ from simulated import simulated
 from task_facts import LIMITS, driving
 
 from edge.geometry import SE2, Grid
+from edge.host.calibration import Calibration
 from edge.loop.latency import LatencyRing
 from edge.loop.result import Event, MissionFacts
 from edge.loop.stages import STAGES
@@ -114,7 +115,7 @@ def drive(recorder: Recorder) -> int:
 
 def latency() -> LatencyRing:
     rng = np.random.default_rng(3)
-    ring = LatencyRing()
+    ring = LatencyRing(calibration=Calibration("m", 1.0, {}))
     for _ in range(800):
         ring.begin_tick(0)
         spent = 0

@@ -213,7 +213,8 @@ def test_targets_may_change_with_the_mission():
     [
         ("chair", "target", "Find the chair"),
         ("go to the tv", "grammar", "go to the tv"),
-        ("x\n" * 500, "grammar", "x\ufffd" * 79 + "x…"),
+        ("x\0" * 500, "grammar", "x\ufffd" * 79 + "x…"),
+        ("go to the bed,\r\n\t  then to the tv", "grammar", "go to the bed, then to the tv"),
     ],
 )
 def test_a_run_is_called_after_its_instruction(instruction, backend, title):

@@ -118,6 +118,16 @@ def test_bars_stand_against_the_budget(run, factor, words):
     assert ("over" in bar) == (factor > 1)
 
 
+def test_a_stage_without_a_budget_is_shown_without_a_verdict(run):
+    """So are most, on a computer that was never calibrated."""
+    row = replace(run.latency.stage("map"), budget_ms=None, p95_ms=100.0)
+    report = replace(run.latency, stages=(row,), calibration=None)
+    text = page._latency(report)
+    assert "over" not in page._latency_row(row)
+    assert "<th>deadline</th>" in text
+    assert "<th>budget</th>" not in text
+
+
 def test_write_report(run, tmp_path):
     paths = page.write_report(run, tmp_path / "a" / "b")
     assert paths.png.read_bytes().startswith(b"\x89PNG")

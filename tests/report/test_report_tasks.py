@@ -12,6 +12,7 @@ from results import result
 from simulated import simulated
 from task_facts import by_a_model, driving, looking
 
+from edge.loop.result import Event
 from edge.report import page, picture, tasks
 from edge.report.record import RunRecord
 from edge.report.recorder import Recorder
@@ -42,6 +43,37 @@ def test_what_was_asked_and_what_became_of_it(done):
         assert words in html
     assert html.count("<details>") == 3
     assert tasks.SCENE_NAME not in tasks.section(done, linked=False)
+
+
+def test_every_trajectory_is_told_and_drawn(done):
+    """The first step's, the second's, and the rest of that, refined again at its end."""
+    first = driving(understood="past the left of van 1")
+    second = driving(
+        understood="to gate 5", coarse_m=first.coarse_m + 1.0, refined=replace(first.refined)
+    )
+    last = replace(second, phase="reached", refined=replace(first.refined), refinements=3)
+    record = replace(done, task=last, driven=(first, second, last))
+    html = tasks.section(record, linked=False)
+    for words in (
+        "<dt>trajectory 1</dt><dd>past the left of van 1: ", "<dt>trajectory 2</dt><dd>to gate 5: ",
+        "; the rest refined again 1 times",
+    ):  # fmt: skip
+        assert words in html
+    assert "refined 2" in tasks.page(record)
+    assert len(tasks.points_m(record)) == 6
+    looked = replace(record, task=looking(phase="failed"))
+    assert "trajectory 2" in tasks.section(looked, linked=False)
+    assert tasks.page(looked) is not None
+
+
+def test_the_recorder_keeps_each_trajectory():
+    recorder = Recorder(simulated())
+    first, event = driving(), Event(1, "trajectory of 3 m")
+    recorder.tick(result(task=lambda: first, events=(event,)))
+    recorder.tick(result(task=lambda: replace(first, index=50), events=(event,)))
+    recorder.tick(result(task=looking, events=(event,)))
+    kept = recorder.record(result(task=looking), {})
+    assert (kept.task.phase, kept.driven, kept.trajectories) == ("looking", (first,), (first,))
 
 
 def test_a_task_that_was_never_written_says_what_was_missing(done):

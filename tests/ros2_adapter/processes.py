@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 
 STOP_S = PATIENCE_S
 

@@ -11,7 +11,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from patience import eventually
+from live_patience import eventually
 from simulated import simulated
 
 from edge.cli.main import main

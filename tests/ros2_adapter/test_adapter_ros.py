@@ -13,7 +13,7 @@ import numpy as np
 import psutil
 import pytest
 import zenoh
-from patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S, eventually
 from processes import Process, running
 from ros_peer_facts import ABORTED, ENDLESS, MOUNTED, PIXELS, REACHED, REJECTED, STAMP_NS
 from secure_files import etc_edge, settings_of

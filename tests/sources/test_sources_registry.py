@@ -70,8 +70,9 @@ def test_a_source_of_ones_own_drives_the_loop(monkeypatch):
     with open_service(config, []) as running:
         loop(running, stop, each=lambda: ticks.append(1) or (len(ticks) == 10 and stop.set()))
         assert running.service.latency.report().tick.count == 10
-        told = status_of(running.service.result())["loop"]
-    assert (told["failed"], told["overruns"]["sensors"]) == (0, 0)
+        status = status_of(running.service.result())
+    assert (status["loop"]["failed"], status["loop"]["overruns"]["sensors"]) == (0, 0)
+    assert status["inputs"] == {"state": "ok", "detail": "", "topics": {}}, "it has no table"
 
 
 def names(*cases):
@@ -84,6 +85,8 @@ def names(*cases):
     ("no_such_module:A", {}, "kind: 'no_such_module:A': ModuleNotFoundError: .* PYTHONPATH"),
     ("edge.sources:Nothing", {}, "kind: 'edge.sources:Nothing': AttributeError"),
     ("math:pi", {}, "kind: math:pi is no source: 3.14.* is not a callable object"),
+    ("subprocess:Popen", {"args": ["false"]}, r"kind: .* is no source: it has no close\(\)"),
+    ("os:system", {"command": "false"}, "kind: os:system is no source: it is no class"),
     ("builtins:dict", {}, "kind: builtins:dict is no source: no signature found"),
     (f"{__name__}:Mine", {}, "options: missing a required argument: 'rate_hz'"),
 )

@@ -18,6 +18,7 @@ from edge.bus.ros2.names import RMW_ZENOH, dialect_of
 from edge.bus.ros2.node import Node
 from edge.bus.wire import messages
 from edge.geometry import R_BODY_OPTICAL, SE2, CameraModel
+from edge.loop.source import lacking
 from edge.sources.ros2 import Ros2Source
 
 CAMERA = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)
@@ -217,6 +218,16 @@ def test_a_robot_on_dds(port, make, via):
         robot.node.close()
 
 
+def test_what_does_not_come_is_named_as_ros_calls_it(make):
+    source = make()
+    source.poll()
+    topics = ", ".join(f"{name} ({NAMES[name]})" for name in ("camera/rgb", "camera/depth"))
+    assert lacking(source.input_table()) == (
+        f"no message yet on {topics}, camera/info ({NAMES['camera/info']}), /odom, "
+        "/tf or /tf_static"
+    )
+
+
 def test_without_tf_nothing_is_where_it_is_thought_to_be(robot, make):
     source = make(map_frame="nowhere")
 
@@ -224,7 +235,8 @@ def test_without_tf_nothing_is_where_it_is_thought_to_be(robot, make):
         robot.see()
         source.wait(0.2)
         assert source.poll() is None
-        return source.counters["no_transform"] > 4
+        dropped = "every message on /odom is dropped: no_transform (from odom and "
+        return dropped in lacking(source.input_table())
 
     eventually(missed)
 

@@ -19,7 +19,7 @@ import pytest
 from fake_zenoh import Flooded
 from hypothesis import given
 from hypothesis import strategies as st
-from patience import eventually
+from live_patience import eventually
 from simulated import simulated
 
 from edge.bus.session import zenoh_session
@@ -28,6 +28,7 @@ from edge.config import Config, ConfigError
 from edge.config.yaml_text import parse_yaml
 from edge.geometry import CameraModel
 from edge.host.ports import free_port
+from edge.loop.source import lacking
 from edge.sources import find_source
 from edge.sources.zmq import ZmqSource, parse_header
 from edge.types import Observation
@@ -105,6 +106,30 @@ def test_colour_and_depth_become_an_observation_as_they_were_sent():
         seen.release()
 
 
+@pytest.mark.parametrize(
+    ("parts", "said"),
+    [
+        ((b"",), "every message on camera/rgb ({0}) is dropped: malformed (expected two parts"),
+        ((RGB, bytes(1536)), "no message yet on camera/depth ({0}), camera/info ({0})"),
+    ],
+)
+def test_what_a_camera_lacks_is_named_with_its_address(parts, said):
+    where = address()
+    with source_of(configured(where), standing()) as source:
+        source.poll()
+        every = ", ".join(f"camera/{name} ({where})" for name in ("rgb", "depth", "info"))
+        assert lacking(source.input_table()) == f"no message yet on {every}"
+        with camera_at(where) as send:
+
+            def told() -> bool:
+                send(*parts)
+                source.wait(0.05)
+                source.poll()
+                return said.format(where) in lacking(source.input_table())
+
+            eventually(told)
+
+
 BAD = [
     ((b"",), "expected two parts, header and pixels, got 1"),
     ((b"", b""), "empty|JSON"),
@@ -116,6 +141,8 @@ BAD = [
     (({**RGB, "stamp": 0.5}, b""), "stamp: expected a whole number, got 0.5"),
     (({**RGB, "topic": "odom"}, b""), r"topic: unknown 'odom' \(choices: camera/rgb, camera/depth"),
     (({**RGB, "encoding": "jpeg"}, b""), r"encoding: unknown 'jpeg' \(choices: rgb8"),
+    (({**RGB, "topic": []}, b""), r"topic: unknown \[\] \(choices"),
+    (({**RGB, "encoding": {}}, b""), r"encoding: unknown \{\} \(choices"),
     (({**RGB, "topc": 1}, b""), r"unknown 'topc' \(there are topic, stamp"),
     (({**RGB, "intrinsics": [1, 2]}, b"\0" * 1536), r"intrinsics: expected \[fx, fy, cx, cy\]"),
     (({**RGB, "intrinsics": [10**400] * 4}, b"\0" * 1536), r"intrinsics: expected"),
@@ -176,6 +203,13 @@ def test_a_wrong_address_is_told_in_one_line(options, said):
     config = simulated({"source": {"kind": "zmq", "options": options}})
     with pytest.raises(ConfigError, match=f"^<defaults>: {said}[^\n]*$"):
         find_source(config)(config=config, session=standing())
+
+
+def test_a_host_without_an_address_is_told(caplog):
+    config = configured("tcp://no.such.host.invalid:5555")
+    source = find_source(config)(config=config, session=standing())
+    eventually(lambda: "no address is known for 'no.such.host.invalid'" in caplog.text)
+    source.close()
 
 
 def test_without_pyzmq_it_says_what_to_install(monkeypatch):

@@ -50,6 +50,18 @@ def test_the_middle_of_a_box_counts_where_there_is_no_mask():
     assert colour_of(rgb, WHOLE, np.zeros((MASK_SIDE, MASK_SIDE), np.bool_)) == "blue"
 
 
+@pytest.mark.parametrize(
+    ("paint", "name"),
+    [((40, 4, 4), "red"), ((45, 8, 6), "red"), ((8, 14, 44), "blue"), ((14, 14, 16), "black"),
+     ((30, 34, 44), "black")],
+)  # fmt: skip
+def test_in_the_shade_a_car_keeps_its_colour(paint, name):
+    """Among tyres, windows and its own shadow, which are black."""
+    rgb = painted((6, 6, 8))
+    rgb[6:14] = paint
+    assert colour_of(rgb, WHOLE, np.ones((MASK_SIDE, MASK_SIDE), np.bool_)) == name
+
+
 def test_what_has_every_colour_has_none():
     rgb = np.array(list(COLOURED.values()), np.uint8)[np.arange(600).reshape(20, 30) % 11]
     assert colour_of(rgb, WHOLE) == ""

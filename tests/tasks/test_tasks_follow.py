@@ -14,7 +14,7 @@ from edge.config import Mapping
 from edge.geometry import SE2
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
-from edge.tasks.follow import blocked_ahead_m, goal_ahead, path_message
+from edge.tasks.follow import blocked_ahead_m, goal_ahead, index_at_goal, path_message
 from edge.tasks.refine import Refined, refine
 from edge.trajectory.smoothing import resample
 
@@ -69,6 +69,54 @@ def test_the_straight_way_to_the_goal_cuts_no_bend(corner_m):
         robot = SE2(*way_m[2], 0.0)
     assert max(seen) < 0.45
     assert (robot.x_m, robot.y_m) == (pytest.approx(-7.0, abs=0.1), pytest.approx(3.0, abs=0.1))
+
+
+ARC = [(-5 + 2 * math.cos(a), 2 * math.sin(a)) for a in np.linspace(-math.pi, math.pi, 40)]
+
+
+@pytest.mark.parametrize("step_m", [0.1, 0.3])
+@pytest.mark.parametrize(
+    "segments",
+    [
+        [[(-2.0, 0.0)], [(-6.0, 0.5)]],
+        [[(0.0, 0.0)], [(-6.0, 0.0)]],
+        [[(-2.0, 0.0), (-6.0, 0.3)]],
+        [[(0.0, 0.0)], [(-3.0, 0.4)], [(0.0, 1.0)], [(-5.0, 1.4)]],
+        [[(-6.9, 0.0)], [(-6.8, 0.0)], [(-7.0, 0.0)], [(0.0, 0.0)]],
+        [ARC, [(5.0, 5.0)]],
+    ],
+)
+def test_no_legs_end_is_passed_before_the_robot_was_there(segments, step_m):
+    refined = refine(scene(), [np.array(s) for s in segments], {1}, BODY, LIMITS)
+    robot, index, least_m = SE2(-7.0, 0.0, 0.0), 0, np.full(len(refined.legs), np.inf)
+    ends_m = [
+        leg.points_m[-1, :2] if leg.ends_segment else refined.poses[refined.leg <= k][-1, :2]
+        for k, leg in enumerate(refined.legs)
+    ]
+    for _ in range(600):
+        at_m = (robot.x_m, robot.y_m)
+        least_m = np.minimum(least_m, [math.dist(at_m, end_m) for end_m in ends_m])
+        goal, since = goal_ahead(refined, robot, 1.5, index)
+        assert since >= index
+        index = since
+        assert (least_m[: refined.leg[index]] <= 0.2).all()
+        away_m = robot.distance_to(goal.x_m, goal.y_m)
+        share = min(step_m / max(away_m, 1e-9), 1.0)
+        x_m, y_m = robot.x_m, robot.y_m
+        robot = SE2(x_m + share * (goal.x_m - x_m), y_m + share * (goal.y_m - y_m), 0.0)
+    assert robot.distance_to(*segments[-1][-1]) < 0.05
+
+
+def test_the_controllers_word_passes_the_end_of_a_leg_and_no_other():
+    refined = refine(scene(), [np.array([[-2.0, 0.0]]), np.array([[-6.0, 0.5]])], {1}, BODY, LIMITS)
+    tip = int(np.argmax(refined.poses[:, 0]))
+    for at, since, index in ((tip, 3, tip + 1), (tip - 4, 3, tip - 4), (tip + 9, 3, tip)):
+        goal = SE2(*refined.poses[at, [0, 1, 3]])
+        assert index_at_goal(refined, goal, since) == index
+    last = len(refined.poses) - 1
+    assert index_at_goal(refined, SE2(*refined.poses[-1, [0, 1, 3]]), last - 2) == last
+    goal, index = goal_ahead(refined, SE2(-2.0, 0.0, 0.0), 1.5, tip - 9, until=tip)
+    assert ((goal.x_m, goal.y_m), index) == (pytest.approx(refined.poses[tip, :2].tolist()), tip)
 
 
 def test_a_goal_that_is_driven_to_comes_to_the_end():

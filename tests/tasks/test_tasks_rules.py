@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -57,6 +59,12 @@ def test_nothing_is_no_instruction(instruction):
         ("go to the old chest of drawers, then past the side tables",
          ("chest of drawers", "side table")),
         ("go to car 3, then stop at sofa number 2", ("car", "sofa")),
+        ("go to the gate after passing the van on the left", ("van", "gate")),
+        ("go to the red stop sign, then past the parking meters, then to the van's left",
+         ("stop sign", "parking meter", "van")),
+        ("stop at the end table", ("end table",)),
+        ("go to the shower head", ("shower head",)),
+        ('go to the "salt & pepper" shaker', ("salt & pepper shaker",)),
     ],
 )  # fmt: skip
 def test_what_it_names_is_known_before_anything_is_seen(instruction, things):
@@ -185,6 +193,34 @@ def test_instructions_that_are_understood(instruction, understood):
         ("go to the nearest car 3", "nearest", "it is chosen in two ways; say one"),
         ("go to it", "it", "it is not clear what this stands for"),
         ("go between the cars", "the cars", "there are 3 of them"),
+        ("go straight for -3 metres", "-3", "this character has no place"),
+        ("go straight for − 3 metres", "− 3", "this character has no place"),
+        ("go forward minus 3 metres", "minus 3", "say how far"),
+        ("go straight for 0 metres", "0", "say how far"),
+        ("drive 3 m backwards", "backwards", "say in which direction"),
+        ("go 3 metres to the left", "to the left", "say in which direction"),
+        ("pass the red car on the left", "on the left", "say 'past the left of …', or '… that is"),
+        ("pass the nearest car on the right", "on the right", "on which side to pass it"),
+        ("pass the red car on your right", "on your right", "say 'past the left of …'"),
+        ("drive past the second car on the left", "on the left", "which one is meant"),
+        ("drive past the car from the left", "from the left", "say which, as 'second from"),
+        ("leave the van on its left", "the van on its left", "say on which side"),
+        ("leave the van behind, then go to the gate", "the van behind", "say on which side"),
+        ("go to the van with the red roof", "red roof", "nothing of that name"),
+        ("go past the van and stop there", "there", "it is not clear where"),
+        ("stop at its left", "at its left", "it is not clear what this stands for"),
+        ("stop before the gate", "before the gate", "not known here"),
+        ("go to the gate after the van", "after the van", "not known here"),
+        ("go to the gate, passing the van, go to car 3", "passing the van", "in their order"),
+        ("go to the gate while avoiding the van", "while avoiding", "not known here"),
+        ("go to the gate and back", "back", "as 'back to the gate'"),
+        ("go to the gate and come back", "come back", "as 'back to the gate'"),
+        ("you should not go to the van", "not go to the van", "expected what to do"),
+        ("go to the van or the gate", "or the gate", "not known here"),
+        ("go to the car that is not red", "not red", "expected what it is like"),
+        ("go to the car that is", "", "expected what it is like"),
+        ('"go to the gate"', '"go to the gate"', "expected what to do"),
+        ("stop at the stop sign", "stop", "nothing of that name is here"),
         ("go between the van", "the van", "there are 1 of them"),
         ("go between the van and the van", "the van and the van", "the same thing twice"),
         ("go between the two cars", "the two cars", "there are 3 of them"),
@@ -219,6 +255,109 @@ def test_instructions_that_are_refused_pointing_at_the_part(instruction, part, h
     assert raised.value.part.startswith(part)
 
 
+SAID_OTHERWISE = {
+    "straight on for 4 m": ["drive 4 metres straight ahead", "move forward by 4 m"],
+    "straight on for 2 m; to car 3": ["move two metres forward, then stop at the blue car"],
+    "past the right of gate 5; to car 3": [
+        "pass the gate on the right, then go to the blue car",
+        "leave the gate on your left and go to the blue car",
+    ],
+    "past the left of gate 5; to car 3": ["with the gate on the right, go to the blue car"],
+    "past the left of van 1": [
+        "overtake the van on the left", "pass the van on its left hand side",
+        "pass the van to the left", "go past the van on your right", "get past the van's left side",
+    ],
+    "past the right of car 3; to gate 5": [
+        "go past the blue car on your left, then to the gate",
+        "leave the blue car on the left, then stop at the gate",
+    ],
+    "past car 4": ["go past the car that is on the right", "pass the right car"],
+    "past the left of car 4": [
+        "drive past the red car on the right on its left",
+        "drive past the left of the car on the right",
+    ],
+    "around the right of van 1; to gate 5": [
+        "go around the van on the right side and stop at the gate",
+        "steer round the van's right, then stop at the gate",
+    ],
+    "past van 1; to gate 5": [
+        "after you have passed the van, stop at the gate", "once you pass the van, go to the gate",
+        "before going to the gate, go past the van", "go past the van to the gate",
+        "go to the gate after passing the van and stop",
+        "pass the van that is white - then stop at the gate",
+    ],
+    "past the left of van 1; to gate 5": [
+        "go to the gate with the van on your right",
+        "go to the gate, leaving the van on your right, then stop",
+        "while keeping the van to your right, go to the gate",
+        "passing the van on the left, go to the gate",
+        "after passing the van on its left, go to the gate",
+        "before you stop at the gate, go past the left of the van",
+    ],
+    "past the right of van 1; to gate 5": [
+        "keep the van on your left and drive to the gate",
+        "go to the gate, with the van on your left",
+        "go to the gate, going past the right of the van",
+    ],
+    "past the left of van 1; to gate 5; to car 3": [
+        "go to the gate, passing the van on the left, then stop at the blue car"
+    ],
+    "to car 3; past van 1; to gate 5": [
+        "go to the blue car, then to the gate after passing the van",
+        "go to the blue car and then, after passing the van, go to the gate",
+    ],
+    "to car 3; to gate 5": ["go to the blue car before you go to the gate"],
+    "to gate 5": [
+        "I would like you to go to the gate", "get to the gate", 'go to the "gate"',
+        "drive up to the gate and wait there", "park right next to the gate",
+        "let's visit the gate",
+    ],
+    "to car 2": ["go to the “red car” on the left", "go to the 'red' car that is on the left"],
+    "to car 3": ["go to the car that's farthest", "approach the car which is blue"],
+    "left of van 1": ["approach the van's left side", "go to the van's left"],
+    "in front of car 3": ["wait just in front of the blue car"],
+    "behind van 1": ["stop directly behind the van", "go right behind the van"],
+    "to gate 5; right of gate 5": ["go to the gate and then to its right"],
+    "to van 1; past the left of van 1": ["go to the van, then past its left"],
+    "between van 1 and gate 5": ["drive through the space between the van and the gate"],
+    "between car 2 and car 4": [
+        "pass between the two red cars", "stop midway between the two red cars"
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("instruction", "understood"),
+    [(words, meant) for meant, listed in SAID_OTHERWISE.items() for words in listed],
+)
+def test_what_is_said_in_other_words_means_the_same(instruction, understood):
+    assert driven(instruction)[0] == understood
+    named(instruction)
+
+
+PROBES = Path(__file__).parents[3] / "shared" / "nl2ltl" / "probes_tasks.tsv"
+
+
+@pytest.mark.skipif(not PROBES.is_file(), reason=f"{PROBES}: the probes are not in this checkout")
+def test_probes_are_understood_as_they_are_meant():
+    wrong = []
+    for line in PROBES.read_text(encoding="utf-8").splitlines()[1:]:
+        instruction, right, *_ = line.split("\t")
+        meant = re.split(r",? \(?or ask", right)[0]
+        asks = meant.startswith(("refuse", "ask"))
+        hint = re.findall(r"saying '(.*?) ?…'", right)
+        try:
+            got = driven(instruction)[0]
+        except TranslationError as error:
+            fine = asks and all(words in str(error) for words in hint)
+            got = str(error)
+        else:
+            fine = not asks and got == meant
+        if not fine:
+            wrong.append((instruction, right, got))
+    assert wrong == []
+
+
 def passes(points, centre=(8.0, 0.0)):
     """On which side of a thing's middle the way crosses its line abeam, seen along x: y there."""
     ys = [y for x, y in points if abs(x - centre[0]) < 1.0]
@@ -250,6 +389,59 @@ def test_a_side_that_is_closed_is_refused():
     with pytest.raises(TrajectoryError, match=r"no room for the robot left of van 1$"):
         driven("drive past the left of the van", scene)
     assert driven("drive past the right of the van", scene)[0] == "past the right of van 1"
+
+
+VAN, GATE, TREE = STREET[0], Thing("gate", 16.0, 2.0, (0.4, 3.0)), Thing("tree", -8.0, 0.0)
+BESIDE_IT = (9.0, 9.4, 0.9, 20.0)
+BEHIND_IT = (11.5, 11.9, -0.9, 20.0), (10.0, 11.9, -1.2, -0.8)
+
+
+@pytest.mark.parametrize(
+    ("walls", "instruction", "refused"),
+    [
+        # Closed beside the van: the robot would touch its left from behind only.
+        ((BESIDE_IT,), "go past the left of the van", "only past its right"),
+        ((BESIDE_IT,), "go around the left of the van, then to the gate", "only past its right"),
+        ((BESIDE_IT,), "go past the van, then stop at the gate", ""),
+        # Closed behind it.
+        (BEHIND_IT, "go past the left of the van, then stop at the gate", "turn back and pass its"),
+        (BEHIND_IT, "go around the left of the van, then to the gate", "turn back and pass its"),
+        (BEHIND_IT, "go past the van, then stop at the gate", ""),
+        (BEHIND_IT, "go past the right of the van, then stop at the gate", ""),
+        # It is asked to come back.
+        (BEHIND_IT, "go past the left of the van, then stop at the tree", ""),
+        (BEHIND_IT, "go past the left of the van, then past the right of it", ""),
+    ],
+)  # fmt: skip
+def test_a_way_past_a_side_does_not_turn_back_past_the_other(walls, instruction, refused):
+    scene = street(VAN, GATE, TREE, walls=walls)
+    if refused:
+        with pytest.raises(TrajectoryError, match=refused):
+            driven(instruction, scene)
+        return
+    driven(instruction, scene)
+
+
+def test_what_comes_next_is_not_known_before_the_robot_is_past():
+    """The corner beside the van is touched, and nothing leads on."""
+    scene = street(VAN, GATE, walls=((8.9, 9.3, 0.9, 20.0), (10.3, 10.7, -20.0, 0.9)))
+    functions = Functions(ground_of(scene, LIMITS.clearance_m), LIMITS)
+    with pytest.raises(TrajectoryError, match="not known yet whether the robot gets past the left"):
+        carry_out("go past the left of the van, then stop at the gate", functions, slice(0, 1))
+
+
+def test_ground_that_nobody_has_seen_is_not_called_full():
+    scene = street(VAN)
+    centres_m = scene.occupancy.centres_m(*np.indices(scene.occupancy.cells.shape))
+    hidden = (centres_m[..., 1] > 0.9) & (centres_m[..., 0] > 3.0)
+    scene.occupancy.cells[hidden], scene.regions_grid.cells[hidden] = -1, 0
+    for words in ("stop left of the van", "go past the left of the van"):
+        with pytest.raises(TrajectoryError, match="nobody has seen yet whether there is room"):
+            driven(words, scene)
+    scene.occupancy.cells[:, 120:] = -1
+    scene.regions_grid.cells[:, 120:] = 0
+    with pytest.raises(TrajectoryError, match=r"was not seen any farther than 4\.0 m"):
+        driven("go straight for 5 metres", scene)
 
 
 def test_the_other_side_of_a_wall_is_not_beside_a_thing():

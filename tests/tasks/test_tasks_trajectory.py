@@ -141,10 +141,19 @@ def test_a_robot_may_begin_where_it_stands():
         check(Coarse((np.array([(0.5, 0.0)]),)), ground, LIMITS)
 
 
-@pytest.mark.parametrize("speed_mps", [0.0, -1.0, 2.1, 1e9, math.nan, math.inf])
-def test_speeds_that_are_too_high_or_none(speed_mps):
-    with pytest.raises(TrajectoryError, match="is not above 0 and at most 2 m/s"):
+@pytest.mark.parametrize(
+    "speed_mps", [0.0, 5e-324, 1e-9, 0.049, -1.0, 2.1, 1e9, math.nan, math.inf]
+)
+def test_speeds_that_are_too_high_or_too_low(speed_mps):
+    with pytest.raises(TrajectoryError, match=r"is not within 0\.05 to 2 m/s"):
         check(Coarse((np.zeros((1, 2)),), (), speed_mps), GROUND, LIMITS)
+
+
+@pytest.mark.parametrize("value", [0.0, 5e-324, 1e300, math.inf, math.nan])
+@pytest.mark.parametrize("key", ["max_jump_m", "max_length_m", "max_speed_mps"])
+def test_limits_that_no_robot_has_are_refused(key, value):
+    with pytest.raises(ValueError, match=key):
+        TrajectoryLimits(**{key: value})
 
 
 def test_the_length_and_the_regions_are_bounded():
@@ -176,6 +185,7 @@ def test_junk_is_refused_or_safe(segments, regions, speed_mps):
     assert np.isfinite(way).all()
     assert np.hypot(*np.diff(way, axis=0).T).max() <= LIMITS.max_jump_m
     assert set(coarse.regions) <= {1, 2}
+    assert coarse.speed_mps is None or 0.05 <= coarse.speed_mps <= LIMITS.max_speed_mps
 
 
 @given(st.lists(st.tuples(st.floats(-19, 19), st.floats(-19, 19)), min_size=1, max_size=8))

@@ -15,6 +15,7 @@ import numpy as np
 
 from edge.bus.wire.cdr import U32, DecodeError, Reader, Writer
 from edge.bus.wire.images import M_PER_MM
+from edge.host.c_stderr import silenced
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _IHDR = struct.Struct(">4sIIB")  # name, width, height, bits
@@ -166,7 +167,8 @@ def decode_compressed_into(payload: bytes, header: CompressedHeader, out: np.nda
         raise DecodeError(f"compressed {header.content} where {out.dtype} pixels are expected")
     data = np.frombuffer(payload, np.uint8, header.end - header.begin, header.begin)
     try:
-        picture = cv2.imdecode(data, _AS_IT_IS if colour else cv2.IMREAD_UNCHANGED)
+        with silenced():
+            picture = cv2.imdecode(data, _AS_IT_IS if colour else cv2.IMREAD_UNCHANGED)
     except cv2.error:
         picture = None
     if picture is None or picture.shape != out.shape:

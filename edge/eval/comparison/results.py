@@ -18,7 +18,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 import edge
 from edge.config import ConfigError, Section
-from edge.config.explain import explain
+from edge.config.explain import explain_all
 from edge.config.yaml_text import read_yaml
 from edge.errors import FileError, UserError
 from edge.eval.comparison import outcomes as records
@@ -131,7 +131,7 @@ def read(path: Path) -> Book:
     try:
         return Book.model_validate(data)
     except ValidationError as error:
-        raise ConfigError("\n".join(explain(f, str(path), Book) for f in error.errors())) from None
+        raise ConfigError(explain_all(error, str(path), Book)) from None
 
 
 def run(args: argparse.Namespace) -> int:

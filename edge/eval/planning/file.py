@@ -12,7 +12,7 @@ from edge.eval.planning.lifted import MAX_OBJECTS, lift, with_canonical_names, w
 from edge.eval.planning.templates import Task
 from edge.host.files import read_regular, save
 from edge.mission.ltl import parse, propositions, to_text
-from edge.text import read_json_object
+from edge.text import bounded_repr, read_json_object
 
 FIELDS = {"id": int, "template": str, "objects": list, "sentence": str, "formula": str}
 
@@ -80,7 +80,9 @@ def _task(line: str) -> Task:
         raise ValueError(f"{error}; every line is one task, with {', '.join(FIELDS)}") from None
     for field, kind in FIELDS.items():
         if not isinstance(data.get(field), kind) or isinstance(data[field], bool):
-            raise ValueError(f"{field}: expected {kind.__name__}, got {data.get(field)!r:.60}")
+            raise ValueError(
+                f"{field}: expected {kind.__name__}, got {bounded_repr(data.get(field), 60)}"
+            )
     if not 0 <= data["id"] < 1 << 63:
         raise ValueError(f"id: must be between 0 and 2**63 - 1, got {data['id']}")
     formula = with_canonical_names(parse(data["formula"]))

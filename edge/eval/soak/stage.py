@@ -25,6 +25,7 @@ from edge.bus.client import ask
 from edge.bus.session import zenoh_session
 from edge.config import Config, DetectorOnnx, WorldGenerated, Zenoh
 from edge.config.loop import Sink
+from edge.config.yaml_text import read_yaml
 from edge.errors import UserError
 from edge.eval.soak import recordings
 from edge.eval.soak.log import Log
@@ -56,7 +57,8 @@ def staged(config: Config, out: Path) -> Config:
         UserError: it is one that replays the same, for which there is no real time.
     """
     if config.loop.lockstep or config.sim.lockstep:
-        raise UserError(f"{config.path}: loop.lockstep, sim.lockstep: a soak is in real time")
+        where = config.at("loop.lockstep", "sim.lockstep")
+        raise UserError(f"{where}, sim.lockstep: a soak is in real time")
     zenoh = {"endpoint": _endpoint(), "file": None, "client_file": None}
     http = {"host": "127.0.0.1", "port": free_port(), "token_file": None}
     checkpoint = {"checkpoint": str(out / "checkpoint.json")}
@@ -306,7 +308,7 @@ def _cache(config: Config, folder: Path) -> Path:
     detector = config.perception.detector
     if isinstance(detector, DetectorOnnx):
         card = load_detector_card(detector.model)
-        told = yaml.safe_load(card_path(detector.model).read_text(encoding="utf-8"))
+        told = read_yaml(card_path(detector.model))
         for name in (TWIN, BROKEN):
             own = {"name": name, "file": f"{name}.onnx", "parity": None}
             text = yaml.safe_dump({**told, **own}, sort_keys=False)

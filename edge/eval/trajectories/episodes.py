@@ -68,6 +68,8 @@ class Episode:
         truth: int8, 100 where something is, whether or not the scene tells.
         robot_m: the robot's radius.
         things: of the place, for pictures.
+        solid_m: (n, 2) float64 points of what truly is there, finer than `truth`; None: there are
+            none, and `truth` is exact.
     """
 
     id: str
@@ -78,6 +80,7 @@ class Episode:
     truth: Grid
     robot_m: float
     things: tuple[Thing, ...]
+    solid_m: np.ndarray | None = None
 
 
 def episodes(
@@ -118,13 +121,20 @@ def _of(spec: str, chain: Chain | None) -> Iterator[Episode]:
     raise UserError(f"{one_line(spec)}: not understood (forms: {KNOWN})")
 
 
-def _episode(source: str, world: str, place: Place, task: Task, scene: Scene) -> Episode:
+def _episode(
+    source: str,
+    world: str,
+    place: Place,
+    task: Task,
+    scene: Scene,
+    solid_m: np.ndarray | None = None,
+) -> Episode:
     content = json.dumps([world, task.instruction, np.round(task.reference_m, 2).tolist()])
     code = hashlib.sha256(content.encode()).hexdigest()[:8]
     words = one_line(task.instruction, 60).replace(" ", "-").replace(",", "")
     return Episode(
         f"{world}/{words}/{code}", source, world, task, scene, place.occupancy, place.robot_m,
-        place.things,
+        place.things, solid_m,
     )  # fmt: skip
 
 
@@ -153,12 +163,20 @@ def _streets(numbers: range) -> Iterator[Episode]:
 
 
 def _kitti(folder: Path, numbers: Sequence[int], chain: Chain | None) -> Iterator[Episode]:
-    whole = kitti.kitti_scene(folder, numbers)
-    for number in numbers:
+    frames = kitti.read_frames(folder, numbers)
+    whole = kitti.scene_of(frames, kitti.oracle(frames), kitti.CAR_RADIUS_M)
+    sequence, solid_m = _sequence(folder), kitti.solid_m(frames)
+    for number, frame in zip(numbers, frames, strict=True):
         scene = kitti.kitti_scene(folder, [number], chain, by_labels=chain is None)
-        place = kitti_place(kitti.read_frame(folder, number), whole)
+        place = kitti_place(frame, whole)
         for task in _drawn(place, Dice(_KEY, number)):
-            yield _episode("kitti", f"kitti-{number:06d}", place, task, scene)
+            yield _episode("kitti", f"kitti-{sequence}-{number:06d}", place, task, scene, solid_m)
+
+
+def _sequence(folder: Path) -> str:
+    """A name of a sequence that no other has: its folder's, and a few digits of its poses."""
+    poses = hashlib.sha256((folder / "poses.txt").read_bytes()).hexdigest()[:4]
+    return f"{one_line(folder.resolve().name, 40)}-{poses}"
 
 
 def kitti_place(frame: kitti.Frame, whole: Scene) -> Place:

@@ -18,7 +18,7 @@ from edge.eval.outcome import MAX_BYTES, NAME
 from edge.eval.trajectories.episodes import Episode
 from edge.eval.trajectories.meaning import CATEGORIES
 from edge.eval.trajectories.methods import Made
-from edge.eval.trajectory_metrics import contacts, evenly, likeness
+from edge.eval.trajectory_metrics import contacts, evenly, likeness, point_contacts
 from edge.geometry import Grid
 
 EPISODES_NAME = "episodes.jsonl"
@@ -103,7 +103,10 @@ def outcome_of(episode: Episode, method: str, writer: str, made: Made) -> Outcom
     path_m = made.path_m
     told, robot_m = episode.scene.occupancy, episode.robot_m
     like = likeness(path_m, episode.task.reference_m, told, robot_m)
-    true_contacts = contacts(path_m, episode.truth, robot_m)
+    if episode.solid_m is None:
+        true_contacts = contacts(path_m, episode.truth, robot_m)
+    else:
+        true_contacts = point_contacts(path_m, episode.solid_m, robot_m)
     length_m = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
     numbers = (like.error_m, like.frechet_m, like.ndtw)
     return Outcome(

@@ -101,7 +101,7 @@ def street_view(seed: int, config: Config, words: Sequence[str] | None = None) -
     sim = config.sim.model_copy(update={"world": WorldStreet(seed=seed), "start": None})
     config = config.model_copy(update={"sim": sim})
     if config.sensors.lidar is None:
-        raise ViewError(f"{config.path}: sensors.lidar: a street is seen with a LiDAR: add one")
+        raise ViewError(f"{config.at('sensors.lidar')}: a street is seen with a LiDAR: add one")
     world = load_world(config)
     camera, lidar = CameraRig(config, world), LidarRig(config, world)
     camera.look(world.start)
@@ -152,14 +152,14 @@ def detector_chain(
     detector = config.perception.detector
     if detector.kind == "sim" and truth is None:
         raise ViewError(
-            f"{config.path}: perception.detector.kind: sim sees nothing in a real picture: name a "
+            f"{config.at('perception.detector.kind')}: sim sees nothing in a real picture: name a "
             "model (onnx), or take --objects labels"
         )
     # The detector sees its background anyhow; but it has to be asked for something.
     words = tuple(words) or tuple(detector.background or ())[:1]
     if not words:
         raise ViewError(
-            f"{config.path}: perception.detector.background: name what is to be looked for"
+            f"{config.at('perception.detector.background')}: name what is to be looked for"
         )
     with open_chain(config.perception, words, truth) as chain:
         yield chain, detector.model if detector.kind == "onnx" else "the simulated detector"
@@ -167,10 +167,12 @@ def detector_chain(
 
 def _own_chain(config: Config, own: ChainOwn, words: tuple[str, ...]) -> Chain:
     """The chain that `tasks.chain` names; what its parts raise is told as theirs."""
-    where = f"{config.path}: tasks.chain"
+    where = config.at("tasks.chain")
     given: dict[str, Any] = {"perception": config.perception, "words": words}
     needs = ("tags", "boxes", "masks", "captions", "embeddings")
-    make = find_named("chain", own.kind, own.options, {}, where, needs, tuple(given))
+    make = find_named(
+        "chain", own.kind, own.options, {}, where, needs, tuple(given), functions=True
+    )
     made = make(**given)
 
     def guarded(name: str) -> Callable[..., Any] | None:

@@ -39,15 +39,13 @@ function duration(s) {
 // What a person has to know first, in order of weight.
 export function tellState({ service, silent_s, moment }, fault) {
   const why = service.why.join("; ");
-  const unseen = service.why.includes("nothing to be seen");
   if (service.state === "starting") return banner("info", `Starting: ${why.replace(/^starting:? ?/, "") || "…"}`);
   if (fault) return faulty(fault, false);
   if (service.state === "stopping") return banner("warn", "The service is stopping.");
   if (silent_s !== null && silent_s > 3) return banner("bad", `The loop has been silent for ${silent_s.toFixed(0)} s.`);
-  if (unseen) return banner("warn", `Not ready: ${why}. Check camera, depth or LiDAR, and odometry.`);
   if (!service.ready) return banner("warn", `Not ready: ${why}.`);
   if (moment?.paused && !isDone(moment)) return banner("info", "Paused: the robot stands until the mission is resumed.");
-  if (moment && !moment.controlled && moment.goal) return banner("warn", "No motion controller answers: the goal is not driven to.");
+  if (moment && !moment.controlled && moment.goal) return banner("warn", "No motion controller answers: a goal counts as reached when the robot stops there.");
   banner("", "");
 }
 
@@ -100,14 +98,15 @@ export const log = once(({ events, n_events }) => {
   say("log-note", n_events > events.length ? `newest ${events.length} of ${n_events}` : `${n_events}`);
 });
 
-export function latency({ stages, tick, deadline_ms }) {
-  const head = ["", "", "p95", "budget", "drops"].map((text) => make("th", { text }));
+export function latency({ stages, tick, deadline_ms, slowdown }) {
+  const limit = slowdown === null ? "deadline" : "budget"; // of a stage: once this computer was calibrated
+  const head = ["", "", "p95", limit, "drops"].map((text) => make("th", { text }));
   const rows = [...Object.entries(stages), ["tick", tick]].map(([name, row]) => {
     const cells = [
       make("td", { text: row.in_tick ? name : `${name} *`, title: row.in_tick ? "" : "beside the tick" }),
-      make("td", { class: "gauge" }, gauge(row)),
+      make("td", { class: "gauge" }, ...(row.budget_ms === null ? [] : [gauge(row)])),
       make("td", { text: row.n ? ms(row.p95_ms) : "–", class: row.verdict === "over" ? "bad" : "" }),
-      make("td", { text: ms(row.budget_ms) }),
+      make("td", { text: row.budget_ms === null ? "–" : ms(row.budget_ms) }),
       make("td", { text: String(row.drops) }),
     ];
     return make("tr", { class: name === "tick" ? "tick" : "" }, ...cells);
@@ -131,7 +130,8 @@ const ms = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2));
 
 export const health = once(({ service, health: h, controlled }) => {
   const rows = [["service", service.ready ? `${service.state}, ready` : `${service.state}: ${service.why.join("; ")}`, service.ready ? "ok" : "warn"]];
-  const { detector, loop, checkpoint, swap, governor, scorers } = h;
+  const { detector, loop, checkpoint, swap, governor, scorers, inputs } = h;
+  for (const [name, input] of Object.entries(inputs?.topics ?? {})) rows.push([name, ...inputOf(input)]);
   rows.push(["detector", `${detector.model}: ${detector.state}${detector.detail ? `, ${detector.detail}` : ""}`, level(detector.state)]);
   rows.push(["images", `${detector.done} searched, ${detector.failed} failed, ${detector.replaced} passed over`]);
   rows.push(["loop", `${loop.state}, ${loop.failed} faults${loop.last_error ? `: ${loop.last_error}` : ""}`, level(loop.state)]);
@@ -142,5 +142,19 @@ export const health = once(({ service, health: h, controlled }) => {
   if (checkpoint) rows.push(["checkpoint", Object.values(checkpoint).filter((v) => typeof v === "string").join(", ")]);
   pairs("health", rows);
 });
+
+// What an input brings, or why it brings nothing.
+function inputOf({ name, where, needed, state, why, hz, age_s, dropped }) {
+  const said = {
+    ok: hz ? `${hz.toFixed(hz < 10 ? 1 : 0)} Hz` : `${age_s?.toFixed(0)} s ago`,
+    missing: where.endsWith(name) ? "no message yet" : `no message yet on ${where}`,
+    silent: `silent for ${age_s?.toFixed(0)} s`,
+    dropped: `all are dropped: ${why}`,
+    unused: "not needed",
+  }[state];
+  const drops = Object.entries(dropped).filter(([reason]) => reason !== "superseded" && state !== "dropped");
+  const lost = drops.map(([reason, n]) => `, ${n} ${reason}`).join("");
+  return [said + lost, state === "ok" ? "ok" : needed && state !== "unused" ? "warn" : ""];
+}
 
 const level = (state) => (state === "ok" ? "ok" : "warn");

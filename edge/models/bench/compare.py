@@ -81,7 +81,7 @@ def _family(asked: str | None, config: Config) -> str:
     if isinstance(detector, DetectorOnnx):
         return load_detector_card(detector.model).family
     raise UserError(
-        f"{config.path}: perception.detector.kind is {detector.kind}: name a family "
+        f"{config.at('perception.detector.kind')} is {detector.kind}: name a family "
         f"(choices: {', '.join(families()) or 'none'})"
     )
 

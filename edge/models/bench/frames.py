@@ -15,6 +15,7 @@ from edge import names
 from edge.config import Config
 from edge.errors import UserError
 from edge.geometry import SE2, invert
+from edge.host.c_stderr import silenced
 from edge.models.bench.boxes import KIND, NAMED, NO, Truth
 from edge.perception import kernels, text
 from edge.sim.base import World, WorldObject, free_poses
@@ -130,7 +131,8 @@ def from_folder(folder: Path, count: int) -> Frames:
         raise UserError(f"{folder}: no images ({', '.join(_IMAGES)}): name another folder")
     rgb = []
     for path in paths:  # OpenCV would wait for ever at a pipe
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
+        with silenced():
+            image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
         if image is None:
             raise UserError(f"{path}: not an image that can be read: take it away")
         rgb.append(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))

@@ -50,7 +50,7 @@ class Measured:
         memory_mb: what the process grew by.
         gpu_memory_mb: what the GPU's memory in use grew by; None where unknown.
         others_cores: how many cores other processes kept busy meanwhile; None where unknown.
-        invalid_boxes: how many boxes were not finite.
+        invalid_boxes: how many boxes were not sound.
         gpu: its name; None on the CPU.
     """
 

@@ -11,11 +11,13 @@ from typing import Any
 
 import yaml
 
+from edge.config.yaml_text import parse_yaml
 from edge.errors import UserError
 from edge.host import machine, resources
 from edge.host.files import save
 from edge.models.bench.variants import RUNTIMES
 from edge.perception.cards import card_path
+from edge.perception.detector import UNSOUND
 
 Report = dict[str, Any]
 _CARD_WIDTH = 110
@@ -121,7 +123,7 @@ def _footnotes(report: Report) -> list[str]:
         lines.append("MB: what the process grew by + what the GPU's memory in use did")
     for row in ran:
         if row["invalid_boxes"]:
-            lines.append(f"{row['name']} on {row['on']}: {row['invalid_boxes']} boxes not finite")
+            lines.append(f"{row['name']} on {row['on']}: {row['invalid_boxes']} boxes {UNSOUND}")
     return lines
 
 
@@ -165,7 +167,7 @@ def update_cards(report: Report) -> Iterator[Path]:
 def _update_card(path: Path, report: Report, rows: list[dict[str, Any]]) -> None:
     """The card keeps its remarks at the top and the order of its keys."""
     text = path.read_text(encoding="utf-8")
-    card = yaml.safe_load(text)
+    card = parse_yaml(text)
     for row in rows:
         key = f"{row['on']} of {machine.short_name(report['machine'], row['gpu'])}"
         card["measured"] = {**card.get("measured", {}), key: card_figures(report, row)}

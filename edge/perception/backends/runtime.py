@@ -22,6 +22,7 @@ from edge.perception.backends.engines import EngineOptions, engine_of
 from edge.perception.model_file import ModelError
 from edge.text import one_line
 
+CPU_ALONE = ("CPUExecutionProvider",)
 TENSORRT = "tensorrt"
 ORT_TENSORRT = "TensorrtExecutionProvider"
 TENSORRT_PROVIDERS = {TENSORRT, ORT_TENSORRT}
@@ -61,19 +62,50 @@ def open_session(
     Raises:
         ModelError: a package or provider is not there, or the file is no model.
     """
-    if not providers:
-        raise ModelError(f"{key}: empty, name at least one")
     engine = engine or EngineOptions(path.stem, "fp32")
     if engine.precision == "int8-cpu" and TENSORRT_PROVIDERS.intersection(providers):
         raise ModelError(
             f"model {engine.model}: its INT8 is not symmetric, which TensorRT demands; choose its "
             "int8-trt or fp16 variant"
         )
+    check_providers(providers, key)
+    if TENSORRT in providers:
+        return tensorrt.open_engine(path, device_id, engine)
+    return _open_onnxruntime(path, providers, threads, device_id, engine, key)
+
+
+def check_providers(providers: Sequence[str], key: str, look: bool = True) -> None:
+    """Refuse providers that this installation does not have.
+
+    Args:
+        key: of the configuration that named them, for messages.
+        look: False: onnxruntime is not imported, so it is not asked which providers it has.
+
+    Raises:
+        ModelError: there are none, or a package or a provider is not there.
+    """
+    if not providers:
+        raise ModelError(f"{key}: empty, name at least one")
     if TENSORRT in providers:
         if len(providers) > 1:
             raise ModelError(f"{key}: {TENSORRT!r} stands alone, without others")
-        return tensorrt.open_engine(path, device_id, engine)
-    return _open_onnxruntime(path, providers, threads, device_id, engine, key)
+        tensorrt.load()
+        return
+    lacks = ModelError("onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])")
+    if not look:
+        if importlib.util.find_spec("onnxruntime") is None:
+            raise lacks
+        return
+    try:
+        import onnxruntime as ort
+    except ImportError:
+        raise lacks from None
+    available = ort.get_available_providers()
+    for provider in providers:
+        if provider not in available:
+            raise ModelError(
+                f"{key}: {provider!r} is not available here (available: {', '.join(available)})"
+            )
 
 
 def _open_onnxruntime(
@@ -84,18 +116,8 @@ def _open_onnxruntime(
     engine: EngineOptions,
     key: str,
 ) -> Any:
-    try:
-        import onnxruntime as ort
-    except ImportError:
-        raise ModelError(
-            "onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])"
-        ) from None
-    available = ort.get_available_providers()
-    for provider in providers:
-        if provider not in available:
-            raise ModelError(
-                f"{key}: {provider!r} is not available here (available: {', '.join(available)})"
-            )
+    import onnxruntime as ort
+
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1

@@ -18,6 +18,7 @@ from edge.perception.choice.answers import YES_NO
 from edge.perception.detector import log_progress
 from edge.perception.process.kept import KeptProcess, Pause
 from edge.perception.process.wire import ModelProcessError
+from edge.text import bounded_repr
 
 if TYPE_CHECKING:
     from edge.perception.vlm.model import Asked
@@ -132,15 +133,15 @@ def _decode(
         ValueError: with one line that says what is wrong.
     """
     if header.get("seq") != seq:
-        raise ValueError(f"seq {header.get('seq')!r:.40}, expected {seq}")
+        raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
     told = header.get("p")
     if not isinstance(told, list) or len(told) != len(sizes):
-        raise ValueError(f"p {told!r:.40}")
+        raise ValueError(f"p {bounded_repr(told, 40)}")
     try:
         found = [np.array(p, np.float32) for p in told]
     except (TypeError, ValueError):
-        raise ValueError(f"p {told!r:.40}") from None
+        raise ValueError(f"p {bounded_repr(told, 40)}") from None
     for p, size in zip(found, sizes, strict=True):
         if p.shape != (size,) or not (p >= 0).all() or abs(float(p.sum()) - 1.0) > _SUM_ERROR:
-            raise ValueError(f"shares {p.tolist()!r:.40} for {size} answers")
+            raise ValueError(f"shares {bounded_repr(p.tolist(), 40)} for {size} answers")
     return found

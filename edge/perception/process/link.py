@@ -75,11 +75,18 @@ class Link:
                 ) from None
             self._channels = stack.pop_all()
 
-    def wait_ready(self, timeout_s: float, told_to_end: Callable[[], bool], progress: Tell) -> None:
-        """Until the model is loaded and has run once.
+    def wait_ready(
+        self,
+        timeout_s: float,
+        told_to_end: Callable[[], bool],
+        progress: Tell,
+        limit: str = "perception.process.start_timeout_s",
+    ) -> dict[str, Any]:
+        """Wait until the model is loaded and has run once. Return what it said then.
 
         Args:
             timeout_s: how long it may say nothing.
+            limit: the key or option that says so.
             told_to_end: asked every now and then.
             progress: told what it says of the loading.
 
@@ -88,18 +95,20 @@ class Link:
                 it is loaded in this process.
             ModelProcessError: it ended, took too long, or is no longer wanted.
         """
-        while "health" in (header := self._hear(timeout_s, told_to_end)):
+        while "health" in (header := self._hear(timeout_s, told_to_end, limit)):
             progress(self._decode(wire.decode_health, header))
         wire.raise_error(header, self.name)
+        return header
 
-    def _hear(self, timeout_s: float, told_to_end: Callable[[], bool]) -> dict[str, Any]:
+    def _hear(
+        self, timeout_s: float, told_to_end: Callable[[], bool], limit: str
+    ) -> dict[str, Any]:
         """What a process says that is not yet ready; see `wait_ready`."""
         deadline_s = time.monotonic() + timeout_s
         while (said := _receive(self._control)) is None:
             if told_to_end():
                 raise self.give_up("told to end while it was started")
             if time.monotonic() >= deadline_s:
-                limit = "perception.process.start_timeout_s"
                 raise self.give_up(f"not ready after {timeout_s:g} s ({limit}): killed")
         if not said:
             with contextlib.suppress(subprocess.TimeoutExpired):

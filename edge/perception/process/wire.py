@@ -16,9 +16,9 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 import numpy as np
 
 from edge.perception.cards import ModelError
-from edge.perception.detector import Detector, Health
+from edge.perception.detector import Detector, Health, fault_of
 from edge.perception.text import PromptError
-from edge.text import one_line
+from edge.text import bounded_repr, one_line
 from edge.types import ContextBoxes, Detections
 
 MAX_BYTES = 1 << 18
@@ -88,19 +88,22 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
     """
     prompts, invalid = header.get("prompts"), header.get("invalid_boxes")
     if header.get("seq") != seq:
-        raise ValueError(f"seq {header.get('seq')!r:.40}, expected {seq}")
+        raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
     if type(invalid) is not int:
-        raise ValueError(f"invalid_boxes {invalid!r:.40}")
+        raise ValueError(f"invalid_boxes {bounded_repr(invalid, 40)}")
     told = header.get("context")
     if not (told is None or isinstance(told, dict)):
-        raise ValueError(f"context {told!r:.40}")
+        raise ValueError(f"context {bounded_repr(told, 40)}")
     words, m = ([], 0) if told is None else (told.get("words"), told.get("n"))
     _check_words("prompts", prompts)
     _check_words("context", words)
     n = header.get("n")
     counted = type(n) is int and type(m) is int and min(n, m) >= 0
     if not counted or len(block) != (n + m) * _BOX_BYTES:
-        raise ValueError(f"{len(block)} bytes for {n!r:.40} and {m!r:.40} boxes of {_BOX_BYTES}")
+        raise ValueError(
+            f"{len(block)} bytes for {bounded_repr(n, 40)} and {bounded_repr(m, 40)} boxes of "
+            f"{_BOX_BYTES}"
+        )
     xyxy, score, class_id, rival = _unpacked(block[: n * _BOX_BYTES], n, prompts)
     context = None
     if told is not None:
@@ -114,7 +117,7 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
 
 def _check_words(what: str, words: Any) -> None:
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
-        raise ValueError(f"{what} {words!r:.40}")
+        raise ValueError(f"{what} {bounded_repr(words, 40)}")
 
 
 def _unpacked(
@@ -124,10 +127,8 @@ def _unpacked(
     reals = np.frombuffer(block, "<f4").astype(np.float32)
     xyxy, score, rival = reals[: 4 * n].reshape(n, 4), reals[4 * n : 5 * n], reals[6 * n :]
     class_id = np.frombuffer(block, "<i4")[5 * n : 6 * n].astype(np.int32)
-    if not np.isfinite(xyxy).all():
-        raise ValueError("boxes that are not finite")
-    if not ((score >= 0) & (score <= 1) & (rival >= 0) & (rival <= 1)).all():  # NaN is neither
-        raise ValueError("scores that are not in 0 to 1")
+    if fault := fault_of(xyxy, score, rival):
+        raise ValueError(fault)
     if not ((class_id >= 0) & (class_id < len(words))).all():
         raise ValueError(f"classes that are not among {len(words)} prompts")
     return xyxy, score, class_id, rival
@@ -140,9 +141,9 @@ def decode_health(header: dict[str, Any]) -> Health:
     """
     told = header.get("health")
     if not isinstance(told, list) or len(told) != 2 or not all(isinstance(t, str) for t in told):
-        raise ValueError(f"health {told!r:.40}")
+        raise ValueError(f"health {bounded_repr(told, 40)}")
     if told[0] not in _STATES:
-        raise ValueError(f"health {told[0]!r:.40} (choices: {', '.join(_STATES)})")
+        raise ValueError(f"health {bounded_repr(told[0], 40)} (choices: {', '.join(_STATES)})")
     return Health(*told)
 
 

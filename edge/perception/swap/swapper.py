@@ -13,6 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import closing
 
 from edge.config import DetectorOnnx, Perception
 from edge.errors import UserError
@@ -21,7 +22,7 @@ from edge.host.worker import LONGEST_ERROR
 from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.detector import Detector, Health
 from edge.perception.factory import make_detector
-from edge.perception.swap.trial import failure, judge, median_ms, not_finite, sample
+from edge.perception.swap.trial import failure, judge, median_ms, run, sample, unsound
 from edge.perception.worker import DetectorWorker
 from edge.text import one_line
 from edge.types import Detections, Observation
@@ -45,7 +46,8 @@ class Swapper:
     """Swaps the worker's detector; `request`, `step` and `close` are for the loop's thread.
 
     Args:
-        tell: called with a line for everything that happens, and the loop's time.
+        tell: called with a line for everything that happens, the loop's time, and the log's level
+            for it where a model was refused or rolled back.
         make: makes the new detector.
         clock: seconds, for `load_timeout_s`.
 
@@ -58,7 +60,7 @@ class Swapper:
         self,
         perception: Perception,
         worker: DetectorWorker,
-        tell: Callable[[str, int], None],
+        tell: Callable[..., None],
         make: Make = make_detector,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -169,7 +171,8 @@ class Swapper:
             "detail": detail,
         }  # fmt: skip
         self._let_go(attempt)
-        self._tell(f"model {attempt.model}: {state}: {detail}", now_ns)
+        level = logging.INFO if state == "kept" else logging.WARNING
+        self._tell(f"model {attempt.model}: {state}: {detail}", now_ns, level)
 
     def _let_go(self, attempt: _Attempt) -> None:
         """No swap is under way any more; the detector that is not at work is closed."""
@@ -291,7 +294,7 @@ class _Attempt:
         if isinstance(outcome, Exception):
             self.fault = failure(outcome)
             return
-        self.fault = not_finite(self.detector, self._invalid, outcome)
+        self.fault = unsound(self.detector, self._invalid, outcome)
         self._latencies_ns.append(outcome.latency_ns)
 
     def _run(self) -> None:
@@ -315,13 +318,14 @@ class _Attempt:
         loser.close()
 
     def _try(self) -> None:
-        prompts = self._worker.detector.prompts
-        self.detector = self._make(
-            variant(self.perception, self.model), prompts, self._loading, cancelled=self.over
-        )
+        wanted = variant(self.perception, self.model)
+        if wanted.isolation == "thread":
+            self._try_apart(wanted.model_copy(update={"isolation": "process"}))
+            if self.over.is_set():
+                return
+        self.detector = self._load(wanted)
         self.busy = ""
-        while len(self._samples) < self.perception.swap.images and not self.over.is_set():
-            time.sleep(_LOOK_S)
+        self._await_samples()
         if self.over.is_set():  # given up, perhaps while it was loaded
             return
         self._follow_prompts()
@@ -333,6 +337,28 @@ class _Attempt:
         self.trying = False
         while not (self.switched or self.over.wait(_LOOK_S)):
             self._follow_prompts()
+
+    def _try_apart(self, perception: Perception) -> None:
+        """Run the model on the samples in a process of its own before it is loaded into this one.
+
+        A model that never ends, crashes or takes all memory is killed there; here nothing could
+        end it, and no other swap could begin.
+
+        Raises:
+            UserError: it fails, or returns what is not sound.
+        """
+        with closing(self._load(perception)) as detector:
+            self._await_samples()
+            for one in tuple(self._samples):
+                run(detector, one.observation)
+
+    def _load(self, perception: Perception) -> Detector:
+        prompts = self._worker.detector.prompts
+        return self._make(perception, prompts, self._loading, cancelled=self.over)
+
+    def _await_samples(self) -> None:
+        while len(self._samples) < self.perception.swap.images and not self.over.is_set():
+            time.sleep(_LOOK_S)
 
     def _follow_prompts(self) -> None:
         """Look for what the running detector looks for."""

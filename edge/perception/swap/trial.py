@@ -11,7 +11,7 @@ import numpy as np
 from edge.config import Perception
 from edge.errors import UserError
 from edge.geometry import overlaps
-from edge.perception.detector import Detector
+from edge.perception.detector import UNSOUND, Detector, fault_of
 from edge.text import one_line
 from edge.types import Detections, Observation
 
@@ -66,7 +66,7 @@ def judge(
         What was found, in one line.
 
     Raises:
-        Unfit: it fails, returns what is not finite, takes too long, or finds too little.
+        Unfit: it fails, returns what is not sound, takes too long, or finds too little.
     """
     for _ in range(_WARM_UPS):
         run(detector, samples[0].observation)
@@ -89,13 +89,13 @@ def judge(
 
 
 def run(detector: Detector, observation: Observation) -> Detections:
-    """Detect in one image; Unfit when that fails or anything is not finite."""
+    """Detect in one image; Unfit when that fails or anything is not sound."""
     before = detector.invalid_boxes
     try:
         found = detector.detect(observation)
     except Exception as error:  # whatever a model does
         raise Unfit(failure(error)) from None
-    if fault := not_finite(detector, before, found):
+    if fault := unsound(detector, before, found):
         raise Unfit(fault)
     return found
 
@@ -105,17 +105,18 @@ def failure(error: Exception) -> str:
     return f"it fails: {type(error).__name__}: {one_line(error, 300)}"
 
 
-def not_finite(detector: Detector, before: int, found: Detections) -> str:
-    """The reason against a model that returns NaN or infinity; empty for one that does not.
+def unsound(detector: Detector, before: int, found: Detections) -> str:
+    """Return the reason against a model whose boxes or scores cannot be; empty: they can.
 
     Args:
         before: `invalid_boxes` before it detected.
     """
     if (invalid := detector.invalid_boxes - before) > 0:
-        return f"it returns values that are not finite ({invalid} boxes of an image)"
-    if not (np.isfinite(found.xyxy_px).all() and np.isfinite(found.score).all()):
-        return "it returns boxes or scores that are not finite"
-    return ""
+        return f"it returns {invalid} boxes of an image that are {UNSOUND}"
+    faults = [fault_of(found.xyxy_px, found.score, found.rival)]
+    if found.context is not None:
+        faults.append(fault_of(found.context.xyxy_px, found.context.score))
+    return next((f"it returns {fault}" for fault in faults if fault), "")
 
 
 def median_ms(times_ns: Sequence[int]) -> float:

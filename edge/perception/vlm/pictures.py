@@ -16,6 +16,7 @@ from PIL import Image
 
 from edge.perception.model_file import ModelError
 from edge.perception.vlm.files import ModelFiles
+from edge.text import bounded_repr
 
 MAX_EDGE_PX = 4096
 """No image is enlarged beyond, by Idefics3's processor, nor by a configuration that lies."""
@@ -53,8 +54,8 @@ def make_prepare(files: ModelFiles, image_token: str, most_tokens: int) -> Prepa
     kind = str(told.get("image_processor_type", "")).removesuffix("Fast")
     if kind not in FAMILIES:
         raise ModelError(
-            f"{files.folder}: model {files.name}: image_processor_type {kind!r:.60} is not known "
-            f"here (choices: {', '.join(FAMILIES)})"
+            f"{files.folder}: model {files.name}: image_processor_type {bounded_repr(kind, 60)} is "
+            f"not known here (choices: {', '.join(FAMILIES)})"
         )
     try:
         return FAMILIES[kind](told, files, image_token, most_tokens)

@@ -3,8 +3,11 @@ much memory. What else is decoded is broken in `tests/attacks/test_fuzzed_decode
 
 from __future__ import annotations
 
+import ctypes
 import random
 import resource
+import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -42,6 +45,26 @@ def hold(decode, payloads: list[bytes], n: int) -> None:
         except DecodeError as error:
             said = str(error)
         assert "\n" not in said
+
+
+@pytest.mark.parametrize("threads", [1, 8])
+def test_decoders_print_nothing_and_others_still_can(capfd, threads):
+    """libpng and libjpeg print to C's stderr; two lines for each picture fill a disk."""
+    payloads = [ros("jpeg", picture(".jpg", BGR)), ros("png", picture(".png", BGR))]
+
+    def decode(payload: bytes) -> None:
+        out = np.zeros((30, 20, 3), np.uint8)
+        decode_compressed_into(payload, decode_compressed_header(payload), out)
+
+    with ThreadPoolExecutor(threads) as pool:
+        for done in [pool.submit(hold, decode, payloads, 500) for _ in range(threads)]:
+            done.result()
+    assert capfd.readouterr().err == ""
+    ctypes.CDLL(None).perror(b"a library")
+    print("a log", file=sys.stderr)
+    assert [line.split(":")[0] for line in capfd.readouterr().err.splitlines()] == [
+        "a library", "a log",
+    ]  # fmt: skip
 
 
 @pytest.mark.slow

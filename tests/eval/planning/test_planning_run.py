@@ -11,7 +11,7 @@ import sys
 import textwrap
 
 import pytest
-from patience import PATIENCE_S
+from live_patience import PATIENCE_S
 
 from edge.cli.parsers import make_parser
 from edge.errors import UserError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from patience import eventually
+from live_patience import eventually
 from results import observation, result
 from simulated import simulated
 

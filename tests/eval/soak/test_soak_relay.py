@@ -6,7 +6,7 @@ import threading
 
 import numpy as np
 import pytest
-from patience import eventually
+from live_patience import eventually
 
 from edge.bus import topics
 from edge.bus.session import Ring, zenoh_session

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from edge_processes import write_config
-from patience import eventually
+from live_patience import eventually
 
 from edge.errors import FAILED, FileError
 from edge.eval.soak.run import make_empty

@@ -36,6 +36,13 @@ def test_an_episode_is_whole(source, request):
             assert things[number].label in task.instruction
 
 
+def test_frames_of_different_sequences_are_different_places(shared_dir):
+    specs = [f"kitti:{shared_dir}/logs/semantic_kitti_{n}" for n in ("05", "06")]
+    worlds = [one.world for one in episodes(specs, limit=1)]
+    assert len(set(worlds)) == 2
+    assert all(world.startswith("kitti-semantic_kitti_0") for world in worlds)
+
+
 def test_no_more_than_asked_for_of_each():
     assert len(list(episodes(["streets[0:9]", "streets[20:30]"], limit=2))) == 4
 

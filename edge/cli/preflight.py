@@ -1,0 +1,228 @@
+"""Checks a configuration against this installation, before anything is loaded or compiled.
+
+`edge run` and `edge demo` start with it, and `edge config` ends with it, so that all refuse the
+same with the same lines. Nothing is opened and nobody is asked: ports, servers and what a model's
+file holds are found out when the service opens them, which is before it compiles its kernels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from importlib.util import find_spec
+from typing import NamedTuple
+
+from edge.bus.session import check_settings
+from edge.chat import ChatError, client_of
+from edge.config import (
+    ChoiceOnnx,
+    ChoiceOpenai,
+    ChoiceText,
+    Config,
+    DetectorOnnx,
+    PlannerOwn,
+    SegmenterOnnx,
+    WriterModel,
+)
+from edge.errors import UserError
+from edge.host.credentials import read_token
+from edge.mission.planner import find_own_planner
+from edge.mission.translate import make_translator
+from edge.perception.backends.runtime import CPU_ALONE, check_providers
+from edge.perception.card_types import (
+    Card,
+    ChoiceCard,
+    DetectCard,
+    ImageCard,
+    MarksCard,
+    SegmentCard,
+    SimilarityCard,
+    TranslateCard,
+)
+from edge.perception.cards import check_here, load_card, load_card_of
+from edge.perception.choice.mark_scorer import check_size
+from edge.perception.choice.scorer import make_server_choice
+from edge.perception.encoders import check_text_encoder, make_text_encoder
+from edge.perception.model_file import ModelError
+from edge.perception.similarity import is_running_detector
+from edge.perception.text import PromptError
+from edge.perception.vlm.files import EXTRA
+from edge.policies import find_policy
+from edge.sinks import find_sinks
+from edge.sources import find_source
+from edge.tasks import script
+from edge.tasks.brief import prepared
+
+
+def check(config: Config) -> None:
+    """Refuse what the service could not run with.
+
+    Raises:
+        UserError: one line for each fault; the exit code is that of the first.
+    """
+    faults: list[UserError] = []
+    for part in (*_PARTS, *(partial(_model, model) for model in named_models(config))):
+        try:
+            part(config)
+        except UserError as error:
+            faults.append(error)
+    if not faults:
+        return
+    if len(faults) == 1:
+        raise faults[0]
+    every = UserError("\n".join(dict.fromkeys(map(str, faults))))
+    every.exit_code = faults[0].exit_code
+    raise every
+
+
+def check_mission(config: Config) -> None:
+    """Refuse the configuration's own mission if it is not understood, cannot be done, or names
+    what the detector does not know.
+
+    Where a language model on a server might have to read it, or a checkpoint may hold another one,
+    only the start of the service can tell.
+
+    Raises:
+        UserError: one line; see `edge.tasks.brief.prepared` and `TextEncoder.embed`.
+    """
+    mission = config.mission
+    translator = mission.translator
+    by_server = translator.kind == "llm" or getattr(translator, "llm", None) is not None
+    if mission.checkpoint is not None or (mission.instruction is not None and by_server):
+        return
+    brief, detector = prepared(config), config.perception.detector
+    if isinstance(detector, DetectorOnnx):
+        card = load_card_of(DetectCard, detector.model)
+        make_text_encoder(card, detector.vocabulary).embed(brief.targets)
+
+
+def _policy(config: Config) -> None:
+    find_policy(config.policy, config.origin("policy"))
+
+
+def _planner(config: Config) -> None:
+    if isinstance(config.mission.planner, PlannerOwn):
+        find_own_planner(config.mission.planner, config.at("mission.planner"))
+
+
+def _bus(config: Config) -> None:
+    check_settings(config.zenoh, "listen")
+
+
+def _http(config: Config) -> None:
+    if config.http.token_file is not None:
+        read_token("http.token_file", config.http.token_file)
+
+
+def _translator(config: Config) -> None:
+    translator = config.mission.translator
+    if (card := getattr(translator, "card", None)) is not None:
+        with _about(config, "mission.translator.card"):
+            load_card_of(TranslateCard, card)
+    with _about(config, "mission.translator"):
+        make_translator(translator)
+
+
+def _choice(config: Config) -> None:
+    choice = config.perception.choice
+    if isinstance(choice, (ChoiceOpenai, ChoiceText)):
+        make_server_choice(choice).close()
+
+
+def _tasks(config: Config) -> None:
+    if isinstance(config.tasks.planner, WriterModel):
+        with _about(config, "tasks.planner"):
+            client_of(config.tasks.planner).close()
+        script.version()
+
+
+CLASSES: tuple[Callable[[Config], object], ...] = (find_source, find_sinks, _policy, _planner)
+"""Check that the classes that a configuration names are there, and take its options."""
+_PARTS = (*CLASSES, _bus, _http, _translator, _choice, _tasks)
+
+
+class NamedModel(NamedTuple):
+    """A model that a configuration names.
+
+    Attributes:
+        key: that names it.
+        name: of its card.
+        kind: of its card.
+        providers: that it is to run on.
+    """
+
+    key: str
+    name: str
+    kind: type[Card]
+    providers: Sequence[str]
+
+
+def named_models(config: Config) -> Iterator[NamedModel]:
+    """Yield each model that the configuration's perception names."""
+    perception = config.perception
+    detector, segmenter, choice = perception.detector, perception.segmenter, perception.choice
+    providers: Sequence[str] = CPU_ALONE
+    if isinstance(detector, DetectorOnnx):
+        providers = detector.providers
+        yield NamedModel("perception.detector.model", detector.model, DetectCard, providers)
+    for i, rung in enumerate(perception.governor.ladder):
+        if rung.model is not None:
+            key = f"perception.governor.ladder.{i}.model"
+            yield NamedModel(key, rung.model, DetectCard, providers)
+    if isinstance(segmenter, SegmenterOnnx):
+        key = "perception.segmenter.model"
+        yield NamedModel(key, segmenter.model, SegmentCard, segmenter.providers)
+    if perception.similarity is not None:
+        yield NamedModel("perception.similarity", perception.similarity, SimilarityCard, providers)
+    if isinstance(choice, ChoiceOnnx):
+        yield NamedModel("perception.choice.card", choice.card, ChoiceCard, choice.providers)
+
+
+def _model(model: NamedModel, config: Config) -> None:
+    """Check a model's card and the cards that it names, their files and packages."""
+    with _about(config, model.key):
+        cards = list(_cards(config, model.name, model.kind))
+    if any(file.server is None for card in cards for file in card.files):
+        # A model in a process of its own keeps onnxruntime out of this one.
+        isolated = config.perception.isolation == "process"
+        look = not isolated and tuple(model.providers) != CPU_ALONE
+        check_providers(model.providers, f"{model.key.rpartition('.')[0]}.providers", look)
+
+
+def _cards(config: Config, name: str, kind: type[Card]) -> Iterator[Card]:
+    """Yield the card of a name and the cards that it names; check that what they need is here."""
+    card = load_card(name)
+    if kind is not ChoiceCard or not isinstance(card, MarksCard):
+        card = load_card_of(kind, name)
+    check_here(card)
+    yield card
+    perception = config.perception
+    detector = perception.detector
+    vocabulary = detector.vocabulary if isinstance(detector, DetectorOnnx) else None
+    if isinstance(card, DetectCard):
+        check_text_encoder(card.text_encoder, vocabulary)
+    elif isinstance(card, MarksCard) and isinstance(perception.choice, ChoiceOnnx):
+        check_size(card, perception.choice)
+        check_text_encoder(card.text_encoder, None)
+    elif isinstance(card, ChoiceCard):
+        for package in ("tokenizers", "jinja2"):
+            if find_spec(package) is None:
+                raise ModelError(
+                    f"model {card.name}: the package {package} is not installed: {EXTRA}"
+                )
+    elif isinstance(card, SimilarityCard) and not is_running_detector(card, perception):
+        if card.detector is not None:
+            yield from _cards(config, card.detector, DetectCard)
+        else:
+            yield from _cards(config, str(card.image_encoder), ImageCard)
+            check_text_encoder(card.text_encoder, vocabulary)
+
+
+@contextmanager
+def _about(config: Config, key: str) -> Iterator[None]:
+    """Begin the errors of the block with the key that they are about."""
+    try:
+        yield
+    except (ModelError, PromptError, ChatError) as error:
+        raise type(error)(f"{config.at(key)}: {error}") from None

@@ -1,0 +1,117 @@
+"""Keys that the environment or the command line sets over those of the file."""
+
+from __future__ import annotations
+
+import difflib
+import logging
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import BaseModel
+
+from edge.config.explain import models_in
+from edge.config.yaml_text import parse_yaml
+from edge.errors import ConfigError
+from edge.logs import once
+from edge.text import bounded_repr, one_line, without_secrets
+
+log = logging.getLogger("edge.config")
+
+PREFIX = "EDGE__"
+READ = ("EDGE_CACHE_DIR", "EDGE_VOCABULARY", "EDGE_TRUST_CACHE")
+"""Variables that are read besides those that set a key."""
+
+
+class Origins(dict[tuple[str, ...], str]):
+    """What set a key, by the key's parts, for all that the file did not set.
+
+    All are equal: two configurations with the same values are the same, whoever set them.
+
+    Attributes:
+        made: sections that are not in the file.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.made: set[tuple[str, ...]] = set()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Origins)
+
+    def of(self, path: str, *keys: tuple[str, ...]) -> str:
+        """Return what an error about keys should name: the file, a variable, an option, or several
+        of these where each set a part of what is wrong.
+
+        Args:
+            path: of the file.
+        """
+        return ", ".join(dict.fromkeys(name for key in keys for name in self._of(path, key)))
+
+    def _of(self, path: str, key: tuple[str, ...]) -> list[str]:
+        starts = [key[:n] for n in range(len(key), 0, -1)]
+        if (own := next(filter(None, map(self.get, starts)), None)) is not None:
+            return [own]
+        # A key may be wrong because of the kind that was chosen for its section.
+        kinds = {(*start, "kind") for start in starts}
+        parts = [by for set_, by in self.items() if set_[: len(key)] == key or set_ in kinds]
+        return parts if key in self.made else [path, *parts]
+
+
+def override(
+    data: dict[str, Any], environ: Mapping[str, str], options: Mapping[str, str]
+) -> Origins:
+    """Put `EDGE__A__B=value` (value read as YAML) into data[a][b], in place.
+
+    Args:
+        options: of the command line that set variables of `environ`, by variable.
+
+    Raises:
+        ConfigError: a value is not YAML; one line.
+    """
+    origins = Origins()
+    for name in sorted(name for name in environ if name.startswith(PREFIX)):
+        origin = options.get(name, f"environment {name}")
+        key = tuple(name[len(PREFIX) :].lower().split("__"))
+        *sections, leaf = key
+        node = data
+        for n, section in enumerate(sections, start=1):
+            child = node.get(section)
+            if not isinstance(child, dict):
+                child = node[section] = {}
+                origins.made.add(key[:n])
+            node = child
+        try:
+            node[leaf] = parse_yaml(environ[name])
+        except ValueError:
+            shown = bounded_repr(without_secrets(environ[name]))
+            raise ConfigError(f"{origin}: not a YAML value: {shown}") from None
+        origins[key] = origin
+    return origins
+
+
+def is_ours(name: str) -> bool:
+    """Return whether a variable looks as if `edge` read it."""
+    return name.upper().startswith("EDGE_")
+
+
+def warn_of_unread(environ: Mapping[str, str], root: type[BaseModel]) -> None:
+    """Log a warning, once each, for variables that look like ours and that nothing reads.
+
+    Args:
+        root: the model of a whole configuration.
+    """
+    for name in sorted(environ):
+        if is_ours(name) and not name.startswith(PREFIX) and name not in READ and once(name):
+            known = [*READ, *_variables(root, PREFIX)]
+            close = difflib.get_close_matches(name.upper(), known, n=1, cutoff=0.8)
+            hint = f"did you mean {close[0]}?" if close else f"keys are set by {PREFIX}SECTION__KEY"
+            log.warning("environment %s: nothing reads it (%s)", one_line(name), hint)
+
+
+def _variables(model: type[BaseModel], prefix: str) -> Iterator[str]:
+    """Yield the variable of each key."""
+    for name, field in model.model_fields.items():
+        variable = prefix + name.upper()
+        yield variable
+        for below in models_in(field.annotation):
+            yield from _variables(below, f"{variable}__")

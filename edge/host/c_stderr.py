@@ -1,0 +1,50 @@
+"""The stream `stderr` of C, to which image decoders print a line or two for each broken picture.
+
+Neither libpng nor libjpeg can be told to be quiet through OpenCV. Only this stream is turned off:
+the descriptor stays, so nothing that Python logs, and no crash, is hidden.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+_hand = threading.Lock()
+_silencing = 0
+
+
+def _streams() -> tuple[ctypes.c_void_p, int | None, int | None] | None:
+    """Return glibc's variable, the stream in it, and one that goes nowhere; None: no glibc."""
+    if platform.libc_ver()[0] != "glibc":
+        return None
+    libc = ctypes.CDLL(None)
+    libc.fopen.restype = ctypes.c_void_p
+    variable = ctypes.c_void_p.in_dll(libc, "stderr")
+    nowhere = libc.fopen(b"/dev/null", b"we")
+    return None if nowhere is None else (variable, variable.value, nowhere)
+
+
+_STREAMS = _streams()
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Drop what C libraries print to `stderr` in this block, on any thread."""
+    if _STREAMS is None:
+        yield
+        return
+    global _silencing
+    variable, usual, nowhere = _STREAMS
+    with _hand:
+        _silencing += 1
+        variable.value = nowhere
+    try:
+        yield
+    finally:
+        with _hand:
+            _silencing -= 1
+            if not _silencing:
+                variable.value = usual

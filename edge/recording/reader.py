@@ -1,0 +1,208 @@
+"""Reads the records of an MCAP file that anybody may have made.
+
+The library `mcap` reads as much as lengths inside a record say, and decompresses a chunk to
+whatever it holds: a file of 200 kB can take gigabytes. Here nothing is larger than
+`MAX_RECORD_BYTES`, and nothing differs from the size that the file gives for it.
+https://mcap.dev/spec is the format.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from typing import BinaryIO, NamedTuple
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, DataEnd, Header, McapRecord, Metadata, Schema
+
+from edge.recording.writer import MAGIC
+from edge.text import one_line
+
+MAX_RECORD_BYTES = 1 << 27
+"""Of a record, and of a chunk when it is decompressed: twice the largest message that a robot sends
+(`source.max_message_mb`)."""
+MAX_KEPT, MAX_KEPT_BYTES = 10_000, 1 << 23
+"""Of all schemas, channels and metadata of a file together: a reader keeps them to its end."""
+_BLOCK_BYTES = 1 << 20
+
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_KEPT = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+}
+
+
+class DamagedError(ValueError):
+    """A file that is not as the format says, or too large; one line."""
+
+
+class Message(NamedTuple):
+    """A message of a channel; its times are in nanoseconds."""
+
+    channel_id: int
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+Record = Header | Schema | Channel | Metadata | DataEnd | Message
+
+
+def records(file: BinaryIO) -> Iterator[Record]:
+    """Yield the records that a recording is read by, in the order of the file: `Header` is first,
+    `DataEnd` last.
+
+    Attachments, indices and whatever else there is are passed over.
+
+    Raises:
+        EOFError: the file ends before its data do.
+        DamagedError: it is not as the format says. What was yielded before is sound.
+    """
+    if _read(file, len(MAGIC)) != MAGIC:
+        raise DamagedError("not the beginning of an MCAP file")
+    crc, kept, begun = zlib.crc32(MAGIC), _Kept(), False
+    while True:
+        head = _read(file, _HEAD.size)
+        opcode, size = _HEAD.unpack(head)
+        if not begun and opcode != Opcode.HEADER:
+            raise DamagedError("it does not begin with a header")
+        begun = True
+        if opcode == Opcode.DATA_END:
+            end = _parsed(DataEnd, _read(file, _checked(size)))
+            if end.data_section_crc not in (0, crc):
+                raise DamagedError("the checksum of its data does not match")
+            yield end
+            return
+        crc = zlib.crc32(head, crc)
+        if opcode not in _READ:
+            while size > 0:
+                block = _read(file, min(size, _BLOCK_BYTES))
+                crc, size = zlib.crc32(block, crc), size - len(block)
+            continue
+        body = _read(file, _checked(size, _most(opcode)))
+        crc = zlib.crc32(body, crc)
+        if opcode == Opcode.CHUNK:
+            yield from _unpacked(_parsed(Chunk, body), kept)
+        else:
+            yield _record(opcode, body, kept)
+
+
+_READ = (Opcode.CHUNK, Opcode.MESSAGE, *_KEPT)
+
+
+class _Kept:
+    """Counts what a reader keeps; a record that comes again takes no more room."""
+
+    def __init__(self) -> None:
+        self._sizes: dict[tuple[int, int | str], int] = {}
+        self._left = MAX_KEPT_BYTES
+
+    def add(self, opcode: int, record: McapRecord, size: int) -> None:
+        key = opcode, getattr(record, "id", getattr(record, "name", ""))
+        known = self._sizes.get(key, 0)
+        if size > known:
+            self._sizes[key] = size
+            self._left -= size - known
+        if self._left < 0 or len(self._sizes) > MAX_KEPT:
+            raise DamagedError(
+                f"more than {MAX_KEPT} schemas, channels and metadata, or {MAX_KEPT_BYTES} bytes"
+            )
+
+
+def _unpacked(chunk: Chunk, kept: _Kept) -> Iterator[Record]:
+    data = _decompressed(chunk)
+    if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise DamagedError("the checksum of a chunk does not match")
+    at = 0
+    while at < len(data):
+        if at + _HEAD.size > len(data):
+            raise DamagedError("a chunk ends within a record")
+        opcode, size = _HEAD.unpack_from(data, at)
+        at += _HEAD.size
+        if size > len(data) - at:
+            raise DamagedError("a record is longer than its chunk")
+        if opcode == Opcode.MESSAGE or opcode in _KEPT:
+            yield _record(opcode, data[at : at + _checked(size, _most(opcode))], kept)
+        at += size
+
+
+def _decompressed(chunk: Chunk) -> bytes:
+    """Return the records of a chunk; no more is allocated than it says that they take."""
+    size = _checked(chunk.uncompressed_size)
+    try:
+        if chunk.compression == "":
+            data = chunk.data
+        elif chunk.compression == "zstd":
+            # A frame that says its size is decompressed to that, whatever limit is given.
+            if zstandard.frame_content_size(chunk.data) not in (-1, size):
+                raise DamagedError("a chunk is not of the size that it says")
+            data = zstandard.decompress(chunk.data, max_output_size=size)
+        elif chunk.compression == "lz4":
+            frame = lz4.frame.LZ4FrameDecompressor()
+            data = frame.decompress(chunk.data, max_length=size + 1)
+            if not frame.eof:
+                raise DamagedError("a chunk is not of the size that it says")
+        else:
+            raise DamagedError(f"compression {one_line(chunk.compression, 40)} is not known")
+    except (zstandard.ZstdError, RuntimeError) as error:
+        raise DamagedError(f"a chunk cannot be decompressed: {one_line(error, 80)}") from None
+    if len(data) != size:
+        raise DamagedError("a chunk is not of the size that it says")
+    return data
+
+
+def _record(opcode: int, body: bytes, kept: _Kept) -> Record:
+    if opcode != Opcode.MESSAGE:
+        record = _parsed(_KEPT[Opcode(opcode)], body)
+        kept.add(opcode, record, len(body))
+        return record
+    if len(body) < _MESSAGE.size:
+        raise DamagedError("a message without its times")
+    return Message(*_MESSAGE.unpack_from(body), body[_MESSAGE.size :])
+
+
+class _Body(ReadDataStream):
+    """The bytes of one record: what is longer than the record is not there."""
+
+    def read(self, length: int) -> bytes:
+        data = super().read(length)
+        if len(data) != length:
+            raise EndOfFile
+        return data
+
+
+def _parsed(kind: type[McapRecord], body: bytes) -> McapRecord:
+    try:
+        return kind.read(_Body(BytesIO(body)))
+    except EndOfFile:
+        raise DamagedError("a record is shorter than what it holds") from None
+    except Exception as error:  # whatever the library makes of bytes that nobody wrote
+        why = one_line(error, 80) or type(error).__name__
+        raise DamagedError(f"a {kind.__name__} cannot be read: {why}") from None
+
+
+def _read(file: BinaryIO, size: int) -> bytes:
+    data = file.read(size)
+    if len(data) != size:
+        raise EOFError
+    return data
+
+
+def _most(opcode: int) -> int:
+    return MAX_KEPT_BYTES if opcode in _KEPT else MAX_RECORD_BYTES
+
+
+def _checked(size: int, most: int = MAX_RECORD_BYTES) -> int:
+    if size > most:
+        raise DamagedError(f"a record or chunk of {size} bytes, at most {most} are read")
+    return size

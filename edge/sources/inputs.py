@@ -1,0 +1,171 @@
+"""The table of inputs: for each topic that a source listens to, how often, how old, why dropped.
+
+The time synchronizer owns it, since every message and every drop passes there, whatever it came on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from edge.config import Config
+from edge.loop.source import InputRow, InputState
+from edge.sources.messages import CameraInfo, Cloud, DepthImage, Image, Odometry, Scan
+from edge.sources.streams import Stream
+
+SILENT_S = 1.0
+"""An input is silent after so long, or after three of its periods if these take longer."""
+_WINDOW_NS = 2_000_000_000  # that rates are measured over
+_NORMAL = ("superseded", "pose_jump", "clock_reset")
+"""Reasons that say nothing against the message itself: a newer one was used, or it was used."""
+
+
+class _Input:
+    """One row, as it is counted.
+
+    Attributes:
+        name: the topic as `edge/bus/topics.py` calls it.
+        where: the key, the ROS topic or the address where it is listened to.
+        group: inputs of one group stand in for each other.
+        needed: whether the robot cannot do its work without the group.
+        expected_hz: as configured; 0 where it comes on events, and is never silent.
+        silent_ns: without a message for so long it is.
+        came_ns, used_ns: when the newest message came, and when one was used; None: never.
+        dropped: messages by reason; `reason` and `detail` of the drops since one was used.
+        hz: measured over the last window, which began at `since_ns` and has `in_window` messages.
+    """
+
+    __slots__ = (
+        "came_ns", "detail", "dropped", "expected_hz", "group", "hz", "in_window", "name", "needed",
+        "reason", "received", "silent_ns", "since_ns", "used_ns", "where",
+    )  # fmt: skip
+
+    def __init__(self, name: str, group: str, needed: bool, expected_hz: float) -> None:
+        self.name, self.where, self.group = name, name, group
+        self.needed, self.expected_hz = needed, expected_hz
+        self.came_ns: int | None = None
+        self.used_ns: int | None = None
+        self.received = self.in_window = self.since_ns = 0
+        self.dropped: dict[str, int] = {}
+        self.reason = self.detail = ""
+        self.hz = 0.0
+        self.silent_ns = max(SILENT_S, 3.0 / expected_hz) * 1e9 if expected_hz else math.inf
+
+    def came(self, now_ns: int) -> None:
+        if self.came_ns is None or now_ns - self.came_ns > self.silent_ns:
+            self.since_ns, self.in_window, self.hz = now_ns, 0, 0.0
+        elif now_ns - self.since_ns >= _WINDOW_NS:
+            self.hz = self.in_window * 1e9 / (now_ns - self.since_ns)
+            self.since_ns, self.in_window = now_ns, 0
+        self.received += 1
+        self.in_window += 1
+        self.came_ns = now_ns
+
+    def state(self, now_ns: int) -> InputState:
+        if self.came_ns is None:
+            return "missing"
+        if now_ns - self.came_ns > self.silent_ns:
+            return "silent"
+        unused = self.used_ns is None or now_ns - self.used_ns > self.silent_ns
+        return "dropped" if self.reason and unused else "ok"
+
+
+class InputTable:
+    """What each input brings. One thread writes; any thread may read `rows`.
+
+    Args:
+        streams: the sensors that are listened to, by field (`edge.sources.synchronizer`).
+        clock: of arrivals, in ns.
+    """
+
+    def __init__(
+        self, config: Config, streams: dict[str, Stream], clock: Callable[[], int]
+    ) -> None:
+        self._clock = clock
+        self._inputs: list[_Input] = []
+        self._called: dict[str, list[_Input]] = {}
+        sensors = config.sensors
+        lidar_hz = 0.0 if sensors.lidar is None else sensors.lidar.rate_hz
+        # Whatever maps, things are found in pictures.
+        needed = {field for field, stream in streams.items() if stream.required} | {"rgb"}
+        for kind, hz in (
+            (Image, sensors.camera.rate_hz), (DepthImage, sensors.camera.rate_hz),
+            (Cloud, lidar_hz), (Scan, lidar_hz),
+        ):  # fmt: skip
+            if kind.field in streams:
+                self.add(kind.topic, kind.field, kind.field in needed, hz)
+        self.add(CameraInfo.topic, "camera", needed={"rgb", "depth_m"} & needed != set())
+        self.add(Odometry.topic, "pose", needed=True, expected_hz=sensors.odometry_hz)
+
+    def add(self, name: str, group: str, needed: bool, expected_hz: float = 0.0) -> None:
+        """Another input that is listened to."""
+        row = _Input(name, group, needed, expected_hz)
+        self._inputs.append(row)
+        self._called.setdefault(name, []).append(row)
+
+    def listen(self, name: str, where: str) -> None:
+        """Set where an input comes from. Drops that name only that place are then its own, too."""
+        for row in self._called.get(name, ()):
+            row.where = where
+            self._called.setdefault(where, []).append(row)
+
+    # -- what happens, by name or by place; what is not listened to is left out ------------------
+
+    def came(self, name: str) -> None:
+        """Count a message."""
+        now_ns = self._clock()
+        for row in self._called.get(name, ()):
+            row.came(now_ns)
+
+    def used(self, name: str) -> None:
+        """Note that a message became part of what the robot knows."""
+        for row in self._called.get(name, ()):
+            row.used_ns, row.reason = self._clock(), ""
+
+    def dropped(self, name: str, reason: str, detail: str = "") -> None:
+        """Count a drop. Of drops for one reason the first detail is kept: it does not flicker."""
+        for row in self._called.get(name, ()):
+            row.dropped[reason] = row.dropped.get(reason, 0) + 1
+            if reason not in _NORMAL and reason != row.reason:
+                row.reason, row.detail = reason, detail
+
+    def unpaired(self, group: str, detail: str) -> None:
+        """Note that an observation goes without these inputs, which it may."""
+        for row in self._inputs:
+            if row.group == group and not row.reason:
+                row.reason, row.detail = "unpaired", detail
+
+    # -- for any thread ---------------------------------------------------------------------------
+
+    def rows(self) -> tuple[InputRow, ...]:
+        """Return the table as it stands now."""
+        now_ns = self._clock()
+        states = [row.state(now_ns) for row in self._inputs]
+        there = {
+            row.group for row, state in zip(self._inputs, states, strict=True) if state != "missing"
+        }
+        return tuple(
+            _row(row, "unused" if state == "missing" and row.group in there else state, now_ns)
+            for row, state in zip(self._inputs, states, strict=True)
+        )
+
+
+def _row(row: _Input, state: InputState, now_ns: int) -> InputRow:
+    came_ns, hz = row.came_ns, row.hz
+    if not hz and came_ns is not None and came_ns > row.since_ns:  # the first window goes on
+        hz = (row.in_window - 1) * 1e9 / (came_ns - row.since_ns)
+    if hz and now_ns - came_ns > max(SILENT_S, 3.0 / hz) * 1e9:
+        hz = 0.0
+    return InputRow(
+        name=row.name,
+        where=row.where,
+        group=row.group,
+        needed=row.needed,
+        state=state,
+        why="" if state != "dropped" else f"{row.reason}{row.detail and f' ({row.detail})'}",
+        hz=round(hz, 1),
+        expected_hz=row.expected_hz,
+        age_s=None if came_ns is None else round(max(now_ns - came_ns, 0) * 1e-9, 2),
+        received=row.received,
+        dropped=dict(row.dropped),
+    )

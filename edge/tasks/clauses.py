@@ -1,0 +1,140 @@
+"""The order in which the clauses of an instruction are driven.
+
+"Go to the gate after passing the van" drives past the van first. The tokens of such clauses are put
+into the order in which they are driven; what is not clear is refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import NoReturn
+
+from edge.mission.language.words import Reader, Token
+
+_JOINTS = ("then", "and", "comma", "stop mark")
+_VERBS = {
+    "going": "go", "passing": "pass", "stopping": "stop", "reaching": "reach", "leaving": "leave",
+}  # fmt: skip
+"""Kind of a participle → kind of its verb."""
+_SKIPPED = ("filler", "having", "while")
+
+
+@dataclass(slots=True)
+class _Clause:
+    """Tokens up to the next joint or the next clause that hangs on this one.
+
+    Attributes:
+        hangs: "after", "before" or "by" (how another is driven); "": a clause of its own.
+        joints: the tokens that join it to the clause before it; empty at the start, and where it
+            follows directly.
+    """
+
+    hangs: str
+    joints: list[Token]
+    tokens: list[Token] = field(default_factory=list)
+
+
+def in_order(text: str, tokens: list[Token]) -> list[Token]:
+    """Put the clauses of an instruction into the order in which they are driven.
+
+    Args:
+        tokens: of `edge.tasks.phrases.tokenise`, with "end" at the end.
+
+    Returns:
+        The same tokens where no clause hangs on another. Participles become verbs.
+
+    Raises:
+        TranslationError: the order is not clear; it names the clause.
+    """
+    clauses = _clauses(tokens)
+    if not any(clause.hangs for clause in clauses):
+        return tokens
+    ordered: list[_Clause] = []
+    waiting: list[_Clause] = []  # "before …" at the start: driven after the next clause
+    for n, clause in enumerate(clauses):
+        after = clauses[n + 1] if n + 1 < len(clauses) else None
+        leads = after is not None and not after.hangs and _commas(after.joints)
+        if not clause.hangs:
+            ordered += [clause, *waiting]
+            waiting = []
+        elif not ordered or (clause.joints and not _commas(clause.joints)):  # it leads
+            if not leads or waiting:
+                _refuse(text, tokens, clause)
+            (waiting if clause.hangs == "before" else ordered).append(clause)
+        elif (clause.joints and leads) or ordered[-1].hangs:
+            _refuse(text, tokens, clause)
+        else:
+            ordered.insert(len(ordered) - (clause.hangs != "before"), clause)
+    joined: list[Token] = []
+    for clause in ordered:
+        first = clause.tokens[0]
+        comma = Token("comma", ",", first.start, first.start)
+        joined += [comma, *clause.tokens] if joined else clause.tokens
+    return [*joined, tokens[-1]]
+
+
+def _clauses(tokens: list[Token]) -> list[_Clause]:
+    """Cut an instruction where one clause ends; none is empty."""
+    found = [_Clause("", [])]
+    at = 0
+    while tokens[at].kind != "end":
+        token, open_clause = tokens[at], found[-1]
+        hangs, skip = _hangs(tokens, at)
+        if hangs:
+            joints = [] if open_clause.tokens else open_clause.joints
+            found.append(_Clause(hangs, joints))
+            at = _clause_at(tokens, at + skip)
+        elif token.kind in _JOINTS:
+            verb = tokens[at + 1]
+            if token.kind == "and" and open_clause.hangs and verb.kind in _VERBS:
+                # "after passing the van and stopping at the gate"
+                open_clause.tokens.append(token)
+            elif open_clause.tokens:
+                found.append(_Clause("", [token]))
+            else:
+                open_clause.joints.append(token)
+            at += 1
+            continue
+        if (hangs or found[-1].hangs) and tokens[at].kind in _VERBS:
+            fresh = not found[-1].tokens or found[-1].tokens[-1].kind == "and"
+            verb = tokens[at]
+            found[-1].tokens.append(replace(verb, kind=_VERBS[verb.kind]) if fresh else verb)
+            at += 1
+        elif not hangs:
+            found[-1].tokens.append(token)
+            at += 1
+    return [clause for clause in found if clause.tokens]
+
+
+def _hangs(tokens: list[Token], at: int) -> tuple[str, int]:
+    """How a clause that begins here hangs on another, and how many tokens say so.
+
+    "Passing", "leaving", "with" and "going past" say how another clause is driven.
+    """
+    token, following = tokens[at], tokens[min(at + 1, len(tokens) - 1)]
+    if token.kind in ("after", "before"):
+        verb = tokens[_clause_at(tokens, at + 1)].kind
+        return (token.kind, 1) if verb in _VERBS or verb in _VERBS.values() else ("", 0)
+    if token.kind == "while" and following.kind in _VERBS:
+        return "by", 1
+    joined = at > 0 and tokens[at - 1].kind == "and"
+    how = token.kind in ("passing", "leaving")
+    how |= token.kind == "going" and following.kind in ("past", "around")
+    return ("by", 0) if how and not joined else ("", 0)
+
+
+def _clause_at(tokens: list[Token], at: int) -> int:
+    """The index of the verb of a clause that begins at an index."""
+    while tokens[at].kind in _SKIPPED:
+        at += 1
+    return at
+
+
+def _commas(joints: list[Token]) -> bool:
+    return bool(joints) and all(joint.kind == "comma" for joint in joints)
+
+
+def _refuse(text: str, tokens: list[Token], clause: _Clause) -> NoReturn:
+    hint = "it is not clear when this is to be driven; say the steps in their order, with 'then'"
+    first = next(token for token in tokens if token.start == clause.tokens[0].start)
+    Reader(text, tokens).refuse(hint, first)

@@ -1,0 +1,192 @@
+"""MCAP files of anybody's: nothing is larger in memory than the file says and the reader allows."""
+
+from __future__ import annotations
+
+import argparse
+import struct
+import tracemalloc
+import zlib
+
+import lz4.frame
+import pytest
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, DataEnd, Footer, Header, McapRecord, Metadata, Schema
+from recordings import Recording
+
+from edge.recording import beside, commands, reader
+from edge.recording.channels import JOURNAL
+from edge.recording.file import McapReading, recover
+from edge.recording.journal import MAX_VALUES
+from edge.recording.session import RecordingError, Session
+from edge.recording.writer import MAGIC
+from edge.sources.recording import read
+from edge.text import read_json
+
+MANY = 1 << 28
+"""Bytes that a small file stands for."""
+FEW = 1 << 24
+
+
+def packed(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
+
+
+def message(payload: bytes) -> bytes:
+    head = struct.pack("<BQHIQQ", Opcode.MESSAGE, len(payload) + 22, 1, 0, 0, 0)
+    return head + payload
+
+
+def zstd(data: bytes, known: bool = True) -> bytes:
+    return zstandard.ZstdCompressor(write_content_size=known).compress(data)
+
+
+def chunk(data: bytes, size: int, compression: str = "", crc: int = 0) -> bytes:
+    return packed(Chunk(compression, data, 0, 0, crc, size))
+
+
+CHANNEL = packed(Schema(1, b"", "", "status")) + packed(Channel(1, "/status", "json", {}, 1))
+SMALL = CHANNEL + message(b"{}")
+
+
+def write(path, *parts: bytes) -> None:
+    end = packed(DataEnd(0)) + packed(Footer(0, 0, 0)) + MAGIC
+    path.write_bytes(b"".join([MAGIC, packed(Header("", "")), *parts, end]))
+
+
+NOTHING = bytes(MANY)
+NOT_THE_SIZE = "a chunk is not of the size that it says"
+BOMBS = {
+    "zstd": (chunk(zstd(NOTHING), 1000, "zstd"), NOT_THE_SIZE),
+    "zstd, of no size": (chunk(zstd(NOTHING, False), 1000, "zstd"), "cannot be decompressed"),
+    "zstd, of too small a size": (chunk(zstd(SMALL), len(SMALL) + 1, "zstd"), NOT_THE_SIZE),
+    "lz4": (chunk(lz4.frame.compress(NOTHING), 1000, "lz4"), NOT_THE_SIZE),
+    "lz4, of no length": (chunk(lz4.frame.compress(NOTHING), 0, "lz4"), NOT_THE_SIZE),
+    "lz4, cut off": (chunk(lz4.frame.compress(SMALL)[:-8], len(SMALL), "lz4"), NOT_THE_SIZE),
+    "none": (chunk(SMALL, 1000), NOT_THE_SIZE),
+    "another codec": (chunk(SMALL, len(SMALL), "xz"), "compression xz is not known"),
+    "a size of all": (chunk(zstd(SMALL), 1 << 62, "zstd"), f"chunk of {1 << 62} bytes, at most"),
+    "checksum": (chunk(SMALL, len(SMALL), crc=zlib.crc32(SMALL) ^ 1), "checksum of a chunk"),
+    "a long record": (
+        chunk(struct.pack("<BQ", Opcode.MESSAGE, 1 << 62) + b"x", 10),
+        "a record is longer than its chunk",
+    ),
+    "a chunk within a chunk": (chunk(chunk(zstd(NOTHING), MANY, "zstd"), 9), NOT_THE_SIZE),
+    "a short message": (chunk(struct.pack("<BQ", Opcode.MESSAGE, 0), 9), "without its times"),
+    "a length in a chunk": (
+        struct.pack("<BQ", Opcode.CHUNK, 40) + bytes(28) + struct.pack("<IQ", 0, 1 << 62),
+        "a record is shorter than what it holds",
+    ),
+    "channels": (
+        b"".join(
+            chunk(zstd(c), len(c), "zstd")
+            for c in (packed(Channel(i, "x" * (1 << 20), "", {}, 0)) for i in range(2, 66))
+        ),
+        "schemas, channels and metadata, or 8388608 bytes",
+    ),
+    "many channels": (
+        b"".join(packed(Channel(i, "", "", {}, 0)) for i in range(2, 10_010)),
+        "more than 10000 schemas, channels and metadata",
+    ),
+    "one channel": (
+        chunk(zstd(c := packed(Channel(2, "x" * FEW, "", {}, 0))), len(c), "zstd"),
+        "bytes, at most",
+    ),
+    "metadata": (
+        b"".join(packed(Metadata(f"{i}", {"a": "x" * (1 << 20)})) for i in range(64)),
+        "schemas, channels and metadata, or 8388608 bytes",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BOMBS)
+def test_a_small_file_stays_small(tmp_path, case):
+    """What comes before is read, by all that read recordings."""
+    bomb, why = BOMBS[case]
+    path = tmp_path / "edge-a.mcap"
+    write(path, chunk(SMALL, len(SMALL)), bomb)
+    tracemalloc.start()
+    try:
+        reading = McapReading(path)
+        assert [m.payload for m in reading] == [b"{}"]
+        assert reading.cut.startswith("damaged: ")
+        assert why in reading.cut
+        with pytest.raises(RecordingError, match="not a complete MCAP file: damaged"):
+            list(read(path))
+        assert recover(path, tmp_path / "out.mcap") == (1, reading.cut)
+        with pytest.raises(RecordingError, match="no journal to replay"):
+            Session(path)
+        assert tracemalloc.get_traced_memory()[1] < MANY / 4
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_chunk_of_the_size_that_it_says_is_read(tmp_path, known):
+    path = tmp_path / "a.mcap"
+    whole, data = message(b"x" * 10_000), CHANNEL + message(b"y")
+    write(
+        path,
+        chunk(zstd(data, known), len(data), "zstd", zlib.crc32(data)),
+        chunk(b"", 0),
+        chunk(lz4.frame.compress(whole), len(whole), "lz4", zlib.crc32(whole)),
+        chunk(CHANNEL * 3, 3 * len(CHANNEL)),  # what comes again takes no more room
+        struct.pack("<BQ", Opcode.ATTACHMENT, 3) + b"any",  # passed over, whatever it says
+        struct.pack("<BQ", 0x80, 2) + b"??",
+        message(b"z"),
+    )
+    reading = McapReading(path)
+    assert [m.payload[:1] for m in reading] == [b"y", b"x", b"z"]
+    assert (reading.whole, reading.cut) == (True, "")
+
+
+def test_what_lies_outside_of_chunks_is_not_read(tmp_path, monkeypatch):
+    """An attachment as large as a disk passes through a block at a time."""
+    monkeypatch.setattr(reader, "MAX_RECORD_BYTES", 1 << 10)
+    path = tmp_path / "a.mcap"
+    write(path, SMALL, struct.pack("<BQ", Opcode.ATTACHMENT, FEW) + bytes(FEW), message(b"z"))
+    assert [m.payload for m in McapReading(path)] == [b"{}", b"z"]
+
+
+def test_json_of_a_million_values_is_not_read():
+    ok, many = b"[" + b"0," * 1000 + b"0]", b"[" + b"[]," * MAX_VALUES + b"0]"
+    assert len(read_json(ok, MAX_VALUES)) == 1001
+    with pytest.raises(ValueError, match="more than 1048576 values"):
+        read_json(many, MAX_VALUES)
+
+
+def test_a_page_of_a_million_values_is_damaged(tmp_path):
+    recorded = Recording(tmp_path / "run").steps(1).close()
+    reading = McapReading(recorded)
+    list(reading)
+    path, bomb = tmp_path / "edge-a.mcap", b'{"entries":[' + b"[]," * MAX_VALUES + b"[]]}"
+    said = packed(Metadata("edge-recording", reading.metadata["edge-recording"]))
+    channel = packed(Channel(1, JOURNAL.topic, "json", {}, 0))
+    write(path, said, channel, *[chunk(zstd(m := message(bomb)), len(m), "zstd")])
+    with pytest.raises(RecordingError, match="damaged journal: ValueError: more than"):
+        list(Session(path).moments())
+
+
+def test_frames_that_wait_for_detections_are_of_limited_size(tmp_path, monkeypatch):
+    session = Session(Recording(tmp_path).steps(4).close())
+    seen = [m.observation for m in session.moments() if m.observation is not None]
+    now = beside.Now()
+    for observation in seen:
+        now.see(observation, True)
+    assert len(now.frames) == len(seen) == 4
+    size = beside._bytes_of(seen[0])
+    monkeypatch.setattr(beside, "_MOST_FRAMES_BYTES", 2 * size)
+    now.see(seen[-1], True)
+    assert list(now.frames) == [observation.seq for observation in seen[-2:]]
+
+
+def test_a_trace_is_of_the_first_spans(tmp_path, monkeypatch, capsys):
+    path = Recording(tmp_path).steps(3).close()
+    every = commands.spans_of(path)
+    monkeypatch.setattr(commands, "MAX_SPANS", len(every) - 1)
+    args = argparse.Namespace(source=str(path), out=tmp_path / "trace.json")
+    assert commands.trace(args) == 0
+    assert f"only its first {len(every) - 1} spans" in capsys.readouterr().out

@@ -1,0 +1,140 @@
+"""The table of inputs: which one is missing, silent or of no use, how often it comes, and why."""
+
+from __future__ import annotations
+
+import pytest
+from test_sources_synchronizer import CLOUD, FRAME_NS, MS, ONNX, Robot
+
+from edge.bus import topics
+from edge.loop.source import InputRow, inputs_status, lacking
+
+S = 1_000_000_000
+
+
+def rows(robot: Robot) -> dict[str, InputRow]:
+    return {row.name: row for row in robot.synchronizer.inputs.rows()}
+
+
+def states(robot: Robot) -> dict[str, str]:
+    return {name: row.state for name, row in rows(robot).items()}
+
+
+def driven(robot: Robot, seconds: float, without: str = "", late_ns: int = 0) -> Robot:
+    """Frames and poses at 30 Hz, each polled for, without one input or with late odometry."""
+    for _ in range(int(seconds * 30)):
+        robot.wait(FRAME_NS)
+        if without != "camera/info":
+            robot.info()
+        for name, send in (("camera/rgb", robot.rgb), ("camera/depth", robot.depth)):
+            if name != without:
+                send(robot.now_ns)
+        if without != "odom":
+            robot.odom(robot.now_ns - late_ns)
+        if (seen := robot.poll()) is not None:
+            seen.release()
+    return robot
+
+
+def test_before_anything_came_everything_is_missing_and_named_as_it_is_listened_to():
+    robot = Robot()
+    assert set(states(robot).values()) == {"missing"}
+    inputs = robot.synchronizer.inputs
+    inputs.listen("camera/rgb", "/camera/color/image_raw")
+    inputs.listen("odom", "edge/odom")
+    assert lacking(inputs.rows()) == (
+        "no message yet on camera/rgb (/camera/color/image_raw), camera/depth, camera/info, "
+        "edge/odom"
+    )
+    status = inputs_status(inputs.rows())
+    assert (status["state"], status["topics"]["odom"]["age_s"]) == ("lacking", None)
+
+
+def test_what_comes_has_a_rate_and_an_age():
+    robot = driven(Robot(), 5)
+    assert lacking(robot.synchronizer.inputs.rows()) == ""
+    found = rows(robot)
+    for name in ("camera/rgb", "camera/depth", "odom"):
+        row = found[name]
+        assert (row.state, row.age_s, row.received) == ("ok", 0.0, 150)
+        assert row.hz == pytest.approx(30, abs=1)
+    assert inputs_status(robot.synchronizer.inputs.rows())["state"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("without", "said"),
+    [
+        # Each of them by itself keeps every frame from becoming an observation.
+        ("camera/rgb", "no message yet on camera/rgb; every message on camera/depth is dropped: "
+                       "unpaired (no camera/rgb)"),
+        ("camera/depth", "no message yet on camera/depth"),
+        ("camera/info", "no message yet on camera/info; every message on camera/depth is dropped: "
+                        "no_camera_info"),
+        ("odom", "no message yet on odom; every message on camera/depth is dropped: no_pose "
+                 "(no odom)"),
+    ],
+)  # fmt: skip
+def test_the_one_input_that_never_came_is_named(without, said):
+    robot = driven(Robot(), 3, without)
+    assert lacking(robot.synchronizer.inputs.rows()) == said
+
+
+@pytest.mark.parametrize("without", ["camera/rgb", "camera/depth", "odom"])
+def test_the_one_input_that_comes_no_more_is_named_until_it_is_back(without):
+    robot = driven(driven(Robot(), 3), 3, without)
+    row = rows(robot)[without]
+    assert (row.state, row.hz) == ("silent", 0.0)
+    assert row.age_s == pytest.approx(3.0, abs=0.01)
+    assert f"no message any more on {without}" in lacking(robot.synchronizer.inputs.rows())
+    assert lacking(driven(robot, 3).synchronizer.inputs.rows()) == ""
+
+
+def test_what_is_late_is_told_with_by_how_much():
+    robot = driven(Robot(), 3, late_ns=400 * MS)
+    row = rows(robot)["camera/depth"]
+    # A frame waits 50 ms, in which two more poses come.
+    assert (row.state, row.why) == ("dropped", "no_pose (the nearest odom is 333 ms earlier)")
+    assert row.dropped["no_pose"] > 50
+    robot = Robot().info()
+    for at_ns in range(S, 3 * S, FRAME_NS):  # colours that are half a second behind
+        robot.wait(FRAME_NS).odom(at_ns).depth(at_ns).rgb(at_ns - S // 2).poll()
+    why = rows(robot)["camera/depth"].why
+    assert why == "unpaired (the nearest camera/rgb is 433 ms earlier)"
+
+
+def test_pictures_that_never_fit_to_a_sweep_are_told_though_sweeps_are_enough():
+    robot = Robot(CLOUD).info()
+    for at_ns in range(S, 5 * S, 3 * FRAME_NS):
+        robot.wait(3 * FRAME_NS).odom(at_ns).cloud(at_ns).rgb(at_ns + 50 * MS).odom(at_ns + MS)
+        if (seen := robot.poll()) is not None:
+            assert seen.rgb is None
+            seen.release()
+    assert robot.synchronizer.counters["observations"] > 30
+    assert lacking(robot.synchronizer.inputs.rows()) == (
+        "every message on camera/rgb is dropped: unpaired (the nearest camera/rgb is 50 ms later)"
+    )
+
+
+def test_an_input_that_is_no_good_is_named_with_the_reason():
+    robot = driven(Robot(), 3)
+    for _ in range(60):
+        robot.wait(FRAME_NS)
+        robot.decoder.offer(topics.ODOMETRY, b"nonsense")
+    row = rows(robot)["odom"]
+    assert (row.state, row.dropped["malformed"]) == ("dropped", 60)
+    assert row.why.startswith("malformed (")
+
+
+def test_of_two_lidars_one_is_enough_and_of_none_both_are_named():
+    robot = Robot(CLOUD)
+    assert "no message yet on camera/rgb, lidar/points or lidar/scan, " in lacking(
+        robot.synchronizer.inputs.rows()
+    )
+    robot.info().odom(0).rgb(0).cloud(0)
+    assert (states(robot)["lidar/points"], states(robot)["lidar/scan"]) == ("ok", "unused")
+    assert lacking(robot.synchronizer.inputs.rows()) == ""
+
+
+def test_frames_of_sensors_that_nobody_listens_to_have_no_row():
+    assert set(states(Robot(ONNX).cloud(0))) == {
+        "camera/rgb", "camera/depth", "camera/info", "odom",
+    }  # fmt: skip
