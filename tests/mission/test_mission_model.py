@@ -92,7 +92,7 @@ DOUBTS = [
     ("vist the sofa then the bed", ("vist: visit?",)),
     ("go to soffa then to the bed", ("soffa: sofa?",)),
     ("zzz to the sofa then the bed", ("zzz: not known?",)),
-    ("go to the base, then to the sofa, then to the bed", ("base: not known?",)),  # no basket
+    ("go to base, then to the sofa, then to the bed", ("base: not known?",)),  # no basket
 ]
 
 

@@ -49,6 +49,7 @@ _LIGHT_KINDS = (
 )  # fmt: skip
 """Kinds of the lexicon whose words change little. Words of all other kinds change the meaning."""
 _CHANGING = """
+    not never no without only if unless until all both every each once twice first last again
     stop exit leave out off away beyond outside within from another other else nowhere nobody
     nothing none except excluding barring besides instead rather otherwise hardly miss refuse
     decline pm am minute minutes hour hours second seconds half quarter metres meters left right
@@ -190,7 +191,7 @@ class SmallModel:
             for end in range(start + 1, min(start + LONGEST_PHRASE, len(words)) + 1)
             if all(counts[start:end])
         ]
-        without = [(*words[:start], *words[end:]) for start, end in phrases]
+        without = [_without(words, start, end) for start, end in phrases]
         whole, *scores = self._network.tellings(meaning.tokens, [words, *without])
         left: dict[int, float] = {}
         for (start, end), score in zip(phrases, scores, strict=True):
@@ -267,6 +268,14 @@ class SmallModel:
             idle = bool(automaton.accepting[0])
             meanings.append(Meaning(automaton.formula, p, told[best], ones[best].tokens, idle))
         return sorted(meanings, key=lambda meaning: -meaning.p)
+
+
+def _without(words: Sequence[str], start: int, end: int) -> tuple[str, ...]:
+    """Return a sentence without a phrase, and without an article that would stand before a name:
+    the network never saw one there."""
+    stranded = words[end : end + 1] and words[end] in NAMES and words[start - 1 : start]
+    start -= bool(stranded and words[start - 1] in ARTICLES)
+    return (*words[:start], *words[end:])
 
 
 def _changes(word: str, loss: float) -> bool:
