@@ -153,7 +153,7 @@ def _name_at(pieces: list[_Piece], at: int, among_letters: bool) -> tuple[int, s
     if _is_letter(pieces, at, among_letters):
         return 1, pieces[at].text
     length = _known_length(pieces, at)
-    if not length or _is_own_way(pieces, at):
+    if not length or _is_own_way(pieces, at) or _is_verb(pieces, at, length):
         return 0, None
     text = _spelled(pieces[at : at + length])
     place, skipped = _place_at(pieces, at + length)
@@ -164,6 +164,13 @@ def _name_at(pieces: list[_Piece], at: int, among_letters: bool) -> tuple[int, s
         text = f"{text} {place} {_spelled(where)}"
         length += skipped + more
     return (length, names.canonical(text)) if names.is_name(text) else (0, None)
+
+
+def _is_verb(pieces: list[_Piece], at: int, length: int) -> bool:
+    """Return whether "lift the …" begins here, which names no lift."""
+    begins = at == 0 or pieces[at - 1].text in (",", ".", "and", "then", "please")
+    following = pieces[at + length].text if at + length < len(pieces) else ""
+    return begins and length == 1 and following in ARTICLES
 
 
 def _is_own_way(pieces: list[_Piece], at: int) -> bool:

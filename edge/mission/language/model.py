@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from edge.mission.automaton import Automaton, CompileError, compile_formula, implies
 from edge.mission.language import nouns
 from edge.mission.language.compact import NAMES, REFUSED, formula_of
+from edge.mission.language.english import is_plain
 from edge.mission.language.lexicon import AFTER_VERB, NUMBERS, TABLE
 from edge.mission.language.lifting import ARTICLES, Lifted, lift
 from edge.mission.language.network import MOST_WORDS, Network, Written
@@ -49,7 +50,7 @@ _LIGHT_KINDS = (
 )  # fmt: skip
 """Kinds of the lexicon whose words change little. Words of all other kinds change the meaning."""
 _CHANGING = """
-    not never no without only if unless until all both every each once twice first last again
+    not never no without only if when unless until all both every each once twice first last again
     stop exit leave out off away beyond outside within from another other else nowhere nobody
     nothing none except excluding barring besides instead rather otherwise hardly miss refuse
     decline pm am minute minutes hour hours second seconds half quarter metres meters left right
@@ -170,8 +171,10 @@ class SmallModel:
             and meaning.told >= OFFERED_WORD * len(words)
             and set(propositions(meaning.formula)) == set(said.names)
             and not meaning.idle
+            and is_plain(meaning.formula)
             and not any(
-                _changes(words[at], loss) for at, loss in self._left_over(meaning, words).items()
+                self._changes(words[at], loss)
+                for at, loss in self._left_over(meaning, words).items()
             )
         ]
         if sum(meaning.p for meaning in likely) < OFFERED_IN_ALL:
@@ -225,16 +228,31 @@ class SmallModel:
         for i, word in enumerate(words):
             if self._network.knows(word):
                 continue
-            slip = (word,) not in TABLE and nouns.slip_of(word[:40], self._network.words)
+            is_word = (word,) in TABLE or nouns.is_word(word)
+            slip = None if is_word else nouns.slip_of(word[:40], self._network.words)
             doubts.append(f"{one_line(word, 40)}: {slip or 'not known'}?")
             words[i] = slip or word
             acts = i + 1 < len(words) and words[i + 1] in NAMES
             if not slip and acts and (i == 0 or words[i - 1] in _BEFORE_VERB):
                 raise not_understood(word, said.starts[i] + 1, "no verb that is known")
+            if not slip and i and words[i - 1] == "by":
+                raise not_understood(word, said.starts[i] + 1, "say where to go, not by what")
+            if word in _CHANGING_WORDS or word in nouns.PLAIN_WORDS:
+                raise not_understood(word, said.starts[i] + 1, "no word that is known here")
             if len(doubts) > MOST_SLIPS:
                 start = said.starts[i]
                 raise not_understood(instruction[start:], start + 1, "no word that is known here")
         return said, tuple(words), tuple(doubts)
+
+    def _changes(self, word: str, loss: float) -> bool:
+        """Return whether a word that is left over by so much changes what is meant.
+
+        A word that is unknown is told with the question.
+        """
+        if word in _CHANGING_WORDS or word in NUMBERS or word.isdecimal():
+            return True
+        light = TABLE.get((word,)) in _LIGHT_KINDS or not self._network.knows(word)
+        return loss > OFFERED_LOSS and not light
 
     def _is_known(self, word: str) -> bool:
         return self._network.knows(word) or (word,) in TABLE
@@ -276,13 +294,6 @@ def _without(words: Sequence[str], start: int, end: int) -> tuple[str, ...]:
     stranded = words[end : end + 1] and words[end] in NAMES and words[start - 1 : start]
     start -= bool(stranded and words[start - 1] in ARTICLES)
     return (*words[:start], *words[end:])
-
-
-def _changes(word: str, loss: float) -> bool:
-    """Return whether a word that is left over by so much changes what is meant."""
-    if word in _CHANGING_WORDS or word in NUMBERS or word.isdecimal():
-        return True
-    return loss > OFFERED_LOSS and TABLE.get((word,), "filler") not in _LIGHT_KINDS
 
 
 def _unclear(words: Sequence[str]) -> str:

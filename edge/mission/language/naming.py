@@ -182,6 +182,8 @@ def _check(reader: Reader, words: list[Token]) -> None:
     close = nouns.meant(texts[odd])
     if close and not nouns.is_noun(texts[odd]):
         reader.refuse(f"{one_line(texts[odd], 40)}: {close}?", words[odd])
+    if reader.sees("article", "pronoun"):
+        reader.refuse("no verb that is known here", words[0])
     whole = one_line(" ".join(texts), 40)
     if odd:
         last = one_line(texts[odd - 1], 20)

@@ -80,8 +80,9 @@ _PLAIN = """
     half quarter often util
     side end middle edge kind sort type reason idea question answer order turn turns response
     predecessor successor former latter remaining
-    nice good bad great fine free ready done able sure careful dear safely
-    metre metres meter meters feet
+    nice good bad great fine free ready done able sure careful safely
+    metre metres meter meters feet home halt possible
+    keep stray straying stick sticking protect defend forget miss spin wander bring spend hurry
 """
 _ORDINALS = "first second third fourth fifth sixth seventh eighth ninth tenth last"
 _CARDINALS = "zero one two three four five six seven eight nine ten"
@@ -262,27 +263,34 @@ def meant(word: str) -> str | None:
     >>> meant("firdge"), meant("blorf"), meant("whether")
     ('fridge', None, None)
     """
-    if len(word) < 4 or len(word) > 30:
+    if len(word) < 4 or len(word) > 30 or is_word(word):
         return None
     return slip_of(word, _all_words())
+
+
+def is_word(word: str) -> bool:
+    """Return whether a word is known, if only to name no thing, so that it is no slip."""
+    return word in PLAIN_WORDS or word in QUALITIES or is_noun(word)
 
 
 def slip_of(word: str, known: Sequence[str]) -> str | None:
     """Return the known word that this one is a slip of the finger from, or None.
 
     A slip keeps the first letter and adds, drops, changes or swaps one letter, or two in a long
-    word.
+    word; a short word of other letters is another word.
 
     >>> slip_of("vist", ["visit"]), slip_of("base", ["basket"]), slip_of("home", ["some"])
     ('visit', None, None)
     """
     most = 2 if len(word) >= _LONG else 1
     close = difflib.get_close_matches(word, known, n=5, cutoff=0.7)
-    slips = (one for one in close if one != word and one[0] == word[0])
+    slips = [one for one in close if one != word and one[0] == word[0]]
+    if len(word) < _SHORT:
+        slips = [one for one in slips if len(one) != len(word) or sorted(one) == sorted(word)]
     return next((one for one in slips if _edits(word, one) <= most), None)
 
 
-_LONG = 8  # letters of a word in which two slips are likely
+_SHORT, _LONG = 5, 8  # letters; of a word in which two slips are likely
 
 
 def _edits(a: str, b: str) -> int:
