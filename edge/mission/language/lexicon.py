@@ -63,7 +63,8 @@ _ROWS: dict[str, str] = {
     "filler": """
         at any point of time;
         whatever you do; whatever happens; so; listen; attention; today; be a dear and; be a
-        pal and; buddy; my dear; dear; dude; my friend; hey there; hi there; hello there; good morning;
+        pal and; buddy; my dear; dear; dude; my friend; hey there; hi there; hello there;
+        good morning;
         me; us; for me; please; kindly; thanks; thank you; thank you very much; hi; hello; hey;
         ok; okay; alright; all right; robot; now; just; simply; also; too; as well; already;
         (would you|could you|) be so (kind|good) as to; (please|) help (me|us); in a straight line;
