@@ -73,6 +73,14 @@ def refuse_contradiction(formulas: Sequence[Formula]) -> None:
         raise UnclearError(f"instruction: a contradiction, nothing does all of this: {told}")
 
 
+def is_possible(formula: Formula) -> bool:
+    """Return whether something fulfils a formula; True if it is too large to compile."""
+    try:
+        return compile_formula(formula, _MAX_STATES, _MAX_STEPS).steps_left[0] >= 0
+    except CompileError:
+        return True  # the mission says so
+
+
 def same(a: Formula, b: Formula) -> bool:
     """Whether two formulas ask for the same; False where one is too large to compile."""
     return len(distinct((a, b))[0]) == 1

@@ -12,6 +12,7 @@ from edge.config import Translator as TranslatorConfig
 from edge.config import TranslatorLlm
 from edge.mission import ltl
 from edge.mission.language import grammar
+from edge.mission.language.bans import bans_in, does_imply
 from edge.mission.language.beyond import refuse_beyond
 from edge.mission.language.english import describe
 from edge.mission.language.words import Reader, TranslationError, UnclearError
@@ -20,6 +21,7 @@ from edge.mission.readings import (
     AmbiguousError,
     Reading,
     distinct,
+    is_possible,
     refuse_contradiction,
     same,
 )
@@ -183,7 +185,7 @@ def _by_llm(config: TranslatorLlm) -> Backend:
     from edge.mission.language.llm import Model  # needs the chat client; the others do not
 
     model = Model(config)
-    return lambda text: Read((model.read(text),), "llm")
+    return lambda text: heeding(text, Read((model.read(text),), "llm"))
 
 
 @lru_cache(maxsize=1)
@@ -200,9 +202,32 @@ def by_model(model: SmallModel) -> Backend:
     def read(instruction: str) -> Read:
         refuse_beyond(Reader(instruction))
         found = model.read(instruction)
-        return Read(found.formulas, "model", found.sure, found.doubts)
+        return heeding(instruction, Read(found.formulas, "model", found.sure, found.doubts))
 
     return read
+
+
+def heeding(instruction: str, read: Read) -> Read:
+    """Return what a model read, if it heeds the bans that the rules read in the instruction.
+
+    If it does not, it is asked about: with these bans, and as it is.
+
+    Raises:
+        TranslationError: nothing fulfils it together with the bans.
+    """
+    bans = [
+        ban
+        for ban in bans_in(instruction)
+        if not all(does_imply(formula, ban) for formula in read.formulas)
+    ]
+    if not bans:
+        return read
+    strict = [ltl.conj(formula, *bans) for formula in read.formulas]
+    strict = [formula for formula in strict if is_possible(formula)]
+    if not strict:
+        told = " ".join(describe(ban) for ban in bans)
+        raise TranslationError(f"instruction: understood only this: {one_line(told, 300)}")
+    return replace(read, formulas=(*strict, *read.formulas), sure=False)
 
 
 def by_all(small: Backend, large: Backend | None) -> Backend:

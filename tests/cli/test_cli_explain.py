@@ -68,7 +68,7 @@ def assert_refused(text: str, formula: bool, says: str) -> None:
 
 
 def test_all_readings_are_told_and_one_is_chosen():
-    said = "visit the sofa before the bed"
+    said = "the sofa must be visited before the bed"
     first, *listed, last = explained(said, formula=False)
     assert first == f"ambiguous:   it can be read in {len(listed)} ways"
     assert "Reach the sofa, then the bed." in listed[-1]

@@ -146,7 +146,7 @@ visit,['a'],hum a,F a
 past_avoidance,"['a', 'b']",visit c and do not go to a until you see b,& F c U ! a b
 global_avoidance,['a'],visit a,G ! a
 patrolling,['a'],keep visiting a,G F a
-past_avoidance,"['a', 'b']",visit a before b,& F a F b
+past_avoidance,"['a', 'b']",a must be visited before b,& F a F b
 """
 
 

@@ -87,7 +87,7 @@ def parity_of(net: object, folder: Path) -> float:
     assert network.tokens == WORDS.tokens
     written = network.formulas(("go", "to", "<0>"), 1)
     assert np.exp([one.log_p for one in written]).sum() <= 1.0 + 1e-6
-    assert np.isfinite(network.telling(("F", NAMES[0]), ("go", "to", "<0>")))
+    assert np.isfinite(network.tellings(("F", NAMES[0]), [("go", "to", "<0>")]))
     return off
 
 

@@ -136,7 +136,7 @@ def test_what_is_not_understood_is_said_and_changes_nothing(page, house):
 
 def test_of_several_readings_the_page_lets_one_choose(page, house):
     page.click("#new")
-    page.type("#words", "visit the sofa before the bed")
+    page.type("#words", "the sofa must be visited before the bed")
     page.click("#new-ok")
     page.until("document.querySelectorAll('#readings button').length === 3")
     page.says("#new-error", "This can be read in several ways. Which one do you mean?")

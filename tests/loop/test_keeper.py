@@ -68,7 +68,7 @@ def test_which_reading_was_taken_is_kept(path):
             {
                 "loop": {"lockstep": True},
                 "sim": {"lockstep": True},
-                "mission": {"instruction": "visit the sofa before the bed"},
+                "mission": {"instruction": "the sofa must be visited before the bed"},
             }
         ),
         colour=False,

@@ -77,7 +77,7 @@ def test_what_does_not_matter_is_no_letter_that_a_planner_could_choose():
         assert automaton.run(word) == whole.run(word)
 
 
-AMBIGUOUS = "visit the sofa before the bed"
+AMBIGUOUS = "the sofa must be visited before the bed"
 
 
 def test_whoever_gives_an_instruction_is_asked_and_the_configuration_cannot_be() -> None:

@@ -16,6 +16,7 @@ DRAWN = 2000
 DEBATABLE = {
     "F & x F": "whether 'visit a and open b', or 'a by way of b or c', is in order",
     "F & | x x F": "as before",
+    "& F x W ! x x": "whether 'a before b' asks for b",
     "G -> x F": "whether 'once you reach a, go to b' asks for a",
     "G -> x X": "whether 'as soon as you reach a' is a duty",
     "O x x": "how far 'and only then' reaches",

@@ -29,7 +29,7 @@ from edge.mission.language.llm import (
     objects_in,
 )
 from edge.mission.ltl import parse, propositions
-from edge.mission.translate import TranslationError, make_translator
+from edge.mission.translate import AmbiguousError, TranslationError, make_translator
 
 INSTRUCTION = "Clean the couch, then turn on the TV; don't go to the bed before that."
 
@@ -72,9 +72,9 @@ def test_answers_that_are_understood(answer):
     ],
 )
 def test_a_wrong_answer_is_sent_back_once(first, fault):
-    with serving(saying(first, "F (couch & F tv)")) as server:
+    with serving(saying(first, "F (couch & F tv) & !bed W tv")) as server:
         result = translate(server.url)
-    assert result.formula == parse("F (sofa & F television)")
+    assert result.formula == parse("F (sofa & F television) & !bed W television")
     assert len(server.requests) == 2
     *before, wrong, wanted = server.requests[1][2]["messages"]
     assert before == server.requests[0][2]["messages"]
@@ -149,7 +149,7 @@ def test_the_second_attempt_names_the_limit_that_is_configured(monkeypatch):
 
 @pytest.mark.parametrize("constrain", ["none", "gbnf", "guided_grammar"])
 def test_what_is_asked(constrain):
-    with serving(saying("F couch")) as server:
+    with serving(saying("F couch & !bed W tv")) as server:
         translate(server.url, constrain=constrain, model="tiny")
     request = server.requests[0][2]
     assert (request["model"], request["temperature"]) == ("tiny", 0)
@@ -162,15 +162,16 @@ def test_what_is_asked(constrain):
 
 
 def test_what_the_formula_leaves_out_is_reported(caplog):
-    with caplog.at_level(logging.WARNING), serving(saying("F couch")) as server:
+    asked = pytest.raises(AmbiguousError, match=r"\(1\) .*Do not reach the bed until")
+    with caplog.at_level(logging.WARNING), serving(saying("F couch")) as server, asked:
         translate(server.url)
     assert "leaves out television, bed" in caplog.text
 
 
 def test_the_registry_knows_the_backend():
-    with serving(saying("F couch")) as server:
+    with serving(saying("F couch & !bed W tv")) as server:
         translator = make_translator(TranslatorLlm(url=server.url))
-        assert str(translator.translate(INSTRUCTION).formula) == "F sofa"
+        assert str(translator.translate(INSTRUCTION).formula) == "F sofa & !bed W television"
     with pytest.raises(UserError, match="not the URL"):
         make_translator(TranslatorLlm(url="localhost"))
 

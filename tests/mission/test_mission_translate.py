@@ -14,6 +14,7 @@ from edge.mission.translate import (
     TranslationError,
     Translator,
     by_all,
+    heeding,
     make_translator,
     validated,
 )
@@ -130,6 +131,35 @@ def test_auto_takes_what_is_agreed_on(
     texts = [str(formula) for formula in found.formulas]
     assert len(texts) == wanted if isinstance(wanted, int) else texts == wanted
     assert (found.by, found.sure) == (by, sure)
+
+
+# Said, what a model makes of it, and what is asked about then; a text: it is refused with that.
+BANNED = [
+    ("go to both sofas, but do not go to the table", "F sofa & G !table", None),
+    ("go to both sofas, but do not go to the table", "F sofa | G !table",
+     ["(F sofa | G !table) & G !table", "F sofa | G !table"]),
+    ("skedaddle to the sofa without touching the bed or the tv", "F sofa & !bed W sofa",
+     ["F sofa & !bed W sofa & G !bed", "F sofa & !bed W sofa"]),
+    ("do not go to the tv before the bed, then skedaddle", "F television",
+     ["F television & !television W bed", "F television"]),
+    ("go to the sofa and never go to the tv", "!television W sofa",
+     ["!television W sofa & G !television", "!television W sofa"]),
+    ("skedaddle to the sofa, but avoid the sofa", "F sofa", "understood only this: Never reach"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("said", "formula", "asked"), BANNED)
+def test_a_models_formula_heeds_the_bans_that_the_rules_read(
+    said: str, formula: str, asked: list[str] | str | None
+) -> None:
+    read = Read([parse(formula)], "llm")
+    if isinstance(asked, str):
+        with pytest.raises(TranslationError, match=asked):
+            heeding(said, read)
+        return
+    found = heeding(said, read)
+    assert found.sure is (asked is None)
+    assert [str(one) for one in found.formulas] == (asked or [formula])
 
 
 def test_what_is_not_sure_is_asked_about_even_where_it_is_one_thing() -> None:

@@ -125,6 +125,11 @@ def describe(formula: Formula) -> str:
     return " ".join(f"{sentence[0].upper()}{sentence[1:]}." for sentence in sentences)
 
 
+def is_plain(formula: Formula) -> bool:
+    """Return whether a formula is said in plain words, not operator by operator."""
+    return _READ_OUT not in describe(formula).lower()
+
+
 def _too_long(formula: Formula) -> bool:
     depth: dict[int, int] = {}
     for count, f in enumerate(postorder(formula)):
@@ -344,6 +349,7 @@ def _limit_until(f: Formula) -> str | None:
     return None
 
 
+_READ_OUT = "see to it, from the first step on,"
 _LITERAL = {
     "!": "it is not so that {0}",
     "X": "there is a next step, and at it {0}",
@@ -372,4 +378,4 @@ def _literally(formula: Formula) -> str:
             said[id(f)] = "anything happens" if f.op == "true" else "the impossible happens"
         else:
             said[id(f)] = _LITERAL[f.op].format(*parts)
-    return f"see to it, from the first step on, that {said[id(formula)]}"
+    return f"{_READ_OUT} that {said[id(formula)]}"

@@ -22,7 +22,8 @@ _ROWS: dict[str, str] = {
         ensuring that; be sure; be sure that; being sure; remember; remembering; please make sure;
         take care; taking care; be careful; being careful; see to it that; seeing to it that; do
         not forget; never forget; without forgetting; do not fail; never fail; go ahead and;
-        (i want|i need|i would like|we want|we need|i like|i would love|we would like|i expect)
+        (i want|i need|i would like|we want|we need|i like|i would love|we would like|i expect|i
+        should like|we should like)
         (you|the robot|the drone|the agent|the car|the vehicle);
         (your|the) (task|mission|goal|job|objective|aim|assignment) is
     """,
@@ -62,9 +63,13 @@ _ROWS: dict[str, str] = {
     "filler": """
         at any point of time;
         whatever you do; whatever happens; so; listen; attention; today; be a dear and; be a
-        pal and; buddy; my dear; dude; my friend; hey there; hi there; hello there; good morning;
+        pal and; buddy; my dear; dear; dude; my friend; hey there; hi there; hello there;
+        good morning;
         me; us; for me; please; kindly; thanks; thank you; thank you very much; hi; hello; hey;
         ok; okay; alright; all right; robot; now; just; simply; also; too; as well; already;
+        (would you|could you|) be so (kind|good) as to; (please|) help (me|us); in a straight line;
+        it would be (nice|good|great|kind|lovely) if you (could|would);
+        (just|) to be (on the safe side|safe|sure);
         directly; would you mind; do you mind; if you do not mind; when you have a minute; when
         you have time; when you have the chance; whenever you can; as many times as you want; on
         your travels; eventually; sometime; some time; at some time; at some point; at any time;
@@ -91,6 +96,7 @@ _ROWS: dict[str, str] = {
     "but": "but; however; though; yet",
     "then": """
         (and|) (that|this) done;
+        and than;
         then; and then; then finally; and finally; finally; lastly; next; and next; after that;
         and after that; afterwards; afterward; and afterwards; and afterward; sometime afterward;
         sometime afterwards; and sometime afterward; and sometime afterwards; after this; and
@@ -123,7 +129,7 @@ _ROWS: dict[str, str] = {
     "while": "while; whilst; during which; as long as",
     "without": """
         nowhere near; but nowhere near;
-        without; without ever; with no;
+        without; without ever; with no; instead of;
         (with|) no (stops at|stop at|visits to|visit to|stopping at|detour through);
         without (any|a|) (stops at|stop at|visits to|visit to|detour through);
         (not|but not) (through|via|past|near|over|across|along|by way of)

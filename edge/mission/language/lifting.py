@@ -41,13 +41,21 @@ _CUT_OFF = {
 """What a contraction is before a `t` that lost its apostrophe."""
 _VERBS_TOO = """
     swing drop park dock point ring rest stick tap drill paint book fan bat saw scale tie train
-    track frame file mop sponge exit
+    track frame file mop sponge exit guard
 """
 _ALSO_VERBS = frozenset(_VERBS_TOO.split())
 """Things that are so only after an article."""
 _MARKS = {",": ",", ":": ",", ".": ".", ";": ".", "!": ".", "?": ".", "&": "and"}
-_NEVER_NAMES = {*ARTICLES, *_MARKS.values(), "robot", "robots"}
+_NEVER_NAMES = {*ARTICLES, *_MARKS.values(), "robot", "robots", "spot", "spots"}
 _NEVER_ALONE = {"can"}
+_OWN, _WAYS = ("your", "our", "its", "my"), ("path", "way", "route", "road", "trip")
+_VEHICLES = """
+    bus car train taxi cab bike bicycle motorcycle boat ship ferry plane airplane truck van tram
+    subway elevator lift escalator wheelchair scooter foot
+"""
+_RIDING = ("by", "via", "per")
+_RIDDEN = frozenset(names.canonical(name) for name in _VEHICLES.split())
+"""Things that "by" and no article make a way to travel."""
 _PIECE = re.compile(rf"""(?P<quoted>"[^"]*")|(?P<word>{WORD.pattern})|(?P<mark>\S)""")
 
 
@@ -91,6 +99,9 @@ def lift(text: str) -> Lifted:
     at = 0
     while at < len(pieces):
         length, name = _name_at(pieces, at, among_letters)
+        if name in _RIDDEN and words and words[-1] in _RIDING:
+            start = pieces[at].start
+            raise not_understood(text[start:], start + 1, "say where to go, not by what")
         if name is None:
             words.append(pieces[at].text)
             starts.append(pieces[at].start)
@@ -143,16 +154,31 @@ def _name_at(pieces: list[_Piece], at: int, among_letters: bool) -> tuple[int, s
     if _is_letter(pieces, at, among_letters):
         return 1, pieces[at].text
     length = _known_length(pieces, at)
-    if not length:
+    if not length or _is_own_way(pieces, at) or _is_verb(pieces, at, length):
         return 0, None
     text = " ".join(piece.text for piece in pieces[at : at + length])
     place, skipped = _place_at(pieces, at + length)
+    if _is_own_way(pieces, at + length + skipped):
+        place = ""  # "the table on your path"
     if place and (more := _known_length(pieces, at + length + skipped)):
         where = pieces[at + length + skipped : at + length + skipped + more]
         beside = " ".join(piece.text for piece in where)
         text = f"{names.normalise(text)} {place} {beside}"
         length += skipped + more
     return (length, names.canonical(text)) if names.is_name(text) else (0, None)
+
+
+def _is_verb(pieces: list[_Piece], at: int, length: int) -> bool:
+    """Return whether "lift the …" begins here, which names no lift."""
+    begins = at == 0 or pieces[at - 1].text in (",", ".", "and", "then", "please")
+    following = pieces[at + length].text if at + length < len(pieces) else ""
+    return begins and length == 1 and following in ARTICLES
+
+
+def _is_own_way(pieces: list[_Piece], at: int) -> bool:
+    """Return whether "your path" ends here, which is no thing to go to."""
+    own = 0 < at < len(pieces) and pieces[at - 1].text in _OWN
+    return own and pieces[at].text in _WAYS
 
 
 def _known_length(pieces: list[_Piece], at: int) -> int:

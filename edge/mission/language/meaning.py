@@ -337,8 +337,11 @@ def _counted_until(
 
 
 _ENDS = ("end ", "ends ", "ending ", "finish")
+_RULES = ("make sure", "making sure", "ensur", "be sure", "see to it")
 _BEFORE = ("both", "first only", "in order")
-"""What "x before y" asks for: both, and no y before x; x, and no y before it; x, then y."""
+"""What "x before y" said as a rule may ask for: both, and no y before x; x, and no y before it; x,
+then y. As a plain order it asks for both: that implies the others and is driven like "x, then y".
+"""
 
 
 def _conditioned(
@@ -371,7 +374,11 @@ def _conditioned(
     elif kind == "before" and (clause.mood != "can" or condition.only):
         way = "in order"  # "visit x, but visit y before that": y, then x
         if not condition.referred or clause.mood == "can":
-            pick = reader.pick(condition.token, len(_BEFORE)) if clause.mood != "can" else 1
+            pick = 0
+            if clause.mood == "can":
+                pick = 1
+            elif _is_rule(clause, condition, reader):
+                pick = reader.pick(condition.token, len(_BEFORE))
             way = _BEFORE[pick]
         if way != "in order":
             meaning.rules += held_until(when.names, things)
@@ -387,6 +394,28 @@ def _conditioned(
         _reaction(clause, things, condition, reader, meaning)
     elif clause.mood != "can":
         meaning.anchors.append(when)
+
+
+def _is_rule(clause: Clause, condition: Condition, reader: Reader) -> bool:
+    """Return whether "x before y" may leave open if y is to be reached at all.
+
+    So do "make sure that …", "x must be visited …" and "… before you may ever go to y"; a plain
+    order does not, unless it is an alternative, an aside, or one of several in a sequence.
+    """
+    duty = clause.mood == "must" and not clause.subject
+    if duty or clause.done or clause.token.text.startswith(_RULES):
+        return True
+    start, begin = (
+        next(i for i, token in enumerate(reader.tokens) if token is wanted)
+        for wanted in (clause.token, condition.token)
+    )
+    kinds = [token.kind for token in reader.tokens]
+    if "or" in kinds[max(start - 1, 0) : start + 1] or "while" in kinds[:begin]:
+        return True
+    if kinds.count("before") > 1 and "then" in kinds:
+        return True
+    said = itertools.takewhile(lambda t: t.kind not in ("stop", "comma"), reader.tokens[begin:])
+    return any(token.kind == "can" or token.text == "ever" for token in said)
 
 
 def _reaction(

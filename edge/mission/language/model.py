@@ -1,20 +1,22 @@
 """Translator `model`: a small network of our own reads what the grammar does not.
 
-It is trusted where its translation tells the sentence back better than any other does; where that
-is in doubt, whoever gave the instruction is asked, with what it may mean in plain English.
+A translation is carried out unasked only if it tells the sentence back better than any other, and
+if no word of the sentence is left over. A translation that is in doubt is offered as a question,
+and refused if a word that changes the meaning is left over.
 """
 
 from __future__ import annotations
 
-import difflib
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from edge.mission.automaton import Automaton, CompileError, compile_formula, implies
 from edge.mission.language import nouns
-from edge.mission.language.compact import REFUSED, formula_of
-from edge.mission.language.lexicon import AFTER_VERB, TABLE
+from edge.mission.language.compact import NAMES, REFUSED, formula_of
+from edge.mission.language.english import is_plain
+from edge.mission.language.lexicon import AFTER_VERB, NUMBERS, TABLE
 from edge.mission.language.lifting import ARTICLES, Lifted, lift
 from edge.mission.language.network import MOST_WORDS, Network, Written
 from edge.mission.language.words import TranslationError, not_understood
@@ -28,11 +30,41 @@ TRUSTED_MARGIN = 1.0
 TRUSTED_START, TRUSTED_WORD = -2.0, -2.8
 """The least log probability of a sentence, told back, and of each of its words [nats]: it takes the
 more to say which verb and which turn of phrase began it."""
-OFFERED_P, OFFERED_WORD, MOST_OFFERED = 0.15, -6.0, 4
-"""What is shown to whoever is asked, and how many."""
+OFFERED_P, OFFERED_WORD, OFFERED_IN_ALL, MOST_OFFERED = 0.15, -6.0, 0.9, 4
+"""A meaning is offered from this share of the probability and this log probability of a word on;
+all that are offered need this share together. At most so many are offered."""
+OFFERED_LOSS = 4.0
+"""By how much a meaning that is offered may leave over a word that changes the meaning: the gain in
+log probability of the rest, told back [nats]. A meaning that is trusted leaves over none."""
+LONGEST_PHRASE = 3
+"""Words that are deleted together: each of "every time" needs the other."""
+_FUNCTION_WORDS = """
+    a an the and then to of that it you your i please must should have has be is are been
+    go move head drive walk visit reach get into through throught up
+"""
+FUNCTION_WORDS = frozenset(_FUNCTION_WORDS.split())
+"""The only words that a trusted meaning may leave over."""
+_LIGHT_KINDS = (
+    "filler", "verb", "you", "to", "article", "be", "must", "can", "ensure", "do", "goal",
+    "addressed", "happen", "pronoun",
+)  # fmt: skip
+"""Kinds of the lexicon whose words change little. Words of all other kinds change the meaning."""
+_CHANGING = """
+    not never no without only if when unless until all both every each once twice first last again
+    stop exit leave out off away beyond outside within from another other else nowhere nobody
+    nothing none except excluding barring besides instead rather otherwise hardly miss refuse
+    decline pm am minute minutes hour hours second seconds half quarter metres meters left right
+"""
+_CHANGING_WORDS = frozenset(_CHANGING.split())
+"""Words that change the meaning and may not be left over at all, as numbers may not."""
+_ATTACHED = re.compile(r"<\d> (by|from|off|out of) <\d>")
+"""The second thing may say where the first is, or how to get there."""
+_LOOKED_AROUND = re.compile(
+    r"\b(look|looks|looking|search|searching|peek|wander|stroll) around <\d>"
+)
 MOST_SLIPS = 3
-_CLOSE, _CLOSER = 0.75, 0.8
 _MAX_STATES, _MAX_STEPS = 500, 300_000
+_BEFORE_VERB = (",", ".", "and", "then", "please", "you", "not")
 _REFUSED = "instruction: no formula over what is reached says this; say it in other words"
 
 
@@ -43,11 +75,15 @@ class Meaning:
     Attributes:
         p: share of the probability of all that was written.
         told: log probability of the sentence, told back, by the token sequence that tells it best.
+        tokens: that token sequence.
+        idle: it asks for nothing to be reached, as bans alone do.
     """
 
     formula: Formula
     p: float
     told: float
+    tokens: tuple[str, ...]
+    idle: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,32 +121,87 @@ class SmallModel:
             raise TranslationError(
                 "instruction: it names nothing that is known; write what it is in double quotes"
             )
+        if unclear := _unclear(words):
+            raise TranslationError(f"instruction: {unclear}")
         written = self._network.formulas(words, len(said.names))
         total = sum(math.exp(one.log_p) for one in written)
         refused = sum(math.exp(one.log_p) for one in written if one.tokens == (REFUSED,))
         if not written or refused > 0.5 * total:
             raise TranslationError(_REFUSED)
         meanings = self._meanings(written, words, said)
-        offered = [
-            meaning.formula
-            for meaning in meanings
-            if meaning.p >= OFFERED_P and meaning.told >= OFFERED_WORD * len(words)
-        ]
-        if not offered:
-            raise TranslationError(_REFUSED)
-        if not doubts and self._trusts(meanings, words, said):
+        if meanings and not doubts and self._trusts(meanings, words, said):
             return Guess((meanings[0].formula,), True)
-        return Guess(tuple(offered[:MOST_OFFERED]), False, doubts)
+        offered = self._offered(meanings, words, said)
+        if offered:
+            return Guess(tuple(offered), False, doubts)
+        if meanings and (left := self._left_over(meanings[0], words)):
+            worst = [words[at] for at in sorted(left) if 2 * left[at] >= max(left.values())]
+            part = one_line(" ".join(worst), 60)
+            raise TranslationError(
+                f"instruction: did not understand {part!r}; say it in other words", part
+            )
+        raise TranslationError(_REFUSED)
 
     def _trusts(self, meanings: Sequence[Meaning], words: Sequence[str], said: Lifted) -> bool:
-        """Whether the likeliest meaning is likely enough, uses every name, and tells back best."""
+        """Return whether the likeliest meaning may be carried out unasked.
+
+        It has to be likely enough, use every name, tell the sentence back best, and leave no word
+        over.
+        """
         first, *others = meanings
         return (
             first.p >= TRUSTED_P
             and set(propositions(first.formula)) == set(said.names)
             and first.told >= TRUSTED_START + TRUSTED_WORD * len(words)
             and all(first.told >= other.told - TRUSTED_MARGIN for other in others)
+            and not self._left_over(first, words)
         )
+
+    def _offered(
+        self, meanings: Sequence[Meaning], words: Sequence[str], said: Lifted
+    ) -> list[Formula]:
+        """Return the formulas to ask about; none if the right one is hardly among them.
+
+        Each asks for something, uses every name, and leaves over no word that changes the meaning.
+        """
+        likely = [
+            meaning
+            for meaning in meanings
+            if meaning.p >= OFFERED_P
+            and meaning.told >= OFFERED_WORD * len(words)
+            and set(propositions(meaning.formula)) == set(said.names)
+            and not meaning.idle
+            and is_plain(meaning.formula)
+            and not any(
+                self._changes(words[at], loss)
+                for at, loss in self._left_over(meaning, words).items()
+            )
+        ]
+        if sum(meaning.p for meaning in likely) < OFFERED_IN_ALL:
+            return []
+        return [meaning.formula for meaning in likely[:MOST_OFFERED]]
+
+    def _left_over(self, meaning: Meaning, words: Sequence[str]) -> dict[int, float]:
+        """Return the words that a meaning does not account for, by position, with their loss.
+
+        Such a word, or phrase of up to `LONGEST_PHRASE` words, makes the sentence less likely to be
+        told: without it the back-translation's score is higher. The loss is the difference [nats].
+        """
+        counts = [not (w in FUNCTION_WORDS or w in NAMES or w in ",.") for w in words]
+        phrases = [
+            (start, end)
+            for start in range(len(words))
+            for end in range(start + 1, min(start + LONGEST_PHRASE, len(words)) + 1)
+            if all(counts[start:end])
+        ]
+        without = [_without(words, start, end) for start, end in phrases]
+        whole, *scores = self._network.tellings(meaning.tokens, [words, *without])
+        left: dict[int, float] = {}
+        for (start, end), score in zip(phrases, scores, strict=True):
+            if score > whole:
+                for at in range(start, end):
+                    left[at] = max(left.get(at, 0.0), score - whole)
+        return left
 
     def _known(self, instruction: str) -> tuple[Lifted, tuple[str, ...], tuple[str, ...]]:
         """The instruction with its names lifted out, its words with close ones in the place of
@@ -137,13 +228,31 @@ class SmallModel:
         for i, word in enumerate(words):
             if self._network.knows(word):
                 continue
-            close = difflib.get_close_matches(word[:40], self._network.words, n=1, cutoff=_CLOSE)
-            doubts.append(f"{one_line(word, 40)}: {close[0] if close else 'not known'}?")
-            words[i] = close[0] if close else word
+            is_word = (word,) in TABLE or nouns.is_word(word)
+            slip = None if is_word else nouns.slip_of(word[:40], self._network.words)
+            doubts.append(f"{one_line(word, 40)}: {slip or 'not known'}?")
+            words[i] = slip or word
+            acts = i + 1 < len(words) and words[i + 1] in NAMES
+            if not slip and acts and (i == 0 or words[i - 1] in _BEFORE_VERB):
+                raise not_understood(word, said.starts[i] + 1, "no verb that is known")
+            if not slip and i and words[i - 1] == "by":
+                raise not_understood(word, said.starts[i] + 1, "say where to go, not by what")
+            if word in _CHANGING_WORDS or word in nouns.PLAIN_WORDS:
+                raise not_understood(word, said.starts[i] + 1, "no word that is known here")
             if len(doubts) > MOST_SLIPS:
                 start = said.starts[i]
                 raise not_understood(instruction[start:], start + 1, "no word that is known here")
         return said, tuple(words), tuple(doubts)
+
+    def _changes(self, word: str, loss: float) -> bool:
+        """Return whether a word that is left over by so much changes what is meant.
+
+        A word that is unknown is told with the question.
+        """
+        if word in _CHANGING_WORDS or word in NUMBERS or word.isdecimal():
+            return True
+        light = TABLE.get((word,)) in _LIGHT_KINDS or not self._network.knows(word)
+        return loss > OFFERED_LOSS and not light
 
     def _is_known(self, word: str) -> bool:
         return self._network.knows(word) or (word,) in TABLE
@@ -169,25 +278,41 @@ class SmallModel:
                 kinds.append((automaton, [one]))
             else:
                 same.append(one)
-        meanings = [
-            Meaning(
-                automaton.formula,
-                sum(math.exp(one.log_p) for one in ones) / total,
-                max(self._network.telling(one.tokens, words) for one in ones[:2]),
-            )
-            for automaton, ones in kinds
-        ]
+        meanings = []
+        for automaton, ones in kinds:
+            told = [self._network.tellings(one.tokens, [words])[0] for one in ones[:2]]
+            best = max(range(len(told)), key=told.__getitem__)
+            p = sum(math.exp(one.log_p) for one in ones) / total
+            idle = bool(automaton.accepting[0])
+            meanings.append(Meaning(automaton.formula, p, told[best], ones[best].tokens, idle))
         return sorted(meanings, key=lambda meaning: -meaning.p)
 
 
+def _without(words: Sequence[str], start: int, end: int) -> tuple[str, ...]:
+    """Return a sentence without a phrase, and without an article that would stand before a name:
+    the network never saw one there."""
+    stranded = words[end : end + 1] and words[end] in NAMES and words[start - 1 : start]
+    start -= bool(stranded and words[start - 1] in ARTICLES)
+    return (*words[:start], *words[end:])
+
+
+def _unclear(words: Sequence[str]) -> str:
+    """Return the question that "<0> by <1>" or "look around <0>" leaves open, or ""."""
+    said = " ".join(words)
+    if _ATTACHED.search(said):
+        return "is one thing at the other, or on the way to it? say it in two sentences"
+    if _LOOKED_AROUND.search(said):
+        return "'around' may mean in it, or past it; say which"
+    return ""
+
+
 def _name_meant(words: Sequence[str], at: int) -> str | None:
-    """The name that a word is most likely a slip of, where one may stand: behind an article, and
-    more surely behind a particle, which verbs follow too ("to complete")."""
-    before, word = words[at - 1] if at else "", words[at]
-    name = nouns.meant(word) if before in ARTICLES or before in AFTER_VERB else None
-    if name is None or before in ARTICLES:
-        return name
-    return name if difflib.SequenceMatcher(None, word, name).ratio() >= _CLOSER else None
+    """Return the name that a word is most likely a slip of, if a name may stand there.
+
+    One may stand behind an article or a particle.
+    """
+    before = words[at - 1] if at else ""
+    return nouns.meant(words[at]) if before in ARTICLES or before in AFTER_VERB else None
 
 
 def _equal(a: Automaton, b: Automaton) -> bool:

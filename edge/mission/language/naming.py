@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from edge import names
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import AFTER_VERB
-from edge.mission.language.words import Reader, Token
+from edge.mission.language.words import Reader, Token, not_understood
 from edge.text import one_line
 
 _NOT_NAMES = """
@@ -178,9 +178,14 @@ def _check(reader: Reader, words: list[Token]) -> None:
     odd = nouns.unknown_in(texts)
     if odd is None:
         return
+    if texts[odd] in nouns.PLAIN_WORDS:
+        said = reader.text[words[odd].start : words[odd].end]
+        raise not_understood(said, words[odd].start + 1, "no thing, and no word that is known here")
     close = nouns.meant(texts[odd])
     if close and not nouns.is_noun(texts[odd]):
         reader.refuse(f"{one_line(texts[odd], 40)}: {close}?", words[odd])
+    if reader.sees("article", "pronoun"):
+        reader.refuse("no verb that is known here", words[0])
     whole = one_line(" ".join(texts), 40)
     if odd:
         last = one_line(texts[odd - 1], 20)

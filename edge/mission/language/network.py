@@ -119,15 +119,24 @@ class Network:
             logits, past = self._write(target, past[:, rows], across)
         return sorted(done, key=lambda one: -one.log_p)[:beam]
 
-    def telling(self, tokens: Sequence[str], words: Sequence[str]) -> float:
-        """The log probability that whoever means this formula says these words: the
-        back-translation that a sentence is held against."""
+    def tellings(self, tokens: Sequence[str], sentences: Sequence[Sequence[str]]) -> list[float]:
+        """Return the log probability of each sentence, given that this formula is meant [nats].
+
+        This is the back-translation that a reading is checked with.
+        """
         across = self._read(tokens)
-        ids = [self._ids.get(word, self._ids[UNKNOWN]) for word in words]
-        target = np.array([[self._ids[TO_WORDS], *ids]], np.int64)
-        logits, _ = self._write(target, self._no_past, across)
-        each = _log_softmax(logits[0])
-        return float(each[np.arange(len(ids) + 1), [*ids, self._ids[END]]].sum())
+        ids = [[self._ids.get(word, self._ids[UNKNOWN]) for word in words] for words in sentences]
+        longest = max(map(len, ids))
+        target = np.full((len(ids), longest + 1), self._ids[PAD], np.int64)
+        target[:, 0] = self._ids[TO_WORDS]
+        for row, one in enumerate(ids):
+            target[row, 1 : len(one) + 1] = one
+        logits, _ = self._write(target, self._no_past.repeat(len(ids), axis=1), across)
+        each = _log_softmax(logits)
+        return [
+            float(each[row, np.arange(len(one) + 1), [*one, self._ids[END]]].sum())
+            for row, one in enumerate(ids)
+        ]
 
     def _read(self, tokens: Sequence[str]) -> np.ndarray:
         ids = [self._ids.get(token, self._ids[UNKNOWN]) for token in tokens]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Sequence
 from functools import lru_cache
 
 from edge import names
@@ -68,6 +69,21 @@ _QUALITIES = """
     folding rocking sliding electric digital front back rear left right main upper lower top bottom
     middle central inner outer north south east west northern southern eastern western potted
     ground parked
+"""
+_PLAIN = """
+    left right straight forward forwards backwards ahead sideways together apart halfway
+    help want wish hope think know tell say ask give put set let try hold carry lift push pull throw
+    drop sing dance sleep eat drink cook guard fix build feel deliver hand hang complete continue
+    separated separate exceed prevents happen
+    hour hours minute minutes second seconds moment day days week night noon midnight morning
+    evening afternoon o'clock oclock pm am time times dinner lunch breakfast
+    whether while since as so such other others another same different few several many much enough
+    half quarter often util
+    side end middle edge kind sort type reason idea question answer order turn turns response
+    predecessor successor former latter remaining
+    nice good bad great fine free ready done able sure careful safely
+    metre metres meter meters feet home halt possible
+    keep stray straying stick sticking protect defend forget miss spin wander bring spend hurry
 """
 
 _FOREIGN = frozenset(
@@ -147,6 +163,8 @@ def listed(text: str) -> frozenset[str]:
 
 NOUNS = listed(_PLACES) | listed(_OBJECTS) | listed(_PEOPLE)
 QUALITIES = listed(_QUALITIES) | listed(_MATERIALS)
+PLAIN_WORDS = listed(_PLAIN) - NOUNS
+"""Words that plainly name no thing, so that no refusal offers to take them for one."""
 NUMBERED = listed(
     """floor level storey story landmark room door waypoint gate street aisle bay dock lane terminal
     ward"""
@@ -263,13 +281,50 @@ def _all_words() -> tuple[str, ...]:
 def meant(word: str) -> str | None:
     """The known word that another one is most likely a slip of, to be offered; never taken.
 
-    >>> meant("firdge"), meant("blorf")
-    ('fridge', None)
+    >>> meant("firdge"), meant("blorf"), meant("whether")
+    ('fridge', None, None)
     """
-    if len(word) < 4 or len(word) > 30:
+    if len(word) < 4 or len(word) > 30 or is_word(word):
         return None
-    found = difflib.get_close_matches(word, _all_words(), n=1, cutoff=0.75)
-    return found[0] if found and found[0] != word else None
+    return slip_of(word, _all_words())
+
+
+def is_word(word: str) -> bool:
+    """Return whether a word is known, if only to name no thing, so that it is no slip."""
+    return word in PLAIN_WORDS or word in QUALITIES or is_noun(word)
+
+
+def slip_of(word: str, known: Sequence[str]) -> str | None:
+    """Return the known word that this one is a slip of the finger from, or None.
+
+    A slip keeps the first letter and adds, drops, changes or swaps one letter, or two in a long
+    word; a short word of other letters is another word.
+
+    >>> slip_of("vist", ["visit"]), slip_of("base", ["basket"]), slip_of("home", ["some"])
+    ('visit', None, None)
+    """
+    most = 2 if len(word) >= _LONG else 1
+    close = difflib.get_close_matches(word, known, n=5, cutoff=0.7)
+    slips = [one for one in close if one != word and one[0] == word[0]]
+    if len(word) < _SHORT:
+        slips = [one for one in slips if len(one) != len(word) or sorted(one) == sorted(word)]
+    return next((one for one in slips if _edits(word, one) <= most), None)
+
+
+_SHORT, _LONG = 5, 8  # letters; of a word in which two slips are likely
+
+
+def _edits(a: str, b: str) -> int:
+    """Return how many letters to add, drop, change or swap with the next one make `b` of `a`."""
+    before, row = [], list(range(len(b) + 1))
+    for i, x in enumerate(a, 1):
+        older, before, row = before, row, [i]
+        for j, y in enumerate(b, 1):
+            best = min(before[j] + 1, row[-1] + 1, before[j - 1] + (x != y))
+            if i > 1 and j > 1 and (x, a[i - 2]) == (b[j - 2], y):
+                best = min(best, older[j - 2] + 1)
+            row.append(best)
+    return row[-1]
 
 
 def is_foreign(text: str) -> bool:

@@ -8,9 +8,9 @@ Single letters need no comma between them ("visit a b and c"); `naming` has the 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import product
 
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import AFTER_VERB
@@ -194,7 +194,7 @@ def _one_of(options: Sequence[_Groups]) -> _Groups:
     """All groups of one of the options, as groups: `(a and b) or c` is `a or c, and b or c`."""
     return tuple(
         tuple(dict.fromkeys(name for group in chosen for name in group))
-        for chosen in product(*options)
+        for chosen in itertools.product(*options)
     )
 
 
@@ -224,7 +224,10 @@ def _has_its_own_time(reader: Reader, ahead: int) -> bool:
     if reader.peek(ahead).text in ("after that", "afterwards", "later"):
         return reader.sees("comma", "stop", "end", ahead=ahead + 1)
     own = reader.sees("after", "before", ahead=ahead)
-    return own and not reader.sees("comma", "stop", "end", "and", ahead=ahead + 1)
+    own = own and not reader.sees("comma", "stop", "end", "and", ahead=ahead + 1)
+    before = reversed(reader.tokens[: reader.at])
+    said = itertools.takewhile(lambda token: token.kind not in ("stop", "then"), before)
+    return own and any(token.kind in ("after", "before") for token in said)  # "a after b, and …"
 
 
 def _is_subject(reader: Reader, ahead: int) -> bool:
