@@ -21,6 +21,7 @@ def find_named(
     where: str,
     needs: Sequence[str],
     given: Sequence[str] = (),
+    *,
     functions: bool = False,
     known: Mapping[str, Any] = MappingProxyType({}),
 ) -> Callable[..., Any]:

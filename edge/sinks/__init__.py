@@ -30,6 +30,6 @@ def find_sinks(config: Config) -> list[Callable[..., Sink]]:
     needs, given, known = ("tick()", "close()"), ("config", "session"), {"config": config}
     wheres = (config.at(f"sinks.{i}") for i in range(len(config.sinks)))
     return [
-        find_named("sink", sink.kind, sink.options, REGISTRY, where, needs, given, known)
+        find_named("sink", sink.kind, sink.options, REGISTRY, where, needs, given, known=known)
         for sink, where in zip(config.sinks, wheres, strict=True)
     ]

@@ -40,4 +40,4 @@ def find_source(config: Config) -> Callable[..., Source]:
     kind, options, where = config.source.kind, config.source.options, config.at("source")
     given = ("config", "session")
     known = {"config": config}
-    return find_named("source", kind, options, REGISTRY, where, NEEDS, given, known)
+    return find_named("source", kind, options, REGISTRY, where, NEEDS, given, known=known)
