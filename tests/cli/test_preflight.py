@@ -27,6 +27,12 @@ class Fails:
     def __init__(self) -> None:
         raise OSError("no such printer")
 
+    def tick(self, result: object) -> None:
+        """Never called."""
+
+    def close(self) -> None:
+        """Never called."""
+
 
 def perception(**sections: object) -> dict:
     return {"perception": {"detector": {"kind": "sim"}, **sections}}

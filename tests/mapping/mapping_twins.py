@@ -222,8 +222,9 @@ def classify_twin(cell, z_m, ground, polar, low_m, high_m):
     codes = np.zeros(polar.bin_of.size, np.uint8)
     floor = (height < np.float32(low_m)) & (height > -np.float32(low_m))
     codes[cell[floor]] = 1
+    codes[cell[floor & (height >= np.float32(0.5 * low_m))]] = 2
     obstacle = (height >= np.float32(low_m)) & (height <= np.float32(high_m))
-    code = 2 + (height[obstacle] * np.float32(250 / high_m)).astype(np.int64)
+    code = 3 + (height[obstacle] * np.float32(250 / high_m)).astype(np.int64)
     np.maximum.at(codes, cell[obstacle], code.astype(np.uint8))
     return codes.reshape(polar.bin_of.shape)
 

@@ -14,6 +14,7 @@ from edge.eval.soak.recordings import FIRST, Recordings, below
 from edge.recording.file import PARTIAL
 from edge.recording.rolling import files_of
 
+NAME = "edge-20261126T010203.000Z.mcap"
 MCAP = {"kind": "mcap", "options": {"folder": "elsewhere", "keep_mb": 512}}
 
 
@@ -27,7 +28,7 @@ def drive(tmp_path_factory) -> bytes:
     return Recording(tmp_path_factory.mktemp("drive")).steps(5).close().read_bytes()
 
 
-def lay(out: Path, content: bytes, name: str = "edge-1.mcap") -> Path:
+def lay(out: Path, content: bytes, name: str = NAME) -> Path:
     (out / "recordings").mkdir(exist_ok=True)
     path = out / "recordings" / name
     path.write_bytes(content)
@@ -58,7 +59,7 @@ def test_nothing_recorded_is_told_at_the_end(tmp_path):
 
 def test_a_file_is_read_once_it_is_complete_and_the_first_outlives_it(tmp_path, drive):
     recordings = recorded(tmp_path)
-    path = lay(tmp_path, drive, f"edge-1.mcap{PARTIAL}")
+    path = lay(tmp_path, drive, NAME + PARTIAL)
     recordings.look()
     assert recordings.files == 0
     path.rename(path.with_suffix(""))
@@ -75,7 +76,7 @@ def test_a_file_is_read_once_it_is_complete_and_the_first_outlives_it(tmp_path, 
 
 def test_one_that_was_given_up_is_read_and_replayed_as_far_as_it_goes(tmp_path, drive):
     recordings = recorded(tmp_path)
-    lay(tmp_path, drive[: len(drive) // 2], f"edge-1.mcap{PARTIAL}")
+    lay(tmp_path, drive[: len(drive) // 2], NAME + PARTIAL)
     recordings.look()
     told = recordings.judge()
     assert (told["files"], told["cut"]) == (1, 1)
@@ -91,10 +92,10 @@ def flipped(drive: bytes) -> bytes:
 @pytest.mark.parametrize(
     ("content", "name", "problem"),
     [
-        (lambda drive: drive[:-40], "edge-1.mcap", "edge-1.mcap: "),
-        (flipped, "edge-1.mcap", "edge-1.mcap: "),
-        (lambda drive: b"", f"edge-1.mcap{PARTIAL}", "not an MCAP file"),
-        (lambda drive: os.urandom(4096), f"edge-1.mcap{PARTIAL}", "not an MCAP file"),
+        (lambda drive: drive[:-40], NAME, f"{NAME}: "),
+        (flipped, NAME, f"{NAME}: "),
+        (lambda drive: b"", NAME + PARTIAL, "not an MCAP file"),
+        (lambda drive: os.urandom(4096), NAME + PARTIAL, "not an MCAP file"),
     ],
     ids=["no end", "damaged", "empty", "noise"],
 )
@@ -108,7 +109,7 @@ def test_what_cannot_be_read_is_told(tmp_path, drive, content, name, problem):
 
 def test_a_folder_that_is_too_large_is_told(tmp_path):
     recordings = recorded(tmp_path)
-    path = lay(tmp_path, b"", f"edge-1.mcap{PARTIAL}")
+    path = lay(tmp_path, b"", NAME + PARTIAL)
     os.truncate(path, 513_000_000)  # a hole
     recordings.look()
     assert recordings.problem == ""
