@@ -122,6 +122,7 @@ def live(endpoint, tmp_path, monkeypatch) -> Callable:
         perception = {
             "isolation": "process",
             "process": process,
+            "confirm_hits": 10**6,  # the mission outlasts the test
             "detector": {"kind": "onnx", "model": "steered", "vocabulary": str(script)},
         }
         config = parse({

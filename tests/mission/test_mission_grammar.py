@@ -451,11 +451,18 @@ def meant(words: list[str]) -> tuple[Formula, ...]:
     return ()
 
 
+def changed_at(words: list[str], at: int, swapped: str) -> list[str]:
+    """Put another word in the place of one, or none; the full stop or comma behind it stays."""
+    joint = words[at][len(words[at].rstrip(".,")) :]
+    if not swapped and joint and at:
+        return [*words[: at - 1], words[at - 1] + joint, *words[at + 1 :]]
+    return [*words[:at], *([swapped + joint] if swapped else []), *words[at + 1 :]]
+
+
 def check_counts(words: list[str], at: int, swapped: str) -> None:
     """Dropped, or with another word in its place, a word changes what is meant, or is missed."""
     read = meant(words)
-    joint = words[at][len(words[at].rstrip(".,")) :]
-    changed = [*words[:at], *([swapped + joint] if swapped else []), *words[at + 1 :]]
+    changed = changed_at(words, at, swapped)
     again = meant(changed)
     if read and again:
         assert len(read) != len(again) or any(
@@ -492,7 +499,7 @@ def test_nor_by_the_translator_that_asks_the_network(sentence, data) -> None:
     at, swapped = data.draw(st.sampled_from(stars)), data.draw(st.sampled_from(["", "fridge"]))
     with contextlib.suppress(TranslationError):
         whole = auto().translate(" ".join(words)).formula
-        changed = " ".join((*words[:at], *([swapped] if swapped else ()), *words[at + 1 :]))
+        changed = " ".join(changed_at(words, at, swapped))
         assert difference(whole, auto().translate(changed).formula) is not None, changed
 
 

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from edge.mission.automaton import Automaton, CompileError, compile_formula, implies
 from edge.mission.language import nouns
@@ -297,13 +298,20 @@ def _without(words: Sequence[str], start: int, end: int) -> tuple[str, ...]:
 
 
 def _unclear(words: Sequence[str]) -> str:
-    """Return the question that "<0> by <1>" or "look around <0>" leaves open, or ""."""
+    """Return the question that "<0> by <1>", "look around <0>" or "in the." leaves open, or ""."""
     said = " ".join(words)
     if _ATTACHED.search(said):
         return "is one thing at the other, or on the way to it? say it in two sentences"
     if _LOOKED_AROUND.search(said):
         return "'around' may mean in it, or past it; say which"
+    if any(a in ARTICLES and _ends_name(b) for a, b in pairwise((*words, "."))):
+        return "an article names nothing; say what it belongs to"
     return ""
+
+
+def _ends_name(word: str) -> bool:
+    """Return whether no name may begin with a word."""
+    return word in (".", ",") or (TABLE.get((word,)) == "verb" and not nouns.is_noun(word))
 
 
 def _name_meant(words: Sequence[str], at: int) -> str | None:
