@@ -65,12 +65,25 @@ def in_order(text: str, tokens: list[Token]) -> list[Token]:
             _refuse(text, tokens, clause)
         else:
             ordered.insert(len(ordered) - (clause.hangs != "before"), clause)
+    in_text = dict(zip(map(id, clauses[1:]), clauses, strict=False))
     joined: list[Token] = []
-    for clause in ordered:
+    for last, clause in zip([None, *ordered], ordered, strict=False):
+        if _refers(clause) and in_text.get(id(clause)) is not last:
+            _refuse(text, tokens, clause, "it is not clear what this speaks of; name it")
         first = clause.tokens[0]
         comma = Token("comma", ",", first.start, first.start)
-        joined += [comma, *clause.tokens] if joined else clause.tokens
+        joint = next((joint for joint in clause.joints if joint.kind != "comma"), comma)
+        joined += [joint, *clause.tokens] if joined else clause.tokens
     return [*joined, tokens[-1]]
+
+
+def _refers(clause: _Clause) -> bool:
+    """Whether a clause speaks of a thing of the clause before it, as `it`, or `its left`."""
+    return any(
+        token.kind == "pronoun"
+        or (token.kind.startswith("its ") and not any(t.kind == "word" for t in clause.tokens[:n]))
+        for n, token in enumerate(clause.tokens)
+    )
 
 
 def _clauses(tokens: list[Token]) -> list[_Clause]:
@@ -134,7 +147,12 @@ def _commas(joints: list[Token]) -> bool:
     return bool(joints) and all(joint.kind == "comma" for joint in joints)
 
 
-def _refuse(text: str, tokens: list[Token], clause: _Clause) -> NoReturn:
-    hint = "it is not clear when this is to be driven; say the steps in their order, with 'then'"
+def _refuse(
+    text: str,
+    tokens: list[Token],
+    clause: _Clause,
+    hint: str = "it is not clear when this is to be driven; say the steps in their order, with "
+    "'then'",
+) -> NoReturn:
     first = next(token for token in tokens if token.start == clause.tokens[0].start)
     Reader(text, tokens).refuse(hint, first)

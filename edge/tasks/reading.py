@@ -110,10 +110,11 @@ def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list
         on_to = step.kind in ("past", "around") and reader.sees("to")  # "past the van to the gate"
         if not (on_to or reader.sees("end", "then", "and", "comma", "stop mark")):
             reader.refuse("not known here; a step ends with 'then', 'and' or a comma")
-        joint = reader.peek()
+        joints = reader.at
         reader.skip("then", "and", "comma", "stop mark", "filler", "first")
-        if joint.kind in ("then", "and") and reader.sees("end"):
-            reader.refuse("nothing comes after it", joint)
+        for joint in reader.tokens[joints : reader.at]:
+            if joint.kind in ("then", "and") and reader.sees("end"):
+                reader.refuse("nothing comes after it", joint)
         if start.kind == "stop" and not reader.sees("end"):
             reader.refuse("a way ends where the robot stops; nothing can come after it", start)
     if not steps:
@@ -191,6 +192,8 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
         if reader.peek().text == "back":
             reader.refuse(_RETURN)
         reader.refuse("expected what to do: go to, drive past, around, between, stop at, …")
+    if verb is None:
+        _check_joined(reader, before[-1])
     doing = verb.kind if verb else "go"
     if doing == "pass" and not reader.sees("between"):
         return _passing(reader, scene, before, "past")
@@ -231,6 +234,23 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
             return Step("beside", (_it(scene, before, reader, relation),), _SIDE_OF[relation.kind])
     thing = _thing(reader, scene, before)
     return Step("beside", (thing,), _SIDE_OF.get(relation.kind, relation.kind))
+
+
+def _check_joined(reader: Reader, last: Step) -> None:
+    """See that it is clear what the robot does at a relation without a verb.
+
+    Raises:
+        TranslationError: "to the gate, past the van" may come past the van first, and "past the
+            left of the van and right of the gate" may go past the gate, too.
+    """
+    token, comma = reader.peek(), reader.sees("comma", ahead=-1)
+    passing = last.kind in ("past", "around")
+    if comma and token.kind not in (("past", "around", "between", "to") if passing else ("to",)):
+        clear = False
+    else:
+        clear = not passing or token.kind not in _SIDE_OF or token.text.startswith("to ")
+    if not clear:
+        reader.refuse("it is not clear when or how; say 'then go', 'then go past' or 'passing'")
 
 
 def _at(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Step:
@@ -325,7 +345,8 @@ def _aside(reader: Reader) -> _Aside | None:
     token, at = reader.peek(), reader.at
     if _parts(reader):
         reader.at += 1
-        return _Aside(token.kind.removeprefix("on the "), token.text.split()[1] != "the")
+        of_robot = token.text.split()[1] != "the" or "robot" in token.text
+        return _Aside(token.kind.removeprefix("on the "), of_robot)
     if reader.take("to") and reader.take("article"):
         side = _own_side(reader)
         if side and not reader.sees("word"):
@@ -337,7 +358,8 @@ def _aside(reader: Reader) -> _Aside | None:
 def _parts(reader: Reader) -> bool:
     """Whether a side comes here that ends a phrase, and is not one of the road."""
     ends = not reader.sees(*_PLACES, *_ORDER, "at", "which is", ahead=1)
-    return ends and reader.sees("on the left", "on the right") and " of " not in reader.peek().text
+    of_road = reader.peek().text.endswith((" road", " street"))
+    return ends and reader.sees("on the left", "on the right") and not of_road
 
 
 def _it(
@@ -440,8 +462,9 @@ def _things(
         token := reader.take(*_PLACES, "at", *_ORDER, "which is")
     ):
         if token.kind == "which is":
-            found = _such(found, reader, scene)
-            parting = parting and not reader.sees("on the left", "on the right")
+            at, found = reader.at, _such(found, reader, scene)
+            # "that is on the left" says which; "that is red on the left" need not.
+            parting &= reader.at > at or not reader.sees("on the left", "on the right")
             continue
         if token.kind in _ORDER:
             which.append(token)
@@ -482,6 +505,8 @@ def _describing(reader: Reader, named: bool) -> Token | None:
         return replace(token, kind="word")
     if token.text in _NO_NAMES:
         return None
+    if named and not begins and reader.sees("left", "right"):
+        reader.refuse(f"say 'the {token.text} …', '… on the {token.text}' or 'the {token.text} of …'")
     return reader.take("word", "ordinal", "first", "left", "right", *_ORDER, "id")
 
 
