@@ -68,7 +68,8 @@ def in_order(text: str, tokens: list[Token]) -> list[Token]:
     in_text = dict(zip(map(id, clauses[1:]), clauses, strict=False))
     joined: list[Token] = []
     for last, clause in zip([None, *ordered], ordered, strict=False):
-        if _refers(clause) and in_text.get(id(clause)) is not last:
+        how = clause.hangs == "by" and last is not None and last.hangs  # of the clause before it
+        if _refers(clause) and (how or in_text.get(id(clause)) is not last):
             _refuse(text, tokens, clause, "it is not clear what this speaks of; name it")
         first = clause.tokens[0]
         comma = Token("comma", ",", first.start, first.start)

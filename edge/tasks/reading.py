@@ -6,11 +6,12 @@
            | ("leave" | "keep" | "with") thing aside
            | go (side "of" | "in front of" | "behind") thing | go "to its" side
            | go "between" (thing "and" thing | "the two" things)
-           | go "straight" number "metres" | go number "metres straight"
+           | go "straight" distance | go distance "straight"
            | "stop" ("at" | side "of" | "in front of" | "behind" | "between" …) thing
     thing  = [article] { description } name { place } | "it"
            | "object" number | [article] { description } name ["number"] number
              with `which` anywhere before the places
+    distance = (number ["and a half"] | "half a" | "a") "metres" ["and a half"]
     which  = order | "second" | "left" | "right"
     order  = ("nearest" | "farthest") ["to" thing] | "leftmost" | "rightmost"
            | "second from the left"
@@ -102,8 +103,11 @@ def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list
     reader = Reader(instruction, in_order(instruction, tokenise(instruction)))
     steps: list[Step] = []
     reader.skip("filler", "first")
+    start = reader.peek()
     while not reader.sees("end"):
-        start = reader.peek()
+        verb, start = start, reader.peek()
+        if steps and start.kind in _RELATIONS:
+            _check_joined(reader, steps[-1], verb)
         step = _step(reader, scene_of(len(steps)), steps)
         end = reader.peek(-1).end
         steps.append(replace(step, said=instruction[start.start : end]))
@@ -192,8 +196,6 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
         if reader.peek().text == "back":
             reader.refuse(_RETURN)
         reader.refuse("expected what to do: go to, drive past, around, between, stop at, …")
-    if verb is None:
-        _check_joined(reader, before[-1])
     doing = verb.kind if verb else "go"
     if doing == "pass" and not reader.sees("between"):
         return _passing(reader, scene, before, "past")
@@ -201,7 +203,8 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
         return _leaving(reader, scene, before)
     if doing == "reach":
         return _at(reader, scene, before)
-    if doing == "go" and reader.sees("number") and reader.sees("metres", ahead=1):
+    counted = reader.sees("number", "article") and reader.sees("metres", "and a half", ahead=1)
+    if doing == "go" and (counted or reader.sees("half")):
         return _straight(reader)
     if doing == "stop" and (there := reader.take("there")):
         if not before or before[-1].kind not in ("to", "beside", "between", "straight"):
@@ -214,6 +217,8 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
         if verb and (verb.text == "return" or reader.peek().text == "back"):
             reader.refuse(_RETURN, verb)
         reader.refuse("expected where: to, past, around, between, left of, straight, …")
+    if relation.kind == "to" and reader.peek().text.startswith(("the ", "its ")):
+        relation = reader.take(*_SIDE_OF) or relation  # "back to the left of the van"
     if doing == "go" and relation.text == "by":
         reader.refuse("it can be read in two ways; say 'past' or 'to'", relation)
     if doing == "stop" and relation.kind in ("past", "around", "straight"):
@@ -236,8 +241,11 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
     return Step("beside", (thing,), _SIDE_OF.get(relation.kind, relation.kind))
 
 
-def _check_joined(reader: Reader, last: Step) -> None:
+def _check_joined(reader: Reader, last: Step, verb: Token) -> None:
     """See that it is clear what the robot does at a relation without a verb.
+
+    Args:
+        last: the step before it, which begins with `verb`.
 
     Raises:
         TranslationError: "to the gate, past the van" may come past the van first, and "past the
@@ -248,7 +256,8 @@ def _check_joined(reader: Reader, last: Step) -> None:
     if comma and token.kind not in (("past", "around", "between", "to") if passing else ("to",)):
         clear = False
     else:
-        clear = not passing or token.kind not in _SIDE_OF or token.text.startswith("to ")
+        goes = token.text.startswith("to ") and verb.kind != "pass"
+        clear = not passing or token.kind not in _SIDE_OF or goes
     if not clear:
         reader.refuse("it is not clear when or how; say 'then go', 'then go past' or 'passing'")
 
@@ -389,11 +398,18 @@ def _two(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> tupl
 
 
 def _metres(reader: Reader) -> float:
-    start = reader.peek()
-    token = reader.take("number")
-    if token is None or not reader.take("metres") or not float(token.text):
+    start, distance_m = reader.peek(), 0.0
+    if token := reader.take("number"):
+        distance_m = float(token.text)
+    elif reader.take("half"):
+        distance_m = 0.5
+    elif start.text == "a" and reader.take("article"):
+        distance_m = 1.0
+    more = start.kind == "number" and reader.take("and a half")
+    if not reader.take("metres") or not distance_m:
         reader.refuse("say how far, as 'straight for 5 metres'", start)
-    return float(token.text)
+    more = more or (start.kind != "half" and reader.take("and a half"))
+    return distance_m + (0.5 if more else 0.0)
 
 
 class AmbiguousError(TranslationError):
@@ -458,14 +474,17 @@ def _things(
         [scene.thing(words)] if unseen else _described(_named(reader, scene, words), reader, words)
     )
     origin = _measured_from(reader, scene, before, which)
-    while not (parting and _parts(reader)) and (
+    asides, says_which = list(which), False  # says_which: right behind "that is"
+    while (says_which or not (parting and _parts(reader))) and (
         token := reader.take(*_PLACES, "at", *_ORDER, "which is")
     ):
+        if not says_which:
+            asides.append(token)
         if token.kind == "which is":
             at, found = reader.at, _such(found, reader, scene)
-            # "that is on the left" says which; "that is red on the left" need not.
-            parting &= reader.at > at or not reader.sees("on the left", "on the right")
+            says_which = reader.at == at
             continue
+        says_which = False
         if token.kind in _ORDER:
             which.append(token)
             origin = origin or _measured_from(reader, scene, before, [token])
@@ -479,12 +498,21 @@ def _things(
             found = _kept(found, lambda t, k=token.kind: _PLACES[k](_bearing_rad(scene, t)))
         if not found:
             reader.refuse("no such thing is there", token)
+    for token in asides if parting else ():
+        if token.kind in ("leftmost", "rightmost") and token.text.startswith(_ASIDE):
+            side = token.kind.removesuffix("most")
+            hint = f"say 'past the {side} of …', or 'the {token.kind} …'"
+            reader.refuse(
+                f"it may say which one is meant, or on which side to pass it; {hint}", token
+            )
     for token in which:
         if token.kind.startswith("from the") and not any(t.kind in _COUNTS for t in which):
             reader.refuse(f"say which, as 'second {token.text}'", token)
     return found if unseen else _chosen(found, reader, scene, which, origin)
 
 
+_ASIDE = ("on ", "to ", "at ")
+"""Begins of "on the far left", which "far left" has not."""
 _COUNTS = ("ordinal", "first")
 
 
@@ -506,7 +534,9 @@ def _describing(reader: Reader, named: bool) -> Token | None:
     if token.text in _NO_NAMES:
         return None
     if named and not begins and reader.sees("left", "right"):
-        reader.refuse(f"say 'the {token.text} …', '… on the {token.text}' or 'the {token.text} of …'")
+        reader.refuse(
+            f"say 'the {token.text} …', '… on the {token.text}' or 'the {token.text} of …'"
+        )
     return reader.take("word", "ordinal", "first", "left", "right", *_ORDER, "id")
 
 
