@@ -180,7 +180,7 @@ class _Unseen:
 
     def thing(self, words: Sequence[Token] = ()) -> SceneObject:
         """What words stand for; without any, whatever has some number."""
-        if words:
+        if _is_name(words):
             nouns = list(names.head_nouns(" ".join(token.text for token in words)))
             noun = next(filter(names.is_known, nouns), nouns[0])
             one = names.singular(noun)  # a chest of drawers is no chest of drawer
@@ -467,7 +467,7 @@ def _things(
         words.append(token)
     if words and reader.sees("number"):
         return [_by_id(reader, scene, words, which)]
-    if not words:
+    if not _is_name(words):
         reader.refuse("expected the name of a thing", start)
     unseen = isinstance(scene, _Unseen)
     found = (
@@ -605,7 +605,13 @@ def _named(reader: Reader, scene: Scene, words: list[Token]) -> list[SceneObject
     reader.refuse(f"nothing of that name is here; there are {_listed(scene)}", words[0])
 
 
+def _is_name(words: Sequence[Token]) -> bool:
+    return names.is_name(" ".join(token.text for token in words))
+
+
 def _of_kind(scene: Scene, words: Sequence[Token]) -> list[SceneObject]:
+    if not _is_name(words):
+        return []
     name = " ".join(token.text for token in words)
     return _kept(list(scene.objects.values()), lambda thing: names.is_kind_of(thing.label, name))
 
