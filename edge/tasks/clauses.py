@@ -61,16 +61,45 @@ def in_order(text: str, tokens: list[Token]) -> list[Token]:
             if not leads or waiting:
                 _refuse(text, tokens, clause)
             (waiting if clause.hangs == "before" else ordered).append(clause)
-        elif (clause.joints and leads) or ordered[-1].hangs:
+        elif (
+            (clause.joints and leads) or ordered[-1].hangs or not _one_after(clauses[n - 1 : n + 1])
+        ):
             _refuse(text, tokens, clause)
         else:
             ordered.insert(len(ordered) - (clause.hangs != "before"), clause)
+    in_text = dict(zip(map(id, clauses[1:]), clauses, strict=False))
     joined: list[Token] = []
-    for clause in ordered:
+    for last, clause in zip([None, *ordered], ordered, strict=False):
+        how = clause.hangs == "by" and last is not None and last.hangs  # of the clause before it
+        if _refers(clause) and (how or in_text.get(id(clause)) is not last):
+            _refuse(text, tokens, clause)
         first = clause.tokens[0]
         comma = Token("comma", ",", first.start, first.start)
-        joined += [comma, *clause.tokens] if joined else clause.tokens
+        joint = next((joint for joint in clause.joints if joint.kind != "comma"), comma)
+        joined += [joint, *clause.tokens] if joined else clause.tokens
     return [*joined, tokens[-1]]
+
+
+def _one_after(pair: list[_Clause]) -> bool:
+    """Whether it is clear when the second of two clauses is driven, that hangs on what was said.
+
+    "With the gate on your left" may say how either of two clauses before it is driven; and two
+    things that are passed at once are passed in either order.
+    """
+    last, clause = pair
+    if last.hangs:
+        return last.hangs == clause.hangs == "by"
+    passes = any(token.kind in ("pass", "past", "around", "leave") for token in last.tokens)
+    return clause.hangs != "by" or not passes
+
+
+def _refers(clause: _Clause) -> bool:
+    """Whether a clause speaks of a thing of the clause before it, as `it`, or `its left`."""
+    return any(
+        token.kind == "pronoun"
+        or (token.kind.startswith("its ") and not any(t.kind == "word" for t in clause.tokens[:n]))
+        for n, token in enumerate(clause.tokens)
+    )
 
 
 def _clauses(tokens: list[Token]) -> list[_Clause]:
@@ -111,16 +140,20 @@ def _hangs(tokens: list[Token], at: int) -> tuple[str, int]:
 
     "Passing", "leaving", "with" and "going past" say how another clause is driven.
     """
-    token, following = tokens[at], tokens[min(at + 1, len(tokens) - 1)]
+    token = tokens[at]
     if token.kind in ("after", "before"):
         verb = tokens[_clause_at(tokens, at + 1)].kind
         return (token.kind, 1) if verb in _VERBS or verb in _VERBS.values() else ("", 0)
-    if token.kind == "while" and following.kind in _VERBS:
-        return "by", 1
+    if token.kind == "while":
+        return ("by", 1) if _tells_how(tokens, at + 1) else ("", 0)
     joined = at > 0 and tokens[at - 1].kind == "and"
-    how = token.kind in ("passing", "leaving")
-    how |= token.kind == "going" and following.kind in ("past", "around")
-    return ("by", 0) if how and not joined else ("", 0)
+    return ("by", 0) if _tells_how(tokens, at) and not joined else ("", 0)
+
+
+def _tells_how(tokens: list[Token], at: int) -> bool:
+    token, following = tokens[at], tokens[min(at + 1, len(tokens) - 1)]
+    goes_past = token.kind == "going" and following.kind in ("past", "around")
+    return goes_past or token.kind in ("passing", "leaving")
 
 
 def _clause_at(tokens: list[Token], at: int) -> int:
@@ -136,5 +169,7 @@ def _commas(joints: list[Token]) -> bool:
 
 def _refuse(text: str, tokens: list[Token], clause: _Clause) -> NoReturn:
     hint = "it is not clear when this is to be driven; say the steps in their order, with 'then'"
+    if _refers(clause):
+        hint = "it is not clear what this speaks of; name it"
     first = next(token for token in tokens if token.start == clause.tokens[0].start)
     Reader(text, tokens).refuse(hint, first)

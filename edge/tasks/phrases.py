@@ -38,7 +38,7 @@ PHRASES: dict[str, str] = {
     # Where a thing is to the way.
     "to": "to|towards|toward|up to|over to|back to",
     "at": "at|near|next to|beside|close to|by",
-    "past": "past",
+    "past": "past|along",
     "around": "around|round",
     "between": "between|in between|through between|halfway between|midway between|"
     + "|".join(
@@ -46,11 +46,13 @@ PHRASES: dict[str, str] = {
         for before in ("through", "in", "into")
         for gap in ("gap", "space", "middle")
     ),
-    "in front of": "in front of|to the front of",
-    "behind": "behind",
+    "in front of": "in front of|to the front of|at the front of",
+    "behind": "behind|to the back of|at the back of",
     "straight": "straight|straight on|straight ahead|forward|forwards|ahead",
     "for": "for",
     "metres": "m|metre|metres|meter|meters",
+    "half": "half a",
+    "and a half": "and a half",
     # Which thing is meant.
     "article": "the|a|an|this|that|your|my",
     "pronoun": "it",

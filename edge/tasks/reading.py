@@ -6,11 +6,12 @@
            | ("leave" | "keep" | "with") thing aside
            | go (side "of" | "in front of" | "behind") thing | go "to its" side
            | go "between" (thing "and" thing | "the two" things)
-           | go "straight" number "metres" | go number "metres straight"
+           | go "straight" distance | go distance "straight"
            | "stop" ("at" | side "of" | "in front of" | "behind" | "between" …) thing
     thing  = [article] { description } name { place } | "it"
            | "object" number | [article] { description } name ["number"] number
              with `which` anywhere before the places
+    distance = (number ["and a half"] | "half a" | "a") "metres" ["and a half"]
     which  = order | "second" | "left" | "right"
     order  = ("nearest" | "farthest") ["to" thing] | "leftmost" | "rightmost"
            | "second from the left"
@@ -102,18 +103,22 @@ def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list
     reader = Reader(instruction, in_order(instruction, tokenise(instruction)))
     steps: list[Step] = []
     reader.skip("filler", "first")
+    start = reader.peek()
     while not reader.sees("end"):
-        start = reader.peek()
+        verb, start = start, reader.peek()
+        if steps and start.kind in _RELATIONS:
+            _check_joined(reader, steps[-1], verb)
         step = _step(reader, scene_of(len(steps)), steps)
         end = reader.peek(-1).end
         steps.append(replace(step, said=instruction[start.start : end]))
         on_to = step.kind in ("past", "around") and reader.sees("to")  # "past the van to the gate"
         if not (on_to or reader.sees("end", "then", "and", "comma", "stop mark")):
             reader.refuse("not known here; a step ends with 'then', 'and' or a comma")
-        joint = reader.peek()
+        joints = reader.at
         reader.skip("then", "and", "comma", "stop mark", "filler", "first")
-        if joint.kind in ("then", "and") and reader.sees("end"):
-            reader.refuse("nothing comes after it", joint)
+        for joint in reader.tokens[joints : reader.at]:
+            if joint.kind in ("then", "and") and reader.sees("end"):
+                reader.refuse("nothing comes after it", joint)
         if start.kind == "stop" and not reader.sees("end"):
             reader.refuse("a way ends where the robot stops; nothing can come after it", start)
     if not steps:
@@ -175,7 +180,7 @@ class _Unseen:
 
     def thing(self, words: Sequence[Token] = ()) -> SceneObject:
         """What words stand for; without any, whatever has some number."""
-        if words:
+        if _is_name(words):
             nouns = list(names.head_nouns(" ".join(token.text for token in words)))
             noun = next(filter(names.is_known, nouns), nouns[0])
             one = names.singular(noun)  # a chest of drawers is no chest of drawer
@@ -198,7 +203,8 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
         return _leaving(reader, scene, before)
     if doing == "reach":
         return _at(reader, scene, before)
-    if doing == "go" and reader.sees("number") and reader.sees("metres", ahead=1):
+    counted = reader.sees("number", "article") and reader.sees("metres", "and a half", ahead=1)
+    if doing == "go" and (counted or reader.sees("half")):
         return _straight(reader)
     if doing == "stop" and (there := reader.take("there")):
         if not before or before[-1].kind not in ("to", "beside", "between", "straight"):
@@ -211,6 +217,8 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
         if verb and (verb.text == "return" or reader.peek().text == "back"):
             reader.refuse(_RETURN, verb)
         reader.refuse("expected where: to, past, around, between, left of, straight, …")
+    if relation.kind == "to" and reader.peek().text.startswith(("the ", "its ")):
+        relation = reader.take(*_SIDE_OF) or relation  # "back to the left of the van"
     if doing == "go" and relation.text == "by":
         reader.refuse("it can be read in two ways; say 'past' or 'to'", relation)
     if doing == "stop" and relation.kind in ("past", "around", "straight"):
@@ -231,6 +239,27 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
             return Step("beside", (_it(scene, before, reader, relation),), _SIDE_OF[relation.kind])
     thing = _thing(reader, scene, before)
     return Step("beside", (thing,), _SIDE_OF.get(relation.kind, relation.kind))
+
+
+def _check_joined(reader: Reader, last: Step, verb: Token) -> None:
+    """See that it is clear what the robot does at a relation without a verb.
+
+    Args:
+        last: the step before it, which begins with `verb`.
+
+    Raises:
+        TranslationError: "to the gate, past the van" may come past the van first, and "past the
+            left of the van and right of the gate" may go past the gate, too.
+    """
+    token, comma = reader.peek(), reader.sees("comma", ahead=-1)
+    passing = last.kind in ("past", "around")
+    if comma and token.kind not in (("past", "around", "between", "to") if passing else ("to",)):
+        clear = False
+    else:
+        goes = token.text.startswith("to ") and verb.kind != "pass"
+        clear = not passing or token.kind not in _SIDE_OF or goes
+    if not clear:
+        reader.refuse("it is not clear when or how; say 'then go', 'then go past' or 'passing'")
 
 
 def _at(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Step:
@@ -325,7 +354,8 @@ def _aside(reader: Reader) -> _Aside | None:
     token, at = reader.peek(), reader.at
     if _parts(reader):
         reader.at += 1
-        return _Aside(token.kind.removeprefix("on the "), token.text.split()[1] != "the")
+        of_robot = token.text.split()[1] != "the" or "robot" in token.text
+        return _Aside(token.kind.removeprefix("on the "), of_robot)
     if reader.take("to") and reader.take("article"):
         side = _own_side(reader)
         if side and not reader.sees("word"):
@@ -337,7 +367,8 @@ def _aside(reader: Reader) -> _Aside | None:
 def _parts(reader: Reader) -> bool:
     """Whether a side comes here that ends a phrase, and is not one of the road."""
     ends = not reader.sees(*_PLACES, *_ORDER, "at", "which is", ahead=1)
-    return ends and reader.sees("on the left", "on the right") and " of " not in reader.peek().text
+    of_road = reader.peek().text.endswith((" road", " street"))
+    return ends and reader.sees("on the left", "on the right") and not of_road
 
 
 def _it(
@@ -367,11 +398,18 @@ def _two(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> tupl
 
 
 def _metres(reader: Reader) -> float:
-    start = reader.peek()
-    token = reader.take("number")
-    if token is None or not reader.take("metres") or not float(token.text):
+    start, distance_m = reader.peek(), 0.0
+    if token := reader.take("number"):
+        distance_m = float(token.text)
+    elif reader.take("half"):
+        distance_m = 0.5
+    elif start.text == "a" and reader.take("article"):
+        distance_m = 1.0
+    more = start.kind == "number" and reader.take("and a half")
+    if not reader.take("metres") or not distance_m:
         reader.refuse("say how far, as 'straight for 5 metres'", start)
-    return float(token.text)
+    more = more or (start.kind != "half" and reader.take("and a half"))
+    return distance_m + (0.5 if more else 0.0)
 
 
 class AmbiguousError(TranslationError):
@@ -429,20 +467,24 @@ def _things(
         words.append(token)
     if words and reader.sees("number"):
         return [_by_id(reader, scene, words, which)]
-    if not words:
+    if not _is_name(words):
         reader.refuse("expected the name of a thing", start)
     unseen = isinstance(scene, _Unseen)
     found = (
         [scene.thing(words)] if unseen else _described(_named(reader, scene, words), reader, words)
     )
     origin = _measured_from(reader, scene, before, which)
-    while not (parting and _parts(reader)) and (
+    asides, says_which = list(which), False  # says_which: right behind "that is"
+    while (says_which or not (parting and _parts(reader))) and (
         token := reader.take(*_PLACES, "at", *_ORDER, "which is")
     ):
+        if not says_which:
+            asides.append(token)
         if token.kind == "which is":
-            found = _such(found, reader, scene)
-            parting = parting and not reader.sees("on the left", "on the right")
+            at, found = reader.at, _such(found, reader, scene)
+            says_which = reader.at == at
             continue
+        says_which = False
         if token.kind in _ORDER:
             which.append(token)
             origin = origin or _measured_from(reader, scene, before, [token])
@@ -456,12 +498,21 @@ def _things(
             found = _kept(found, lambda t, k=token.kind: _PLACES[k](_bearing_rad(scene, t)))
         if not found:
             reader.refuse("no such thing is there", token)
+    for token in asides if parting else ():
+        if token.kind in ("leftmost", "rightmost") and token.text.startswith(_ASIDE):
+            side = token.kind.removesuffix("most")
+            hint = f"say 'past the {side} of …', or 'the {token.kind} …'"
+            reader.refuse(
+                f"it may say which one is meant, or on which side to pass it; {hint}", token
+            )
     for token in which:
         if token.kind.startswith("from the") and not any(t.kind in _COUNTS for t in which):
             reader.refuse(f"say which, as 'second {token.text}'", token)
     return found if unseen else _chosen(found, reader, scene, which, origin)
 
 
+_ASIDE = ("on ", "to ", "at ")
+"""Begins of "on the far left", which "far left" has not."""
 _COUNTS = ("ordinal", "first")
 
 
@@ -482,6 +533,10 @@ def _describing(reader: Reader, named: bool) -> Token | None:
         return replace(token, kind="word")
     if token.text in _NO_NAMES:
         return None
+    if named and not begins and reader.sees("left", "right"):
+        reader.refuse(
+            f"say 'the {token.text} …', '… on the {token.text}' or 'the {token.text} of …'"
+        )
     return reader.take("word", "ordinal", "first", "left", "right", *_ORDER, "id")
 
 
@@ -550,7 +605,13 @@ def _named(reader: Reader, scene: Scene, words: list[Token]) -> list[SceneObject
     reader.refuse(f"nothing of that name is here; there are {_listed(scene)}", words[0])
 
 
+def _is_name(words: Sequence[Token]) -> bool:
+    return names.is_name(" ".join(token.text for token in words))
+
+
 def _of_kind(scene: Scene, words: Sequence[Token]) -> list[SceneObject]:
+    if not _is_name(words):
+        return []
     name = " ".join(token.text for token in words)
     return _kept(list(scene.objects.values()), lambda thing: names.is_kind_of(thing.label, name))
 

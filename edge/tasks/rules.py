@@ -13,7 +13,15 @@ from dataclasses import replace
 import numpy as np
 
 from edge.geometry import SE2
-from edge.tasks.functions import BESIDE_M, SIDES_RAD, TURNS, CallError, Functions, Point
+from edge.tasks.functions import (
+    BESIDE_M,
+    MOST_PATH_POINTS,
+    SIDES_RAD,
+    TURNS,
+    CallError,
+    Functions,
+    Point,
+)
 from edge.tasks.reading import OF, OTHER, Step, called, centre_m, read
 from edge.tasks.scene import SceneObject
 from edge.tasks.trajectory import TrajectoryError
@@ -82,6 +90,9 @@ def _segment(
     at = (here.x_m, here.y_m)
     match step.kind:
         case "straight":
+            most_m = 0.5 * MOST_PATH_POINTS * functions.limits.max_jump_m
+            if step.distance_m > most_m:
+                raise CallError(f"a way straight on has at most {most_m:g} m")
             end = here.ahead(step.distance_m)
             way = functions.line(at, end)
             blocked = next((p for p in way[1:] if not functions.is_free(p)), None)

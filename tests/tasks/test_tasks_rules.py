@@ -228,6 +228,9 @@ def test_instructions_that_are_understood(instruction, understood):
         ("go straight to the van", "straight to the van", "a way that is straight to a thing"),
         ("go straight", "", "say how far"),
         ("go straight 5 minutes", "5 minutes", "say how far"),
+        ("go straight for minus half a metre", "minus half", "say how far"),
+        ("go half a metre to the left", "to the left", "say in which direction"),
+        ("go forward half a metre and a half", "and a half", "not known here"),
         (f"go straight {'9' * 6000} metres", "999", "this character has no place"),
         (f"go to object {'9' * 6000}", "999", "this character has no place"),
         (f"go to the {'9' * 6000}th car", "the 999", "expected the name of a thing"),
@@ -236,7 +239,36 @@ def test_instructions_that_are_understood(instruction, understood):
         ("stop at the van, then go to the gate", "stop at the van", "nothing can come after it"),
         ("go to the van, stop, go to the gate", "stop", "nothing can come after it"),
         ("go to the van then", "then", "nothing comes after it"),
+        ("go to the van, then", "then", "nothing comes after it"),
+        ("go to the van; next", "next", "nothing comes after it"),
         ("go to the van and the gate", "the gate", "expected what to do"),
+        ("go to the gate, past the van on its left", "past the van", "when or how"),
+        ("go to the gate, left of the van", "left of the van", "when or how"),
+        ("go to the van, near the gate", "near the gate", "when or how"),
+        ("go past the van, its left side, then to the gate", "its left side", "when or how"),
+        ("pass left of the van and right of the blue car", "right of the blue car", "when or how"),
+        ("pass the van and to the right of the gate", "to the right of", "when or how"),
+        ("go past the van's left and its right", "its right", "when or how"),
+        ("go to the blue car and then pass the gate with it on your left", "with it",
+         "what this speaks of"),
+        ("go to the blue car, then past the gate keeping it on your right", "keeping it",
+         "what this speaks of"),
+        ("go to the gate passing the van, keeping it on your left", "keeping it",
+         "what this speaks of"),
+        ("go to the gate after passing the van and stop behind it", "stop behind it",
+         "what this speaks of"),
+        ("pass the blue car left", "left", "say 'the left …'"),
+        ("go to the van & the gate", "& the gate", "no word that is known after 'van'"),
+        ("go to the &", "the &", "expected the name of a thing"),
+        ("go to the & object 3", "& object 3", "nothing of that name is here"),
+        ("go to the van while reaching the gate", "while reaching", "not known here"),
+        ("go past the van with the gate on your left", "with the gate", "in their order"),
+        ("go to car 3 with the gate on your left after passing the van", "passing the van",
+         "in their order"),
+        ("go to car 3 after passing the van with the gate on your left", "with the gate",
+         "in their order"),
+        ("pass the van on the far left", "on the far left", "or 'the leftmost …'"),
+        ("go past the car that is red on the left", "on the left", "which one is meant"),
         ("never go to the van", "never go to the van", "expected what to do"),
         ("do not go to the van", "do not go to the van", "expected what to do"),
         ("go to the van without touching it", "without touching it", "no word that is known"),
@@ -257,6 +289,10 @@ def test_instructions_that_are_refused_pointing_at_the_part(instruction, part, h
 
 SAID_OTHERWISE = {
     "straight on for 4 m": ["drive 4 metres straight ahead", "move forward by 4 m"],
+    "straight on for 0.5 m": ["go forward half a metre", "go half a metre forward and stop there"],
+    "straight on for 1.5 m": [
+        "go a metre and a half straight on", "go straight for one and a half metres"
+    ],
     "straight on for 2 m; to car 3": ["move two metres forward, then stop at the blue car"],
     "past the right of gate 5; to car 3": [
         "pass the gate on the right, then go to the blue car",
@@ -264,12 +300,18 @@ SAID_OTHERWISE = {
     ],
     "past the left of gate 5; to car 3": ["with the gate on the right, go to the blue car"],
     "past the left of van 1": [
-        "overtake the van on the left", "pass the van on its left hand side",
+        "overtake the van on the left", "drive along the left of the van",
+        "pass the van on its left hand side",
         "pass the van to the left", "go past the van on your right", "get past the van's left side",
     ],
     "past the right of car 3; to gate 5": [
         "go past the blue car on your left, then to the gate",
+        "pass the blue car on the left side of the robot, then stop at the gate",
+        "leave the car that is blue on the left and go to the gate",
         "leave the blue car on the left, then stop at the gate",
+    ],
+    "past the left of car 4; to gate 5": [
+        "pass the red car that is on the right on your right, then stop at the gate"
     ],
     "past car 4": ["go past the car that is on the right", "pass the right car"],
     "past the left of car 4": [
@@ -314,10 +356,18 @@ SAID_OTHERWISE = {
     ],
     "to car 2": ["go to the “red car” on the left", "go to the 'red' car that is on the left"],
     "to car 3": ["go to the car that's farthest", "approach the car which is blue"],
-    "left of van 1": ["approach the van's left side", "go to the van's left"],
+    "left of van 1": [
+        "approach the van's left side", "go to the van's left", "go back to the left of the van"
+    ],
+    "past the left of car 3": ["go past the car that is blue on the left"],
     "in front of car 3": ["wait just in front of the blue car"],
-    "behind van 1": ["stop directly behind the van", "go right behind the van"],
-    "to gate 5; right of gate 5": ["go to the gate and then to its right"],
+    "past the right of van 1": ["pass the van on the robot's left"],
+    "behind van 1": [
+        "stop at the back of the van", "stop directly behind the van", "go right behind the van"
+    ],
+    "to gate 5; right of gate 5": [
+        "go to the gate and then to its right", "go to the gate, then back to its right"
+    ],
     "to van 1; past the left of van 1": ["go to the van, then past its left"],
     "between van 1 and gate 5": ["drive through the space between the van and the gate"],
     "between car 2 and car 4": [
@@ -488,6 +538,8 @@ def test_where_it_stops_at_a_thing_the_robot_faces_it_at_last(words, x_m, y_m):
 def test_a_way_straight_on_that_is_blocked_is_refused():
     with pytest.raises(TrajectoryError, match=r"the way straight on is blocked after 6\.0 m"):
         driven("go straight for 9 metres")
+    with pytest.raises(TrajectoryError, match=r"a way straight on has at most 1000 m$"):
+        driven("go straight for 1001 metres")
 
 
 def test_sides_are_those_that_the_robot_sees_as_it_comes():
