@@ -390,16 +390,16 @@ OVERRIDES = [
         "Rosie",
     ),
     ({"EDGE__ROBOT__RADIUS_M": "0.3"}, lambda c: c.robot.radius_m, 0.3),
-    ({"EDGE__ROBOT__RADIUS_M": "0.3"}, lambda c: c.mapping.inflation_m, 0.32),
-    ({"EDGE__ROBOT__RADIUS_M": "5e-1"}, lambda c: c.mapping.inflation_m, 0.52),
-    ({"EDGE__ROBOT": "{radius_m: '0.5'}"}, lambda c: c.mapping.inflation_m, 0.52),
+    ({"EDGE__ROBOT__RADIUS_M": "0.3"}, lambda c: c.mapping.inflation_m, 0.3),
+    ({"EDGE__ROBOT__RADIUS_M": "5e-1"}, lambda c: c.mapping.inflation_m, 0.5),
+    ({"EDGE__ROBOT": "{radius_m: '0.5'}"}, lambda c: c.mapping.inflation_m, 0.5),
     ({"EDGE__ROBOT": "{radius_m: '0.5'}"}, lambda c: c.tasks.trajectory.clearance_m, 0.6),
     (
         {"EDGE__ROBOT": "{radius_m: '0.5'}", "EDGE__TASKS__TRAJECTORY": "{max_points: 9}"},
         lambda c: (c.tasks.trajectory.clearance_m, c.tasks.trajectory.max_points),
         (0.6, 9),
     ),
-    ({"EDGE__ROBOT__RADIUS_M": "0.1"}, lambda c: c.mapping.inflation_m, 0.22),
+    ({"EDGE__ROBOT__RADIUS_M": "0.1"}, lambda c: c.mapping.inflation_m, 0.2),
     (
         {"EDGE__ROBOT__RADIUS_M": "0.3", "EDGE__MAPPING__INFLATION_M": "0.3"},
         lambda c: c.mapping.inflation_m,
@@ -511,7 +511,7 @@ def test_objects_keep_as_far_away_as_what_is_read():
     made = Config(
         perception=SIM["perception"], robot=Robot(radius_m=0.5), mapping=Mapping(range_m=3.0)
     )
-    assert (made.mapping.inflation_m, made.mapping.range_m) == (0.52, 3.0)
+    assert (made.mapping.inflation_m, made.mapping.range_m) == (0.5, 3.0)
     assert made.tasks.trajectory.clearance_m == 0.6
 
 

@@ -25,15 +25,19 @@ class Values(Section):
 
 
 class Mapping(Section):
-    """The rolling occupancy map (VL-Nav III.A, III.B). Where the robot was held up by something
-    that no sensor shows (a sill, glass) the map stays closed for `bump_memory_s`."""
+    """The rolling occupancy map (VL-Nav III.A, III.B).
+
+    Where the robot was held up by something that no sensor shows (a sill, glass) the map stays
+    closed for `bump_memory_s`. Cells are closed from which a robot of radius `inflation_m` could
+    touch an obstacle, wherever in its cell it stands.
+    """
 
     input: Literal["depth", "cloud"] = "depth"
     resolution_m: Annotated[float, Field(ge=0.01, le=1.0)] = 0.05
     extent_m: Annotated[float, Field(gt=0, le=MAX_CELLS)] = 50.0
     range_m: Positive = 5.0
     min_range_m: NonNegative = 0.1
-    inflation_m: NonNegative = 0.22
+    inflation_m: NonNegative = 0.2
     obstacle_min_m: Positive = 0.10
     obstacle_max_m: Positive = 1.0
     ground_slope: NonNegative = 0.3

@@ -25,8 +25,6 @@ from edge.config.yaml_text import read_yaml
 from edge.errors import ConfigError
 from edge.host import resources
 
-MARGIN_M = 0.02
-"""Obstacles are inflated by so much more than the robot's radius, unless told otherwise."""
 CLEARANCE_M = 0.1
 """A trajectory stays so much farther from obstacles than the robot's radius."""
 
@@ -73,7 +71,7 @@ class Config(Section):
         if robot is None:  # it is at fault itself
             return section
         if info.field_name == "mapping":
-            inflation_m = max(Mapping().inflation_m, round(robot.radius_m + MARGIN_M, 3))
+            inflation_m = max(Mapping().inflation_m, robot.radius_m)
             return _with_default(section, ("inflation_m",), inflation_m)
         clearance_m = max(TrajectoryLimits().clearance_m, round(robot.radius_m + CLEARANCE_M, 3))
         return _with_default(section, ("trajectory", "clearance_m"), clearance_m)
