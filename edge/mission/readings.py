@@ -55,12 +55,16 @@ class AmbiguousError(TranslationError):
 
 
 def refuse_contradiction(formulas: Sequence[Formula]) -> None:
-    """Looks at the one reading of an instruction; of several, `distinct` leaves such ones out.
+    """Refuse an instruction of which no reading can be fulfilled.
+
+    Beside one that can, `distinct` leaves such readings out.
 
     Raises:
         UnclearError: nothing fulfils it.
     """
-    if len(formulas) != 1 or not any(f.op in ("!", "G", "W") for f in postorder(formulas[0])):
+    if not any(f.op in ("!", "G", "W") for f in postorder(formulas[0])):
+        return
+    if any(is_possible(formula) for formula in formulas[1:]):
         return
     try:
         automaton = compile_formula(formulas[0], _MAX_STATES, _MAX_STEPS)

@@ -198,6 +198,9 @@ def take_passed(
         if not _take_onward(reader):
             break
         further = take_things(reader, memory)
+        if clause.verb == "pass" and nouns.PEOPLE.intersection(further.names):
+            # "pass the cup to the guest"
+            reader.deny("only reaching things can be asked for", token)
         if clause.route and len(clause.things.groups[-1]) > 1:
             reader.refuse("say it in two sentences: 'go through a to b, or through c to d'", token)
         if clause.negated:  # "do not go through a to b"
@@ -237,7 +240,8 @@ def _refuse_leading(reader: Reader, clause: Clause, ahead: int) -> None:
         return
     said = reader.tokens[: reader.at]
     verb = max((i for i, token in enumerate(said) if token.text == clause.verb), default=0)
-    moved = clause.verb in _MOTION and said[verb + 1].kind in ("article", "word", "quoted")
+    moves = clause.verb in (*_MOTION, "get")
+    moved = moves and said[verb + 1].kind in ("article", "word", "quoted")
     carried = moved or clause.verb.startswith(_CARRIES)
     if carried and not all(map(nouns.is_place, clause.things.names)):
         reader.deny("only reaching things can be asked for", reader.peek(ahead))

@@ -7,10 +7,14 @@ ban into its opposite ("never go out of the yard") or send the robot to a thing 
 
 from __future__ import annotations
 
+import itertools
+
 from edge.mission.language import nouns
+from edge.mission.language.action import LEADING
 from edge.mission.language.lexicon import AFTER_VERB
+from edge.mission.language.naming import is_indefinite, is_letter
 from edge.mission.language.things import ONE_OF_A_KIND
-from edge.mission.language.words import REASONS, Reader, Token
+from edge.mission.language.words import HESITATIONS, REASONS, Reader, Token
 
 _WHERE = "things are told apart by kind, colour and size, not by where they are; name it alone"
 _WHICH = "which one that is cannot be seen in one picture; say its kind, colour or size"
@@ -36,6 +40,16 @@ _ROUND = ("hundred", "thousand")
 _NOWHERE = "say what to visit, and what to avoid"
 _NOR = "'nor' needs 'not' or 'neither' before it"
 _STAY = REASONS["stay"]
+_ROUND_IT = "say what to avoid, or what to go through"
+_LEFT_OUT = "say 'avoid …', or where to go"
+_LAST = "which one is the last cannot be seen; say its kind, colour or size"
+_ASKED = "no order; say for example 'visit the bed'"
+_TOLD = "where something is asks for nothing; leave it out"
+_OTHERS = "what others do is no order"
+_SHUN = "avoid it, or visit it? say which"
+_HOW_LONG = "how long is it to be avoided? say it in a sentence of its own"
+_EACH = "say the whole name of each, as in 'gate a or gate b'"
+_CORRECTED = "say only what is meant"
 
 _LEAVE = nouns.listed(
     """leave leaves leaving exit exits exiting depart departs departing quit quits quitting vacate
@@ -47,6 +61,16 @@ _AWAY = ("beyond", "outside", "within")
 _NO_LEAVING = ("turn", "turning", "switch", "switching", "shut", "shutting", "take", "taking")
 _KEEPS = ("stay", "keep", "remain", "stick", "wait")
 _SELF = ("yourself", "itself")
+_LIMITS = ("limit", "restrict", "confin")
+_OPENS = ("open", "clos", "shut", "lock", "unlock")
+_HANDLED = (
+    *_OPENS, "mov", "pick", "grab", "collect", "bring", "fetch", "take", "taking", "load",
+    "unload", "empty", "fill", "start", "turn", "switch", "roll",
+)  # fmt: skip
+"""Beginnings of verbs that do something with a thing: a ban on that is none on reaching it."""
+_CAUSES = ("make", "making", "get", "getting")
+_CANCELS = ("cancel", "scratch", "undo", "forget")
+_CORRECTS = (*HESITATIONS, "sorry", "oops", "correction")
 _KEPT_BY = ("at", "by", "along", "with", "within", "to")
 _DENYING = ("not", "without", "avoid", "neither")
 _BEYOND_NAMES = nouns.listed(
@@ -83,6 +107,10 @@ def refuse_beyond(reader: Reader) -> None:
     denied = False
     for at, token in enumerate(reader.tokens):
         reader.at = at
+        if turned := _not_named(reader):
+            reader.deny(_SHUN, turned)
+        if denied and token.kind == "then" and reader.sees("article", "quoted", ahead=1):
+            reader.deny(_SHUN, token)  # "do not go to a and then the b"
         if token.kind in ("stop", "comma", "but", "then"):
             denied = False
         hint, start = _found(reader, denied), token
@@ -110,6 +138,22 @@ def _found(reader: Reader, denied: bool) -> str:
         return _BOTH
     if token.text == "nowhere" and after.kind == "but":
         return _NOWHERE
+    if token.kind == "around" and denied:
+        return _ROUND_IT  # to go around it is to avoid it
+    if hint := _handles(reader, denied) or _is_no_order(reader):
+        return hint
+    if token.kind == "avoid" and after.kind == "neither":
+        return _SHUN
+    if _trails(reader):
+        return _HOW_LONG
+    if token.text in _CORRECTS and before and before.kind == "comma" and reader.at > 1:
+        return _CORRECTED  # "the bed, er, the sofa"
+    if token.text in _CANCELS and after.text in ("that", "it", "this"):
+        return _CORRECTED
+    if _is_lone_letter(reader):
+        return _EACH
+    if token.text == "last" and before and before.kind == "article" and _named(reader, 1):
+        return _LAST
     if _times(reader):
         return _TIME
     if token.text in _BEYOND_NAMES and token.kind == "word":
@@ -146,6 +190,96 @@ def _found(reader: Reader, denied: bool) -> str:
     return _IF_POSSIBLE if _is_soft(reader) else ""
 
 
+def _handles(reader: Reader, denied: bool) -> str:
+    """Why "do not move the chair", "pass up the sofa" is not understood, or ""."""
+    token = reader.peek()
+    if token.kind == "word":
+        did = reader.at > 1 and reader.tokens[reader.at - 2].kind == "do"
+        bare = did and reader.peek(-1).kind == "not" and nouns.is_noun(token.text)
+        return _DENIED if bare else ""  # "do not park before a"
+    if token.kind != "verb":
+        return ""
+    ahead = 1
+    while reader.peek(ahead).text in ("up", "back", "on", "off"):
+        ahead += 1
+    first = token.text.split()[0]
+    if first in ("pass", "passing", "cross", "crossing") and reader.peek(1).text in ("up", "out"):
+        return _LEFT_OUT  # "pass up the sofa"
+    handles = first.startswith(_HANDLED) and _is_thing(reader, ahead)
+    opens = first.startswith(_OPENS) and reader.sees("article", ahead=ahead)
+    return _DENIED if denied and (handles or opens) else ""
+
+
+def _is_thing(reader: Reader, ahead: int) -> bool:
+    """Whether an article and the name of what is no place come there."""
+    article = reader.sees("article", ahead=ahead) or reader.peek(ahead).text in ("a", "an")
+    return article and bool(_named(reader, ahead)) and not _is_place(reader, ahead)
+
+
+def _is_no_order(reader: Reader) -> str:
+    """Why "can you see the lamp?", "there is a lamp", "let me go" is not understood, or ""."""
+    token, after, before = reader.peek(), reader.peek(1), _before(reader)
+    if token.text == "let" and after.text == "me":
+        return _OTHERS
+    if token.kind == "verb" and token.text in _CAUSES and _is_thing(reader, 1):
+        ahead = 2
+        while reader.sees("word", ahead=ahead):
+            ahead += 1
+        ahead += reader.sees("to", ahead=ahead)
+        return _OTHERS if reader.sees("verb", ahead=ahead) else ""  # "make the dog go to a"
+    if before is not None and before.kind not in ("stop", "comma"):
+        return ""
+    if token.text == "there" and reader.sees("be", ahead=1):
+        return _TOLD
+    sees = token.kind == "can" and reader.sees("you", ahead=1) and reader.peek(2).text == "see"
+    must = token.text == "must" and reader.sees("you", ahead=1)
+    return _ASKED if sees or must else ""
+
+
+def _not_named(reader: Reader) -> Token | None:
+    """Return the "not" of ", not the a but the b" if its "but" is here."""
+    begin = reader.at
+    if not (reader.sees("but") and reader.sees("article", "quoted", ahead=1)):
+        return None
+    while begin and reader.tokens[begin - 1].kind in ("word", "article", "quoted", "number"):
+        begin -= 1
+    if not 1 < begin < reader.at or reader.tokens[begin - 1].kind != "not":
+        return None
+    return reader.tokens[begin - 1] if reader.tokens[begin - 2].kind == "comma" else None
+
+
+def _is_lone_letter(reader: Reader) -> bool:
+    """Whether the letter of "gate a or b", or of "rooms a and b", comes."""
+    if not _is_letter(reader.peek()) or is_indefinite(reader):
+        return False
+    said = reader.tokens[: reader.at]
+    if not said or said[-1].text == "rooms":
+        return bool(said)
+    lettered = any(
+        one.kind == "word" and nouns.is_noun(one.text) and _is_letter(other)
+        for one, other in itertools.pairwise(said)
+    )
+    return lettered and said[-1].kind in ("and", "or", "then", "to", "comma", "but", "not", "avoid")
+
+
+def _is_letter(token: Token) -> bool:
+    return is_letter(token) and token.text != "i"
+
+
+def _trails(reader: Reader) -> bool:
+    """Whether the "always" of "avoid a until b, and c always" comes."""
+    if not reader.sees("always"):
+        return False
+    begin = reader.at
+    while begin and reader.tokens[begin - 1].kind in ("word", "article", "quoted", "number"):
+        begin -= 1
+    joined = 0 < begin < reader.at and reader.tokens[begin - 1].kind in ("and", "comma")
+    said = [token.kind for token in reader.tokens[:begin]]
+    while "stop" in said:
+        said = said[said.index("stop") + 1 :]
+    return joined and any(kind in said for kind in ("until", "unless", "before", "after"))
+
+
 def _is_soft(reader: Reader) -> bool:
     """Whether "if you can", "if possible", or "every time" with nothing behind it comes."""
     if not reader.sees("when"):
@@ -158,7 +292,9 @@ def _acts_unknown(reader: Reader, denied: bool) -> bool:
     """Whether "do not drop the cup" comes: a ban on doing what is not known to be reaching."""
     token, before = reader.peek(), _before(reader)
     known = token.kind != "word" or nouns.is_noun(token.text) or token.text in AFTER_VERB
-    if known or not denied or before is None or before.kind not in ("not", "without"):
+    if known or not denied or before is None or before.kind not in ("not", "without", "avoid"):
+        return False
+    if before.kind == "avoid" and not token.text.endswith("ing"):
         return False
     return reader.sees("article", ahead=1) and len(token.text) > 1
 
@@ -175,6 +311,10 @@ def _leaves(reader: Reader, denied: bool) -> bool:
     """Whether "out of a", "off a", "away from a", "beyond a", or a denied "leave a" comes."""
     token, after, before = reader.peek(), reader.peek(1), _before(reader)
     joins = before is not None and before.kind in ("and", "or")
+    if token.text.startswith(_LIMITS) and token.kind == "word":
+        return True  # "limit yourself to a"
+    if token.text == "out" and denied and after.kind == "article" and _is_place(reader, 1):
+        return not _leads(reader)  # "without going out the yard"
     if token.text in ("out", "away") and after.text in ("of", "from"):
         shuns = any(said.kind == "avoid" for said in reader.tokens[: reader.at])
         return not (joins and shuns)  # "stay out of a and out of b"
@@ -186,6 +326,11 @@ def _leaves(reader: Reader, denied: bool) -> bool:
     if token.text in _AWAY or token.text in _LEAVING:
         return True
     return denied and (token.text in _LEAVE or (token.text == "from" and not joins))
+
+
+def _leads(reader: Reader) -> bool:
+    """Whether what is named behind this word is a door or the like."""
+    return _named(reader, 1).split()[-1] in LEADING
 
 
 def _stays(reader: Reader, denied: bool) -> bool:

@@ -56,6 +56,7 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
     inside = reader.peek().text in ("in", "inside", "at", "on") and starts_things(reader, 1)
     if inside and ("be" in said or (condition.kind == "when" and not said)):
         reader.at += 1  # "once you are in the kitchen", "once in the kitchen"
+        _refuse_denied(reader, condition, says)
         condition.things = take_things(reader, memory)
         condition.denied = condition.denied or says.negated
         return
@@ -97,8 +98,7 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         condition.referred = True
     else:
         reader.refuse("expected what must have happened here", condition.token)
-    if says.negated and condition.kind not in ("when", "once"):
-        reader.deny("say it without 'not'", condition.token)  # "until you have not been to a"
+    _refuse_denied(reader, condition, says)
     condition.denied = condition.denied or says.negated
     if reader.sees("verb") and _is_third_person(reader.peek()):
         hint = "only what the robot reaches can be told"  # "if the dog enters the hall"
@@ -110,6 +110,12 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         reader.deny("before what? say it in two sentences", condition.token)
     reader.skip("filler", "first")
     condition.count = take_count(reader, negated=False)
+
+
+def _refuse_denied(reader: Reader, condition: Condition, says: Clause) -> None:
+    """Refuse "until you have not been to a", "unless you are not in a"."""
+    if says.negated and condition.kind not in ("when", "once"):
+        reader.deny("say it without 'not'", condition.token)
 
 
 def another_participle(reader: Reader) -> bool:

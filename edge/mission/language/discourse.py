@@ -224,8 +224,10 @@ class Discourse:
         if after and before and sequence and sequence[0].loose:
             sequence[0].ban_after(before)  # "… . Afterwards never go to the bed."
         sequences = [sequence]
-        tight = False
+        tight = short = False
         while (ahead := self._alternative_ahead()) is not None:
+            # "go to a and b, or c, then d"
+            short = short or (reader.sees("comma") and not reader.sees("verb", ahead=ahead))
             tight = tight or not reader.sees("comma", "stop")
             reader.at += ahead
             if loose:
@@ -241,7 +243,7 @@ class Discourse:
         pause = any(
             (a.kind, b.kind in THEN) == ("comma", True) for a, b in itertools.pairwise(said)
         )
-        tight = tight or (pause and either.text == "either" and len(sequences) > 1)
+        tight = tight or (pause and (short or (either.text == "either" and len(sequences) > 1)))
         if tight and single and len(sequences[-1]) > 1:
             reader.deny("what comes after which of them? say it in two sentences", start)
         if len(sequences) > 1 and any(step.commas for step in sequences[0]):

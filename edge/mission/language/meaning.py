@@ -209,11 +209,11 @@ def _forbidden_when(
     if condition.things.names != things.names:
         _one_time(condition, reader)
     elif condition.only:
-        reader.refuse("nothing comes before or after itself", condition.token)
+        reader.deny("nothing comes before or after itself", condition.token)
     if condition.kind in ("before", "until", "unless") or condition.denied:
         rules = held_until(things.names, condition.things)
         if not rules:
-            reader.refuse("nothing can come before itself", condition.token)
+            reader.deny("nothing can come before itself", condition.token)
         return rules
     if condition.going:
         reader.refuse("say 'after …' or 'on the way to …'", condition.token)
@@ -360,7 +360,9 @@ def _conditioned(
     if kind == "when" and condition.denied:
         reader.deny("what never happens is known at the end only", condition.token)
     if set(when.names) & set(things.names) and not answers:
-        reader.refuse("nothing comes before or after itself", condition.token)
+        reader.deny("nothing comes before or after itself", condition.token)
+    if kind == "before" and condition.only and not condition.denied:
+        reader.deny("say 'before …', or 'never after …'", condition.token)
     if kind == "until" and clause.through and not condition.denied and not condition.only:
         meaning.goals = [steps([*meaning.goals, visits(when)])]
         meaning.things = when  # "go through the hallway until you reach the bed"

@@ -161,6 +161,7 @@ def listed(text: str) -> frozenset[str]:
     return frozenset(entry.replace("|", " ") for entry in text.split())
 
 
+PEOPLE = listed(_PEOPLE) | {"person"}
 NOUNS = listed(_PLACES) | listed(_OBJECTS) | listed(_PEOPLE)
 QUALITIES = listed(_QUALITIES) | listed(_MATERIALS)
 PLAIN_WORDS = listed(_PLAIN) - NOUNS

@@ -154,6 +154,8 @@ def take_things(
         reader.deny(ONE_OF_A_KIND, start)
     if banned:
         return Things(tuple((name,) for group in groups for name in group))
+    if joints == {"or"} and start.text == "both":
+        reader.deny("both, or one of them? say which", start)
     if joints == {"or"}:
         return Things((tuple(dict.fromkeys(name for group in groups for name in group)),))
     if len(joints) > 1:

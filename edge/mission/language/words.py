@@ -31,7 +31,8 @@ REASONS = {
 
 _DRIVEN = ("car", "vehicle")
 _ACTS = ("must", "can", "verb", "not", "do", "always")
-_HESITATIONS = ("uh", "um", "er", "erm", "hmm")
+HESITATIONS = ("uh", "um", "er", "erm", "hmm")
+_NAMES = re.compile(r"[\s,]*(?:to )?(?:the|an?|my) ", re.IGNORECASE)
 _MAY_SHUN = ("stay", "keep")  # "stay on the far side of": another translator may know
 _SHOWN = 60
 _PUNCTUATION = {",": "comma", ";": "stop", ".": "stop", "!": "stop", "?": "stop", ":": "comma"}
@@ -129,7 +130,7 @@ def _words(text: str) -> list[Token]:
         if match["quoted"] is not None:
             words.append(Token("quoted", found[1:-1].strip(), start, end))
         elif match["word"] is not None:
-            if found.lower() in _HESITATIONS:
+            if found.lower() in HESITATIONS and not _corrects(words, text[end:]):
                 continue
             for part in expanded(found.lower()):
                 words.append(Token("word", part, start, end))
@@ -138,6 +139,12 @@ def _words(text: str) -> list[Token]:
         else:
             words.append(Token(_PUNCTUATION.get(found, "mark"), found, start, end))
     return words
+
+
+def _corrects(words: Sequence[Token], rest: str) -> bool:
+    """Whether a hesitation here takes a name back: "the bed, er, the sofa"."""
+    named = len(words) > 1 and words[-1].kind == "comma" and nouns.is_noun(words[-2].text)
+    return named and _NAMES.match(rest) is not None
 
 
 def _drives(words: Sequence[Token], i: int) -> bool:
