@@ -225,6 +225,7 @@ def normalise(word: str) -> str:
     return text
 
 
+@lru_cache(maxsize=4096)
 def _tidied(word: str) -> str:
     text = _VARIANT_LETTER.sub("", _VARIANT.sub("", word.strip()))
     text = " ".join(_CAMEL.sub(" ", re.sub(r"[_\-]+", " ", text)).split())

@@ -8,7 +8,7 @@ from edge.config import TranslatorAuto, TranslatorGrammar, TranslatorModel
 from edge.mission.translate import make_translator
 
 PLAIN = "go to the kitchen, then go through the hallway to the bedroom, but avoid the sofa"
-OTHER = "make for the kitchen, from there wander over to the bedroom, but stay away from the sofa"
+OTHER = "you can go anywhere except the red room as long as you get to the purple room"
 
 CASES = {
     "translate_grammar": (TranslatorGrammar(), PLAIN),

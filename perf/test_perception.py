@@ -112,7 +112,7 @@ def test_suppress(benchmark, against):
     competes[:, 0, 0], cut = False, np.zeros(len(keep), np.bool_)
 
     def decode():
-        m, _ = kernels.candidates(boxes, scores, 1, tau, anchor, label, score, top)
+        m, _ = kernels.candidates(boxes, scores, 1, tau, 1e4, anchor, label, score, top)
         n = kernels.suppress(boxes, anchor, label, score, m, 0, 1, False, 0.5, keep)
         kernels.strongest_rivals(
             boxes, scores, competes, tau, top, anchor, label, keep, n, cut, 0.5, rival

@@ -186,6 +186,7 @@ _LONGEST = 6
 _LEADING = listed(_PLACES)  # "kitchen sink", "office door": what a thing belongs to
 
 
+@lru_cache(maxsize=4096)
 def is_noun(phrase: str) -> bool:
     """Whether a phrase names a kind of thing, in the singular or plural."""
     return names.is_known(phrase) or phrase in NOUNS or names.singular(phrase) in NOUNS
