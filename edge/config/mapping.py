@@ -28,8 +28,8 @@ class Mapping(Section):
     """The rolling occupancy map (VL-Nav III.A, III.B).
 
     Where the robot was held up by something that no sensor shows (a sill, glass) the map stays
-    closed for `bump_memory_s`. Cells are closed from which a robot of radius `inflation_m` could
-    touch an obstacle, wherever in its cell it stands.
+    closed for `bump_memory_s`. Cells whose middle is within `inflation_m` of the rim of an occupied
+    cell are closed.
     """
 
     input: Literal["depth", "cloud"] = "depth"

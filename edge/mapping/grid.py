@@ -52,8 +52,9 @@ class RollingMap:
     def __init__(self, config: config.Mapping) -> None:
         c = self.config = config
         res = c.resolution_m
-        self._inflation_cells = c.inflation_m / res
-        self._disc = ly.touching_half_widths(self._inflation_cells)
+        # An obstacle may stand at the rim of its cell, half a cell nearer than the middle.
+        self._inflation_cells = c.inflation_m / res + 0.5
+        self._disc = ly.disc_half_widths(self._inflation_cells)
         self._body = ly.disc_half_widths(max(self._inflation_cells - ROUNDING_CELLS, 0.0))
         self._footprint = ly.disc_half_widths(_FOOTPRINT_M / res)
         self._polar = points.make_polar(c.range_m, res)

@@ -9,7 +9,6 @@ Every layer is zero where nothing was seen, so memory that was never visited sta
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -69,21 +68,6 @@ def disc_half_widths(radius_cells: float) -> np.ndarray:
     r = int(radius_cells + 1e-6)
     dy = np.arange(-r, r + 1)
     return np.floor(np.sqrt(np.maximum((radius_cells + 1e-6) ** 2 - dy**2, 0))).astype(np.int64)
-
-
-def touching_half_widths(radius_cells: float) -> np.ndarray:
-    """Half the width of each row of the cells from which a robot could touch an obstacle's cell.
-
-    It may stand anywhere in its cell and the obstacle anywhere in its own, so that the distance of
-    the cells' nearest points counts, not that of their middles.
-
-    >>> touching_half_widths(4.0).tolist()
-    [3, 4, 4, 4, 4, 4, 4, 4, 3]
-    """
-    radius = max(radius_cells - 1e-6, 0.0)
-    dy = np.abs(np.arange(-math.ceil(radius), math.ceil(radius) + 1))
-    apart = np.maximum(dy - 1, 0)  # of the rows' nearest edges
-    return np.ceil(np.sqrt(radius**2 - apart**2)).astype(np.int64)
 
 
 def plain(array: np.ndarray) -> np.ndarray:
