@@ -47,7 +47,7 @@ _INFLATED = 50
 
 OUTDOORS = config.Mapping(
     input="cloud", resolution_m=0.2, extent_m=110.0, range_m=50.0, min_range_m=3.0,
-    inflation_m=0.2, obstacle_min_m=0.25, obstacle_max_m=2.0,
+    inflation_m=0.1, obstacle_min_m=0.25, obstacle_max_m=2.0,
 )  # fmt: skip
 """A map for a LiDAR of 64 rings on a car's roof: what is nearer than `min_range_m` is the car."""
 

@@ -22,7 +22,7 @@ from edge.types import MASK_SIDE, Instance, Observation
 
 MAP = config.Mapping(
     input="cloud", resolution_m=0.2, extent_m=64.0, range_m=30.0, min_range_m=1.0,
-    inflation_m=0.2, obstacle_min_m=0.25, obstacle_max_m=2.0,
+    inflation_m=0.1, obstacle_min_m=0.25, obstacle_max_m=2.0,
 )  # fmt: skip
 STREET = (
     Box(12.0, 4.0, (4.2, 1.8, 1.5), 1.2, "car", (210, 20, 20)),
