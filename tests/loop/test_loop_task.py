@@ -178,6 +178,7 @@ def test_the_first_steps_are_driven_before_what_a_later_one_names_is_seen():
     assert loop.service.status.phase == "reached", loop.notes.events
     assert states(loop) == ["driven", "driven"]
     assert loop.distance_m("oven") <= 1.0
+    assert loop.drive.motion.collisions == 0
     kinds = [kind for kind, _ in groupby(goal.kind for goal in loop.notes.goals)]
     assert (kinds[0], kinds[-1]) == ("trajectory", "trajectory")
     assert len(kinds) > 2, "it was searched for in between"
