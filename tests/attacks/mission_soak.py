@@ -43,8 +43,11 @@ def run(loop: ClosedLoop, target: str, first: bool) -> str:
         loop.step()
     status = loop.service.status
     if target in ABSENT:
-        told = status.reason.startswith("explored all that can be reached, looked again at ")
-        return "" if told and status.reason.endswith(f"found no {target}") else str(status)
+        told = status.reason.startswith(
+            ("explored all that can be reached, looked", "no way to the")
+        )
+        why, _, _ = status.reason.partition("; held up at ")
+        return "" if told and why.endswith(f"found no {target}") else str(status)
     there = status.phase == "reached" and loop.distance_m(target) <= 1.0
     return "" if there else str(status)
 

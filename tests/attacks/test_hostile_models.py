@@ -89,7 +89,7 @@ def test_it_is_not_swapped_in_and_the_next_one_is(put, tmp_path, how):
         },
     }).perception  # fmt: skip
     worker, told = DetectorWorker(make_detector(perception, ["chair"])), []
-    swapper = Swapper(perception, worker, lambda text, now_ns: told.append(text))
+    swapper = Swapper(perception, worker, lambda text, *_: told.append(text))
     rgb, seq = np.full((64, 64, 3), 200, np.uint8), 0
     camera = CameraModel.from_hfov(64, 64, 1.3)
 
