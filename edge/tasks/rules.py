@@ -7,8 +7,9 @@ The sides of a thing are those that the robot sees as it comes to it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -130,7 +131,8 @@ def _round(
         for side in [step.side] if step.side else ["left", "right"]:
             try:
                 points = _beside_points(replace(step, kind=kind), following, at, side, functions)
-                ways.append((side, _through(at, points, functions)))
+                is_past = partial(_is_past, step.things[0], side)
+                ways.append((side, _through(at, points, functions, is_past)))
             except TrajectoryError as error:
                 why.append(str(error))
         for side, way in sorted(ways, key=lambda one: _length_m(one[1])):
@@ -186,6 +188,12 @@ def _check_side(
 
 
 _FINE_M = 0.1
+DETOUR = 4.0
+"""Points on an arc lie side by side: the way between two that is so many times longer goes back."""
+
+
+def _is_past(thing: SceneObject, side: str, way: Sequence[Point]) -> bool:
+    return bool(_turned_rad(thing, side, way)[-1] >= PAST_RAD)
 
 
 def _turned_rad(thing: SceneObject, side: str, way: Sequence[Point]) -> np.ndarray:
@@ -225,11 +233,23 @@ def _beside_points(
     return points
 
 
-def _through(at: Point, points: Sequence[Point], functions: Functions) -> list[Point]:
-    """The cheapest way through points."""
+def _through(
+    at: Point,
+    points: Sequence[Point],
+    functions: Functions,
+    enough: Callable[[list[Point]], bool] = lambda way: False,
+) -> list[Point]:
+    """The cheapest way through points.
+
+    Args:
+        enough: whether the way so far may end where the next point is only a long detour away.
+    """
     way = [at]
-    for point in points:
-        way += functions.a_star_plan(way[-1], point)[1:]
+    for k, point in enumerate(points):
+        leg = functions.a_star_plan(way[-1], point)
+        if k and _length_m(leg) > DETOUR * math.dist(way[-1], point) and enough(way):
+            break
+        way += leg[1:]
     return way
 
 
