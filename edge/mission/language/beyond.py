@@ -126,7 +126,7 @@ def refuse_beyond(reader: Reader) -> None:
 
 
 def _found(reader: Reader, denied: bool) -> str:
-    """Why the token here cannot be understood; "" where it may be."""
+    """Return why the token here cannot be understood; "" where it may be."""
     token, after, before = reader.peek(), reader.peek(1), _before(reader)
     if token.kind in ("quoted", "end"):
         return ""
@@ -211,7 +211,7 @@ def _handles(reader: Reader, denied: bool) -> str:
 
 
 def _is_thing(reader: Reader, ahead: int) -> bool:
-    """Whether an article and the name of what is no place come there."""
+    """Return whether an article and the name of what is no place come there."""
     article = reader.sees("article", ahead=ahead) or reader.peek(ahead).text in ("a", "an")
     return article and bool(_named(reader, ahead)) and not _is_place(reader, ahead)
 
@@ -249,7 +249,7 @@ def _not_named(reader: Reader) -> Token | None:
 
 
 def _is_lone_letter(reader: Reader) -> bool:
-    """Whether the letter of "gate a or b", or of "rooms a and b", comes."""
+    """Return whether the letter of "gate a or b", or of "rooms a and b", comes."""
     if not _is_letter(reader.peek()) or is_indefinite(reader):
         return False
     said = reader.tokens[: reader.at]
@@ -267,7 +267,7 @@ def _is_letter(token: Token) -> bool:
 
 
 def _trails(reader: Reader) -> bool:
-    """Whether the "always" of "avoid a until b, and c always" comes."""
+    """Return whether the "always" of "avoid a until b, and c always" comes."""
     if not reader.sees("always"):
         return False
     begin = reader.at
@@ -281,7 +281,7 @@ def _trails(reader: Reader) -> bool:
 
 
 def _is_soft(reader: Reader) -> bool:
-    """Whether "if you can", "if possible", or "every time" with nothing behind it comes."""
+    """Return whether "if you can", "if possible", or "every time" with nothing behind it comes."""
     if not reader.sees("when"):
         return False
     willing = reader.sees("you", ahead=1) and reader.peek(2).text in ("can", "could", "want")
@@ -289,7 +289,7 @@ def _is_soft(reader: Reader) -> bool:
 
 
 def _acts_unknown(reader: Reader, denied: bool) -> bool:
-    """Whether "do not drop the cup" comes: a ban on doing what is not known to be reaching."""
+    """See whether "do not drop the cup" comes: a ban on doing what is not known to be reaching."""
     token, before = reader.peek(), _before(reader)
     known = token.kind != "word" or nouns.is_noun(token.text) or token.text in AFTER_VERB
     if known or not denied or before is None or before.kind not in ("not", "without", "avoid"):
@@ -308,7 +308,7 @@ def _ends(reader: Reader, ahead: int) -> bool:
 
 
 def _leaves(reader: Reader, denied: bool) -> bool:
-    """Whether "out of a", "off a", "away from a", "beyond a", or a denied "leave a" comes."""
+    """See whether "out of a", "off a", "away from a", "beyond a", or a denied "leave a" comes."""
     token, after, before = reader.peek(), reader.peek(1), _before(reader)
     joins = before is not None and before.kind in ("and", "or")
     if token.text.startswith(_LIMITS) and token.kind == "word":
@@ -329,12 +329,12 @@ def _leaves(reader: Reader, denied: bool) -> bool:
 
 
 def _leads(reader: Reader) -> bool:
-    """Whether what is named behind this word is a door or the like."""
+    """Return whether what is named behind this word is a door or the like."""
     return _named(reader, 1).split()[-1] in LEADING
 
 
 def _stays(reader: Reader, denied: bool) -> bool:
-    """Whether "keep to a", "stay on a", "never stay away from a" comes."""
+    """Return whether "keep to a", "stay on a", "never stay away from a" comes."""
     token = reader.peek()
     if not token.text.startswith(_KEEPS):
         return False
@@ -350,7 +350,7 @@ def _stays(reader: Reader, denied: bool) -> bool:
 
 
 def _times(reader: Reader) -> bool:
-    """Whether "for a minute", "in five minutes", "5 pm", "2 m" comes."""
+    """Return whether "for a minute", "in five minutes", "5 pm", "2 m" comes."""
     token, after = reader.peek(), reader.peek(1)
     if token.kind == "number":
         return after.text in _UNITS and after.text != "second"
@@ -366,7 +366,7 @@ def _over(reader: Reader, ahead: int) -> bool:
 
 
 def _says_where(reader: Reader, ahead: int) -> bool:
-    """Whether "near the sofa", "in it", "that is on a table" begins there."""
+    """Return whether "near the sofa", "in it", "that is on a table" begins there."""
     if reader.peek(ahead).text in ("that", "which") and reader.sees("be", ahead=ahead + 1):
         ahead += 2
     token, after = reader.peek(ahead), reader.peek(ahead + 1)
@@ -382,7 +382,7 @@ def _says_where(reader: Reader, ahead: int) -> bool:
 
 
 def _name_before(reader: Reader) -> Token | None:
-    """The first word of the name that ends before this token; None where none does."""
+    """Return the first word of the name that ends before this token; None where none does."""
     begin = reader.at
     before = _before(reader)
     if before is None:
@@ -400,13 +400,13 @@ def _name_before(reader: Reader) -> Token | None:
 
 
 def _is_place(reader: Reader, ahead: int) -> bool:
-    """Whether the name that begins there is a place's."""
+    """Return whether the name that begins there is a place's."""
     name = _named(reader, ahead)
     return bool(name) and nouns.is_place(name)
 
 
 def _named(reader: Reader, ahead: int) -> str:
-    """The known name that begins there, maybe behind an article; "" where none does."""
+    """Return the known name that begins there, maybe behind an article; "" where none does."""
     while reader.sees("article", "all of", ahead=ahead) or reader.peek(ahead).text in ("a", "an"):
         if reader.sees("end", ahead=ahead + 1):
             break  # the letter a
@@ -426,7 +426,7 @@ def _is_known(words: list[str]) -> bool:
 
 
 def _searches(reader: Reader) -> bool:
-    """Whether "explore the house", "search the kitchen", "look around" comes."""
+    """Return whether "explore the house", "search the kitchen", "look around" comes."""
     token = reader.peek()
     verb = token.text.split(" ")[0]
     if token.text in ("look", "looking") and reader.sees("around", ahead=1):
