@@ -421,15 +421,6 @@ def test_worlds(monkeypatch):
         ({"target": "bed"}, "ok", "F bed"),
         ({"instruction": "go to the bed, then to the tv"}, "ok", "then the television"),
         ({"instruction": "go to the bed and never go to the bed"}, "fail", "contradiction"),
-        (
-            {
-                "instruction": " & ".join(f"F object{i}" for i in range(12)),
-                "translator": {"kind": "ltl"},
-                "planner": {"kind": "expected"},
-            },
-            "fail",
-            "'expected' cannot take on",
-        ),
         ({"target": "bed", "checkpoint": "/no/such/folder/mission.json"}, "fail", "checkpoint"),
     ],
 )
