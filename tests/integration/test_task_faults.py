@@ -100,7 +100,7 @@ def test_a_detector_is_swapped_while_a_task_is_driven(tmp_path, monkeypatch):
     shutil.copy(f"{shipped}.onnx", resources.models_dir())
     perception = {
         "detector": {"kind": "onnx", "model": SHIPPED, "threads": 1},
-        "swap": {"probation": 10, "images": 2, "budget_ms": 1e5},
+        "swap": {"probation": 10, "budget_ms": 1e5},
     }
     lockstep = {"lockstep": True, "step_s": 0.2}
     config = simulated({"loop": {"lockstep": True}, "sim": lockstep, "perception": perception})
