@@ -23,7 +23,6 @@ class DetectorOnnx(Section):
     threads: Annotated[int, Field(ge=1, le=64)] = 2
     vocabulary: str | None = None
     background: tuple[str, ...] = ()
-    nms_iou: Fraction = 0.5
     max_detections: Annotated[int, Field(ge=1, le=1000)] = 64
     tau_vl: Fraction = 0.05
     device_id: Annotated[int, Field(ge=0)] = 0
@@ -39,7 +38,6 @@ class DetectorSim(Section):
     kind: Literal["sim"] = "sim"
     background: tuple[str, ...] | None = None
     max_range_m: Positive = 6.0
-    min_visible_px: Annotated[int, Field(ge=1)] = 40
     miss_rate: Fraction = 0.1
     false_positive_rate: Fraction = 0.005
     score_noise: NonNegative = 0.08

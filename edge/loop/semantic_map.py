@@ -102,8 +102,7 @@ class SemanticMap:
         pool.update(self.grid.frontiers, instances, observation.stamp_ns, now_ns)
         pool.measure(self.grid)
         if policy.look_round and camera is not None:
-            turn_m = policy.turn_m_per_rad
-            pool.add_look(self.grid, observation.pose, camera.hfov_rad, turn_m, now_ns)
+            pool.add_look(self.grid, observation.pose, camera.hfov_rad, now_ns)
 
     # -- from one mission, configuration or frame to another --------------------------------
 
