@@ -1,20 +1,18 @@
-"""Replanning, solving for the least expected cost, and driving distances between objects."""
+"""Replanning, and driving distances between objects."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from edge.config import PlannerExpected, PlannerVitl
-from edge.geometry import SE2, Grid
+from edge.config import PlannerVitl
+from edge.geometry import Grid
 from edge.mission.automaton import compile_formula
 from edge.mission.ltl import parse
 from edge.mission.planner import Knowledge, make_planner, warm_up
-from edge.mission.planning.belief import Prospects, survey
 from edge.mission.planning.distances import distances
 
 DISTANCE = PlannerVitl(weights="distance")
-ATTEMPTS = PlannerExpected(weights="constant")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -39,8 +37,6 @@ def half_known(automaton) -> Knowledge:
     [
         ("replan_64", PlannerVitl(), 6),
         ("replan_distance_64", DISTANCE, 6),
-        ("replan_expected_64", ATTEMPTS, 6),
-        ("replan_expected_distance_64", PlannerExpected(), 6),
         ("replan_4096", PlannerVitl(), 12),
         ("replan_distance_4096", DISTANCE, 12),
     ],
@@ -53,26 +49,6 @@ def test_replan(benchmark, name, config, k):
     plan = benchmark(planner.plan, 0, knowledge, automaton.letters[-1])
     assert plan.feasible
     assert len(plan.steps) == k
-
-
-@pytest.mark.parametrize("k", [6, 8])
-def test_solve_expected(benchmark, k):
-    """A planner made anew, its table solved for all sets of known objects, and one plan."""
-    benchmark.extra_info["budget"] = f"solve_expected_{1 << k}"
-    automaton = unordered(k)
-
-    def solve():
-        return make_planner(ATTEMPTS, automaton).plan(0, Knowledge())
-
-    assert len(benchmark(solve).steps) == k
-
-
-@pytest.mark.parametrize("k", [6, 7])
-def test_solve_expected_in_metres(benchmark, k):
-    """With every survey while nothing is known yet, the worst case: inside the tick."""
-    benchmark.extra_info["budget"] = f"solve_expected_distance_{1 << k}"
-    planner = make_planner(PlannerExpected(), unordered(k))
-    assert len(benchmark(planner.plan, 0, Knowledge()).steps) == k
 
 
 def hall() -> tuple[Grid, list[np.ndarray]]:
@@ -92,16 +68,3 @@ def test_distances_1000(benchmark):
     snapshot, places = hall()
     out = benchmark(distances, snapshot, (25.0, 25.0), places)
     assert np.isfinite(out).all()
-
-
-def test_survey_1000(benchmark):
-    """Of six objects one is known; 64 frontiers."""
-    benchmark.extra_info["budget"] = "mission_survey_1000"
-    snapshot, places = hall()
-    rng = np.random.default_rng(1)
-    prospects = Prospects(
-        rng.uniform(2.0, 38.0, (64, 2)), rng.uniform(1.0, 20.0, 64), rng.uniform(0.25, 4.0, (6, 64))
-    )
-    known = [places[0], *[np.zeros((0, 2))] * 5]
-    found = benchmark(survey, snapshot, SE2(25.0, 25.0, 0.0), known, prospects, 10.0)
-    assert np.isfinite(found.search_m).all()

@@ -33,6 +33,20 @@ def send(handler: BaseHTTPRequestHandler, body: bytes, status: int = 200, **head
     http_server.send(handler, body, status, **{"Content_Type": "application/json", **headers})
 
 
+def stalls(handler: BaseHTTPRequestHandler) -> None:
+    """Never answers."""
+    handler.stopping.wait()
+
+
+def sends_100_mb(handler: BaseHTTPRequestHandler) -> None:
+    """Blanks without end."""
+    handler.send_response(200)
+    handler.send_header("Content-Length", str(100 << 20))
+    handler.end_headers()
+    for _ in range(100):
+        handler.wfile.write(b" " * (1 << 20))
+
+
 def completion(content: Any, finish_reason: str = "stop") -> bytes:
     """The body of a chat completion."""
     message = {"role": "assistant", "content": content}

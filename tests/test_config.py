@@ -181,7 +181,8 @@ FAULTS = [
     ({"mapping": {"extent_m": 1e9}}, "f.yaml: mapping.extent_m: input should be less than or"),
     (
         {"mission": {"planner": {"kind": "expected", "p_obs": 0.3}}},
-        "f.yaml: mission.planner.expected: p_obs: read with weights: constant only",
+        "f.yaml: mission.planner: kind expected was removed: its ways were no shorter than those "
+        "of kind: vitl with weights: distance; use that",
     ),
     ({1: 2}, "f.yaml: 1: keys should be strings"),
 ]

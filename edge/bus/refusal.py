@@ -12,7 +12,6 @@ import threading
 
 import zenoh
 
-from edge.bus.certificate import out_of_date
 from edge.bus.zenoh_file import TLS, get, host_and_port, parameters, protocol, unreadable
 from edge.host.interruptible import start_unjoined
 from edge.text import one_line
@@ -35,6 +34,7 @@ _ALERTS = {
     "CERTIFICATE_UNKNOWN": "it does not take our certificate",
     "ACCESS_DENIED": "it does not take our certificate",
 }
+_OUT_OF_DATE = (9, 10)  # X509_V_ERR_CERT_NOT_YET_VALID, …_HAS_EXPIRED
 _NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "UNEXPECTED_EOF_WHILE_READING")
 _NOT_TAKEN_IN = (
     "somebody is there and takes no session: either it asks for a user and a password, or for "
@@ -118,7 +118,7 @@ def _tls_refusal(
             # Under TLS 1.3 our certificate is judged when we are through with the handshake.
             secure.recv(1)
     except ssl.SSLCertVerificationError as error:
-        if out_of_date(error):
+        if error.verify_code in _OUT_OF_DATE:
             said = one_line(error.verify_message)
             return f"its certificate is out of date, or the clock here is wrong ({said})"
         return (

@@ -21,7 +21,6 @@ from typing import Literal
 import zenoh
 
 from edge import config
-from edge.bus.certificate import judge
 from edge.bus.refusal import UnknownHostError, why_refused
 from edge.bus.topics import Qos, Topic
 from edge.bus.zenoh_file import (
@@ -211,8 +210,6 @@ def open_session(
         log.warning("zenoh.endpoint: %s", OPEN.format(address))
     if role != "route" and shuts_all_out(found, settings.prefix):
         log.warning("%s: %s", key, SHUT.format(settings.prefix))
-    if get(found, "listen/endpoints") and (fault := judge(found)) is not None:
-        log.warning("%s: listen_certificate: %s", key, fault)
     told: set[str | None] = set()
     before: str | None = None
     known_s = time.monotonic()  # when the host's name was last known

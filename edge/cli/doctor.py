@@ -141,7 +141,6 @@ def check_endpoint(config: Config) -> Iterator[Finding]:
 
 def check_strangers(config: Config) -> Iterator[Finding]:
     """Who may come in, and who may read what keeps them out."""
-    from edge.bus.certificate import judge
     from edge.bus.session import OPEN, SHUT, session_config, zenoh_file_of
     from edge.bus.zenoh_file import open_to, others_can_read, shuts_all_out
     from edge.host.credentials import open_to_others, read_token
@@ -154,8 +153,6 @@ def check_strangers(config: Config) -> Iterator[Finding]:
     if shuts_all_out(served, settings.prefix):
         todo = "write the keys of its rules anew (docs/security.md)"
         yield Finding("warn", SHUT.format(settings.prefix), todo)
-    if (fault := judge(served)) is not None:
-        yield Finding("warn", f"listen_certificate: {fault}", "see docs/security.md")
     paths = [
         path
         for role in ("listen", "connect")

@@ -208,13 +208,13 @@ def _results(kinds) -> None:  # type: ignore[no-untyped-def]
         "results", help="run what a document of measurements lacks, and write it"
     )
     option = results.add_argument
-    option("file", type=Path, metavar="FILE", help="YAML; the Markdown is written beside it")
+    option("file", type=Path, metavar="FILE", help="YAML: what to run and show")
     option("--only", nargs="+", metavar="SECTION", help="run these sections only")
     option("--episodes", type=count, metavar="N", help="run the first N episodes of each only")
     option("--no-run", action="store_true", help="write what is there")
     option(
         "--out", type=Path, default=Path("results"), metavar="DIR",
-        help="for the outcomes, a folder a section (default: ./%(default)s)",
+        help="for the outcomes, the Markdown and the plots (default: ./%(default)s)",
     )  # fmt: skip
     option("--workers", type=count, default=1, metavar="N", help="processes (default: 1)")
     results.set_defaults(handler=lazy("edge.eval.comparison.results", "run"))

@@ -9,7 +9,6 @@ from edge.config.loop import Http, Loop, Report, Source, Zenoh
 from edge.config.mapping import Mapping
 from edge.config.mission import (
     Mission,
-    PlannerExpected,
     PlannerInOrder,
     PlannerOwn,
     PlannerVitl,
@@ -81,7 +80,6 @@ __all__ = [
     "ModelProcess",
     "Motion",
     "Perception",
-    "PlannerExpected",
     "PlannerInOrder",
     "PlannerOwn",
     "PlannerVitl",

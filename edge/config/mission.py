@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Union
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, field_validator
 
 from edge.config.section import (
     MODULE_CLASS,
@@ -84,41 +84,6 @@ class PlannerVitl(Section):
     replan_margin_m: NonNegative = 1.0
 
 
-class PlannerExpected(Section):
-    """Least expected cost: a stochastic shortest path over automaton and knowledge.
-
-    With `weights: distance` costs are metres. A known object costs the way to it; another one is
-    searched for behind the frontiers, by their unknown area, the way there and the prior's lift,
-    or `explore_m` beyond them. The plan is also made anew when it gets better by `replan_margin_m`,
-    or, by a search, whose costs are less certain, by `search_margin_m`.
-    With `weights: constant` an object that was not seen takes 1 / `p_obs` attempts to be seen, on
-    average and whatever is searched for, and a known one `w_det`; `prior: cooccurrence` changes
-    `p_obs` by what is known.
-    """
-
-    kind: Literal["expected"] = "expected"
-    weights: Literal["constant", "distance"] = "distance"
-    p_obs: Annotated[float, Field(gt=0, le=1)] = 0.5
-    prior: Literal["constant", "cooccurrence"] = "constant"
-    w_det: Annotated[float, Field(gt=0, lt=1)] = 0.01
-    explore_m: Positive = 10.0
-    replan_margin_m: NonNegative = 1.0
-    search_margin_m: NonNegative = 5.0
-
-    @model_validator(mode="after")
-    def _reads_what_it_is_given(self) -> PlannerExpected:
-        read = {
-            "constant": ("p_obs", "prior", "w_det"),
-            "distance": ("explore_m", "replan_margin_m", "search_margin_m"),
-        }
-        other = "constant" if self.weights == "distance" else "distance"
-        fields = type(self).model_fields  # a configuration printed in full has them as they are
-        unread = [name for name in read[other] if getattr(self, name) != fields[name].default]
-        if unread:
-            raise ValueError(f"{', '.join(unread)}: read with weights: {other} only")
-        return self
-
-
 class PlannerInOrder(Section):
     """Targets as the instruction names them, whatever was seen: a baseline for evaluations."""
 
@@ -153,7 +118,6 @@ class Mission(Section):
     planner: Annotated[
         Union[
             Annotated[PlannerVitl, Tag("vitl")],
-            Annotated[PlannerExpected, Tag("expected")],
             Annotated[PlannerInOrder, Tag("in_order")],
             Annotated[PlannerOwn, Tag(MODULE_CLASS)],
         ],
@@ -172,3 +136,13 @@ class Mission(Section):
     verify_s: Positive = 2.0
     stuck_s: Positive = 12.0
     discard_s: Positive = 45.0
+
+    @field_validator("planner", mode="before")
+    @classmethod
+    def _names_no_removed_planner(cls, planner: Any) -> Any:
+        if kind_of(planner) == "expected":
+            raise ValueError(
+                "kind expected was removed: its ways were no shorter than those of kind: vitl with "
+                "weights: distance; use that"
+            )
+        return planner

@@ -23,7 +23,6 @@ class DetectorOnnx(Section):
     threads: Annotated[int, Field(ge=1, le=64)] = 2
     vocabulary: str | None = None
     background: tuple[str, ...] = ()
-    nms_iou: Fraction = 0.5
     max_detections: Annotated[int, Field(ge=1, le=1000)] = 64
     tau_vl: Fraction = 0.05
     device_id: Annotated[int, Field(ge=0)] = 0
@@ -39,7 +38,6 @@ class DetectorSim(Section):
     kind: Literal["sim"] = "sim"
     background: tuple[str, ...] | None = None
     max_range_m: Positive = 6.0
-    min_visible_px: Annotated[int, Field(ge=1)] = 40
     miss_rate: Fraction = 0.1
     false_positive_rate: Fraction = 0.005
     score_noise: NonNegative = 0.08
@@ -86,32 +84,24 @@ class ModelProcess(Section):
     """How a model in a process of its own is looked after (`isolation: process`; before a swap).
 
     A frame that takes longer than `timeout_s` counts as a hang; what its process waited for a core
-    is added to that, at most as much again. A process that ended is started again after
-    `backoff_s`, twice as long each time up to `backoff_max_s`. After more than `restarts` ends in a
-    row, none after a run of `window_s`, the detector is `degraded`: one more try each `window_s`.
+    is added to that, at most as much again. A process that ended is started again
+    (`edge.perception.process.kept`).
     """
 
     timeout_s: Positive = 0.8
     start_timeout_s: Positive = 60.0
-    backoff_s: Positive = 0.2
-    backoff_max_s: Positive = 5.0
-    restarts: Annotated[int, Field(ge=0)] = 8
-    window_s: Positive = 60.0
 
 
 class Swap(Section):
     """What a model must do to take another's place in the running service.
 
-    It is tried on the last `images` images: sound, at most `budget_ms` at the median, and, where
-    both are of one family, `min_recall` of the boxes above `tau_det` that the old one finds. The
-    old one is kept until the new one has run clean on `probation` images.
+    It is tried on the last images: sound, at most `budget_ms` at the median, and, if both are of
+    one family, half of the boxes above `tau_det` that the old one finds. The old one is kept until
+    the new one has run clean on `probation` images.
     """
 
-    images: Annotated[int, Field(ge=1, le=32)] = 4
     budget_ms: Positive = 33.0
-    min_recall: Fraction = 0.5
     probation: Annotated[int, Field(ge=1)] = 60
-    load_timeout_s: Positive = 600.0
 
 
 class Rung(Section):
@@ -130,18 +120,12 @@ class Rung(Section):
 class Governor(Section):
     """What is given up, rung by rung, when the computer cannot keep up; no ladder, no governor.
 
-    A rung is stepped down when for `over_s` the detector has taken longer at the median than
-    `perception.swap.budget_ms`, detects nothing, or the board throttles, or is within `margin_c` of
-    where it would; never two within `dwell_s`. It is stepped up again after `room_s` with the
-    detector below `room` of its budget and the board cool; each step up in vain doubles that.
+    A rung is stepped down when the detector takes longer at the median than
+    `perception.swap.budget_ms`, detects nothing, or the board throttles or soon would. It is
+    stepped up again when there is room (`edge.loop.ladder`).
     """
 
     ladder: tuple[Rung, ...] = ()
-    over_s: Positive = 3.0
-    dwell_s: Positive = 15.0
-    room_s: Positive = 60.0
-    room: Fraction = 0.7
-    margin_c: NonNegative = 3.0
 
 
 class ChoiceNone(Section):

@@ -32,7 +32,6 @@ class _Selection(Section):
     switch_margin: NonNegative = 0.3
     instances: bool = True
     look_round: bool = False
-    turn_m_per_rad: NonNegative = 0.15
 
 
 class PolicyHvl(_Selection):
@@ -43,13 +42,10 @@ class PolicyHvl(_Selection):
     """
 
     kind: Literal["hvl"] = "hvl"
-    sigma_rad: Positive = 0.1
     w_dist: NonNegative = 0.5
     w_vl: NonNegative = 1.0
     w_context: NonNegative = 3.0
     distance: Literal["path", "straight"] = "path"
-    unknown_k: Positive = 2.0
-    unknown_radius_m: Positive = 1.0
     heuristics: bool = True
 
 
@@ -61,14 +57,11 @@ class PolicyNearest(_Selection):
 
 
 class PolicySearch(_Selection):
-    """Ours: the area that a frontier would show, under a root, over the way there and `start_m`,
-    times the prior's lift to the power of `prior_weight`; 0: what was seen does not count."""
+    """Ours: the area that a frontier would show, under a root, over the way there, times the
+    prior's lift."""
 
     kind: Literal["search"] = "search"
     look_round: bool = True
-    start_m: Positive = 1.0
-    look_weight: NonNegative = 1.0
-    prior_weight: NonNegative = 1.0
 
 
 class PolicyVlfm(_Selection):
@@ -93,15 +86,12 @@ class PolicyDirectional(_Selection):
 
 
 class PolicyAdaptive(_Selection):
-    """ApexNav's rule. Where the frontiers' values differ enough, their standard deviation by over
-    `least_spread` and the best from the mean by over `least_ratio`, a tour through those within
-    `keep` of the best is begun; else the robot goes to the nearest by path."""
+    """ApexNav's rule. If the frontiers' values differ enough, a tour through those within `keep`
+    of the best is begun; else the robot goes to the nearest by path."""
 
     kind: Literal["adaptive"] = "adaptive"
     by: Literal["similarity", "choice", "prior"] = "similarity"
     radius_m: Positive = 0.5
-    least_spread: NonNegative = 0.030
-    least_ratio: Annotated[float, Field(ge=1)] = 1.2
     keep: Fraction = 0.9
 
 

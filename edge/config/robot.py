@@ -99,18 +99,15 @@ class Motion(Section):
 
     `clearance_m` is kept from occupied cells on top of the map's own inflation; `near_m` and
     `near_cost` make cells near obstacles dearer; `give_up_s` is how long a goal may stay
-    without a path. A robot that was told to drive `contact_m` and did not come `stuck_m` far
-    pushes against something; within `stuck_s` it is stuck, whatever it was told.
+    without a path. A robot that was told to drive and did not come `stuck_m` far pushes
+    against something; within `stuck_s` it is stuck, whatever it was told.
     """
 
     rate_hz: Positive = 20.0
-    lookahead_m: Positive = 0.45
     goal_tolerance_m: Positive = 0.12
     yaw_tolerance_rad: Positive = 0.15
-    replan_s: Positive = 0.5
     stuck_s: Positive = 4.0
     stuck_m: Positive = 0.05
-    contact_m: Positive = 0.3
     unknown_cost: Positive = 3.0
     clearance_m: NonNegative = 0.0
     near_m: Positive = 0.4

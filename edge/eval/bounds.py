@@ -7,6 +7,8 @@ costs no way, and the way is what SPL counts.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -77,7 +79,7 @@ class KnownRoom:
         if not world.rooms:
             raise ValueError(f"{world.name}: nobody knows its rooms")
         self._world, self._radius_m = world, robot_radius_m
-        self._search = Search(PolicySearch(prior_weight=0.0))
+        self._search = Search(PolicySearch())
         self._left_m: dict[str, np.ndarray] = {}
 
     def score(self, context: Context) -> np.ndarray:
@@ -89,7 +91,7 @@ class KnownRoom:
         leads = ELSEWHERE / (1.0 + _path_m(candidates) + left_m)
         kind = candidates.kind[: candidates.n]
         leads[kind == LOOK] = ELSEWHERE  # to turn is no way
-        score = np.where(left_m == 0.0, self._search.score(context), leads)
+        score = np.where(left_m == 0.0, self._search.score(replace(context, prior=None)), leads)
         return _instances_first(self._world, context, score)
 
     def reset(self, why: Why) -> None:

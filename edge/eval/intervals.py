@@ -1,4 +1,7 @@
-"""Confidence intervals at 95 %."""
+"""Confidence intervals at 95 %.
+
+Wilson's and Student's are SciPy's. Its bootstrap knows no clusters of ratios, so that is here.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr, stdtrit
 
 Z = 1.959963984540054
 RESAMPLES = 10_000
@@ -28,10 +32,10 @@ def wilson(successes: int, n: int) -> Interval:
     """
     if n == 0:
         return Interval(math.nan, math.nan, math.nan)
-    share, z2 = successes / n, Z * Z
-    middle = (share + z2 / (2 * n)) / (1 + z2 / n)
-    half = Z * math.sqrt(share * (1 - share) / n + z2 / (4 * n * n)) / (1 + z2 / n)
-    return Interval(share, max(0.0, min(middle - half, share)), min(1.0, max(middle + half, share)))
+    from scipy.stats import binomtest  # takes a second to import
+
+    bounds = binomtest(successes, n).proportion_ci(method="wilson")
+    return Interval(successes / n, float(bounds.low), float(bounds.high))
 
 
 def ratio(numerators: np.ndarray, denominators: np.ndarray) -> Interval:
@@ -105,23 +109,6 @@ def _expanded(value: float, draws: np.ndarray, clusters: int) -> Interval:
     draws = draws[np.isfinite(draws)] if clusters > 1 else draws[:0]
     if not math.isfinite(value) or not len(draws):
         return Interval(value if math.isfinite(value) else math.nan, math.nan, math.nan)
-    tail = 0.5 * math.erfc(_student(clusters - 1) * math.sqrt(clusters / (clusters - 1) / 2))
-    low, high = np.quantile(draws, (tail, 1.0 - tail))
+    t = stdtrit(clusters - 1, 0.975) * math.sqrt(clusters / (clusters - 1))
+    low, high = np.quantile(draws, (ndtr(-t), ndtr(t)))
     return Interval(value, float(low), float(high))
-
-
-def _student(freedom: int) -> float:
-    """The 97.5 % point of Student's t: exact for one or two degrees of freedom, else by
-    Abramowitz and Stegun 26.7.5."""
-    if freedom == 1:
-        return math.tan(0.475 * math.pi)
-    if freedom == 2:
-        return 0.95 * math.sqrt(2 / (1 - 0.95**2))
-    z = Z
-    terms = (
-        (z**3 + z) / 4,
-        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
-        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
-        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
-    )
-    return z + sum(term / freedom ** (i + 1) for i, term in enumerate(terms))

@@ -19,6 +19,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -96,6 +97,22 @@ def benchmark_cases(n: int, seed: int = 0) -> list[Case]:
     return [Case(task.template, task.sentence, task.formula) for task in generate(n, seed)]
 
 
+@contextmanager
+def _table(path: Path, what: str) -> Iterator[io.TextIOWrapper]:
+    """Open a table of sentences.
+
+    Raises:
+        UserError: the file cannot be read, or is no such table.
+    """
+    try:
+        with open_regular(path) as file:
+            yield io.TextIOWrapper(file, encoding="utf-8", newline="")
+    except (
+        OSError, ValueError, csv.Error, KeyError, TypeError, AttributeError, FormulaError
+    ) as error:  # fmt: skip
+        raise UserError(f"{path}: not readable as {what}: {error!r}") from error
+
+
 def lang2ltl_cases(path: Path) -> tuple[list[Case], Counter[str]]:
     """The utterances whose formulas a mission can fulfil, and how many others by pattern.
 
@@ -104,16 +121,13 @@ def lang2ltl_cases(path: Path) -> tuple[list[Case], Counter[str]]:
     """
     cases: list[Case] = []
     left_out: Counter[str] = Counter()
-    try:
-        with open_regular(path) as file:
-            for row in csv.DictReader(io.TextIOWrapper(file, encoding="utf-8", newline="")):
-                formula = from_prefix(row["ltl_formula"])
-                if satisfiable(formula, silent_end=True):
-                    cases.append(Case(row["pattern_type"], row["utterance"], formula, True))
-                else:
-                    left_out[row["pattern_type"]] += 1
-    except (OSError, ValueError, csv.Error, KeyError) as error:
-        raise UserError(f"{path}: not readable as Lang2LTL's table: {error!r}") from error
+    with _table(path, "Lang2LTL's table") as file:
+        for row in csv.DictReader(file):
+            formula = from_prefix(row["ltl_formula"])
+            if satisfiable(formula, silent_end=True):
+                cases.append(Case(row["pattern_type"], row["utterance"], formula, True))
+            else:
+                left_out[row["pattern_type"]] += 1
     return cases, left_out
 
 
@@ -135,22 +149,19 @@ def clean_up_cases(path: Path) -> tuple[list[Case], Counter[str]]:
     """
     cases: list[Case] = []
     left_out: Counter[str] = Counter()
-    try:
-        with open_regular(path) as file:
-            for line in io.TextIOWrapper(file, encoding="utf-8"):
-                row = json.loads(line)
-                prefix = [_ROOMS.get(word, word) for word in row["raw_ltl"].split()]
-                rooms = {word for word in prefix if word in _ROOMS.values() or word in "XZ"}
-                said = {found[1].lower() for found in _ROOM.finditer(row["natural"])}
-                part = " ".join("r" if word in rooms else word for word in prefix)
-                if said != rooms:
-                    left_out[part] += 1
-                    continue
-                formula = renamed(from_prefix(" ".join(prefix)), "{} room".format)
-                sentence = _ROOM.sub(lambda found: f"{found[1].lower()} room", row["natural"])
-                cases.append(Case(part, sentence, formula, True))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"{path}: not readable as the clean-up table: {error!r}") from error
+    with _table(path, "the clean-up table") as file:
+        for line in file:
+            row = json.loads(line)
+            prefix = [_ROOMS.get(word, word) for word in row["raw_ltl"].split()]
+            rooms = {word for word in prefix if word in _ROOMS.values() or word in "XZ"}
+            said = {found[1].lower() for found in _ROOM.finditer(row["natural"])}
+            part = " ".join("r" if word in rooms else word for word in prefix)
+            if said != rooms:
+                left_out[part] += 1
+                continue
+            formula = renamed(from_prefix(" ".join(prefix)), "{} room".format)
+            sentence = _ROOM.sub(lambda found: f"{found[1].lower()} room", row["natural"])
+            cases.append(Case(part, sentence, formula, True))
     return cases, left_out
 
 
@@ -167,10 +178,9 @@ def own_cases(path: Path) -> tuple[list[Case], Counter[str]]:
     """
     cases: list[Case] = []
     left_out: Counter[str] = Counter()
-    try:
-        with open_regular(path) as file:
-            lines = io.TextIOWrapper(file, encoding="utf-8").read().splitlines()[1:]
-        for line in lines:
+    with _table(path, "a table of sentences") as file:
+        next(file, None)
+        for line in file:
             said, right = (json.loads(cell) for cell in line.split("\t")[:2])
             if right == ["LONG"]:
                 left_out[TO_READ] += 1
@@ -178,8 +188,6 @@ def own_cases(path: Path) -> tuple[list[Case], Counter[str]]:
             part = MAY_REFUSE if [] in right else TO_READ
             formulas = tuple(parse(text) for text in right if text)
             cases.append(Case(part, said, formulas[0] if formulas else FALSE, others=formulas[1:]))
-    except (OSError, ValueError, TypeError, FormulaError) as error:
-        raise UserError(f"{path}: not readable as a table of sentences: {error!r}") from error
     return cases, left_out
 
 

@@ -19,7 +19,7 @@ from edge.sim.base import World, WorldObject
 from edge.types import Goal, Instance, MissionStatus, Observation
 
 TRAIL_M = 0.25
-MIN_PX = 40  # of a thing in the picture for it to be seen, where the detector does not say
+MIN_PX = 40  # of a thing in the picture for it to be seen
 SURE = ("confirmed", "reached")
 SAME_M = 0.5  # an instance this near a thing is that thing
 STANDING_M, STANDING_S = 1.0, 60.0  # within this for so long, the robot was stuck
@@ -73,7 +73,6 @@ class Witness:
         detector = config.perception.detector
         simulated = detector.kind == "sim"
         self._range_m = detector.max_range_m if simulated else config.perception.lift_max_range_m
-        self._min_px = detector.min_visible_px if simulated else MIN_PX
         self.fault: Exception | None = None
         self.now: Truth | None = None
         self.seconds = 0.0
@@ -137,7 +136,7 @@ class Witness:
         for target, mine in self._mine.items():
             if target in self.sights or depth_m is None or not len(self.things[target]):
                 continue
-            if visible_px(truth.ids, depth_m, mine, self._range_m) >= self._min_px:
+            if visible_px(truth.ids, depth_m, mine, self._range_m) >= MIN_PX:
                 self.sights[target] = Sight(self.seconds, truth.path_m)
 
     def _judge_steps(self, result: TickResult, truth: Truth) -> None:

@@ -24,6 +24,7 @@ _UNMEASURED = np.float32(-1.0)
 _MEASURED = 12
 LOOK_MIN_M2 = 1.5
 """A turn that shows less is not worth a goal."""
+TURN_M_PER_RAD = 0.15  # what a turn is worth as way
 _LOOK_SAME_RAD = 0.6
 
 
@@ -128,9 +129,7 @@ class CandidatePool:
         if k and grid.window.placed:
             grid.gain.around(c.xy_m, self._measured, k, c.gain_m2)
 
-    def add_look(
-        self, grid: RollingMap, pose: SE2, fov_rad: float, turn_m_per_rad: float, now_ns: int
-    ) -> None:
+    def add_look(self, grid: RollingMap, pose: SE2, fov_rad: float, now_ns: int) -> None:
         """Add the turn on the spot that shows the most, where one is worth it."""
         c = self.candidates
         if c.n == len(c.id):
@@ -151,7 +150,7 @@ class CandidatePool:
         c.first_seen_ns[i] = c.stamp_ns
         c.confidence[i] = 0.0
         c.sure[i] = False
-        c.path_m[i] = turn_m_per_rad * turn_rad
+        c.path_m[i] = TURN_M_PER_RAD * turn_rad
         c.gain_m2[i] = area_m2
         c.n = self.shown.n = i + 1
         last = slice(i, i + 1)

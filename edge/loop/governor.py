@@ -23,6 +23,7 @@ from edge.perception.worker import DetectorWorker
 
 SECOND_NS = 1_000_000_000
 BOARD_S = 2.0
+MARGIN_C = 3.0  # so near to where it throttles a board is in distress
 COOL_C = 5.0  # so much further from where it throttles a board is cool
 _MOST_TIMES = 256  # of the detector, in a second
 
@@ -54,7 +55,6 @@ class Governor:
     ) -> None:
         self._perception = perception
         self._rungs = perception.governor.ladder
-        self._margin_c = perception.governor.margin_c
         for name in filter(None, (rung.model for rung in self._rungs)):
             _check_here(name)
         self._worker, self._swapper, self._scorers = worker, swapper, scorers
@@ -126,7 +126,7 @@ class Governor:
         """On the first rung, whose model runs."""
         detector = self._perception.detector
         self._model = detector.model if detector.kind == "onnx" else None
-        self._ladder = Ladder(self._perception.governor, self._perception.swap.budget_ms)
+        self._ladder = Ladder(len(self._rungs), self._perception.swap.budget_ms)
         self._unfit.clear()
         self._move = None
         self._rest(0)
@@ -144,8 +144,8 @@ class Governor:
         if board is None:
             return
         before, self._seen = self._seen, board
-        self._distress = distress(board, before, self._margin_c)
-        self._cool = not distress(board, before, self._margin_c + COOL_C)
+        self._distress = distress(board, before, MARGIN_C)
+        self._cool = not distress(board, before, MARGIN_C + COOL_C)
         if before is not None and board.power_mode != before.power_mode:
             self._ladder.forget()
             self._tell(f"governor: power mode {board.power_mode}, was {before.power_mode}", now_ns)

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from edge.config import Governor
-
+OVER_S, DWELL_S, ROOM_S = 3.0, 15.0, 60.0
+"""How long it is too much before a step down, how long between steps, and how long there is room
+before a step up."""
+ROOM = 0.7
+"""There is room if the detector takes less than this share of its budget."""
 MOST_DOUBLINGS = 6
-"""Of `room_s`, however often a step up was in vain: an hour or so."""
+"""Of `ROOM_S`, however often a step up was in vain: an hour or so."""
 UNLIKELY = 4
 """Doublings to wait for a step up that should not fit, by what its rung cost before: the load may
 be another by now, so it is tried all the same, but seldom."""
@@ -41,7 +44,7 @@ class Move(NamedTuple):
 class Ladder:
     """Steps down what is too much, and up again where there is room.
 
-    No two steps come within `dwell_s`. A step up that does not last as long as twice what was
+    No two steps come within `DWELL_S`. A step up that does not last as long as twice what was
     waited for it was in vain, and doubles the next wait.
 
     Attributes:
@@ -49,12 +52,10 @@ class Ladder:
         budget_ms: what the detector may take; may be set.
     """
 
-    def __init__(self, rules: Governor, budget_ms: float) -> None:
+    def __init__(self, rungs: int, budget_ms: float) -> None:
         self.rung, self.budget_ms = 0, budget_ms
-        self._rungs = len(rules.ladder)
-        self._over_ns, self._dwell_ns = _ns(rules.over_s), _ns(rules.dwell_s)
-        self._room_ns, self._for_s = _ns(rules.room_s), rules.over_s
-        self._room = rules.room
+        self._rungs = rungs
+        self._over_ns, self._dwell_ns, self._room_ns = map(_ns, (OVER_S, DWELL_S, ROOM_S))
         self._strained_ns: int | None = None  # since when, without a break
         self._roomy_ns: int | None = None
         self._moved_ns: int | None = None
@@ -82,7 +83,7 @@ class Ladder:
             if now_ns - self._strained_ns < self._over_ns:
                 return None
             self._left_ms = took_ms
-            return Move(self.rung + 1, f"{why}, for {self._for_s:g} s and more")
+            return Move(self.rung + 1, f"{why}, for {OVER_S:g} s and more")
         if self._roomy_ns is not None and took_ms is not None and self.rung > 0:
             waited_ns = now_ns - self._roomy_ns
             if waited_ns >= self._wait_ns(took_ms):
@@ -120,7 +121,7 @@ class Ladder:
         )
 
     def _fits(self, detect_ms: float | None) -> bool:
-        return detect_ms is not None and detect_ms <= self._room * self.budget_ms
+        return detect_ms is not None and detect_ms <= ROOM * self.budget_ms
 
     def _wait_ns(self, took_ms: float) -> int:
         """How long there must be room before the next step up."""

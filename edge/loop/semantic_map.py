@@ -19,11 +19,9 @@ from edge.loop.result import VALUE_LAYER
 from edge.mapping.grid import RollingMap
 from edge.mapping.results import MapUpdate
 from edge.mapping.view import MapView
-from edge.mission.planning.belief import Prospects
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
 from edge.perception.sightings import SightingTracker
-from edge.policies.base import FRONTIER
 from edge.types import Detections, Instance, Observation
 
 Kept = dict[str, np.ndarray]
@@ -104,23 +102,7 @@ class SemanticMap:
         pool.update(self.grid.frontiers, instances, observation.stamp_ns, now_ns)
         pool.measure(self.grid)
         if policy.look_round and camera is not None:
-            turn_m = policy.turn_m_per_rad
-            pool.add_look(self.grid, observation.pose, camera.hfov_rad, turn_m, now_ns)
-
-    def prospects(self, letters: Sequence[str]) -> Prospects:
-        """Where a search for these may go on, as things stand: a copy.
-
-        A frontier or turn that is left alone for now, shows nothing or is not to be got to is none.
-        """
-        c, n = self.pool.candidates, self.pool.candidates.n
-        shows = (c.gain_m2[:n] > 0.0) & ~c.blocked[:n] & np.isfinite(c.path_m[:n])
-        lift = np.ones((len(letters), n), np.float32)
-        frontiers = int(np.count_nonzero(c.kind[:n] == FRONTIER))
-        if self.prior is not None:
-            for letter, row in zip(letters, lift, strict=True):
-                self.prior.lift(letter, c.xy_m, frontiers, row)
-        found = (c.xy_m[:n][shows], c.gain_m2[:n][shows], lift[:, shows])
-        return Prospects(*(array.astype(np.float64) for array in found))
+            pool.add_look(self.grid, observation.pose, camera.hfov_rad, now_ns)
 
     # -- from one mission, configuration or frame to another --------------------------------
 

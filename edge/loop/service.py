@@ -300,7 +300,7 @@ class Service:
         mission.see(self._newest_ids(), now_ns, keep=task is not None and task.phase != "looking")
         if self._surveyor is not None and task is None:
             here = self.map
-            self._surveyor.step(mission, here.grid, here.tracker, here.prospects, pose, now_ns)
+            self._surveyor.step(mission, here.grid, here.tracker, pose, now_ns)
         if self.goals.follows(mission) and not (mission.done or mission.paused):
             stuck = self.goals.judge(self.map.grid, pose, mission, self._images, now_ns)
             if task is not None:
@@ -374,7 +374,6 @@ class Service:
             id: see `MissionRun.id`.
 
         Raises:
-            PlannerError: its automaton is too large for the configured planner.
             PromptError, ModelError: the detector cannot look for one of its targets.
 
         Nothing has changed when it raises.

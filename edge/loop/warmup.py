@@ -78,7 +78,7 @@ def warm_policy(config: Config) -> None:
     grid.reach.step(SE2(0.0, 0.0, 0.0))
     pool.update(grid.frontiers, [], 0, 0)
     pool.measure(grid)
-    pool.add_look(grid, SE2(0.0, 0.0, 0.0), 1.0, 0.1, 0)
+    pool.add_look(grid, SE2(0.0, 0.0, 0.0), 1.0, 0)
     observation = Observation(
         0, 0, np.eye(4), camera=CameraModel.from_hfov(320, 256, 1.2), rgb=None
     )

@@ -12,28 +12,25 @@ from typing import Any
 
 import numpy as np
 
-from edge.config import PlannerExpected, PlannerInOrder, PlannerOwn, PlannerVitl
+from edge.config import PlannerInOrder, PlannerOwn, PlannerVitl
 from edge.config.named import find_named
 from edge.mission.automaton import Automaton
 from edge.mission.ltl import Formula
-from edge.mission.planning import belief, distances
-from edge.mission.planning.expected import ExpectedPlanner, PlannerError
-from edge.mission.planning.expected_metres import ExpectedMetresPlanner
+from edge.mission.planning import distances
 from edge.mission.planning.in_order import InOrderPlanner
 from edge.mission.planning.plan import Knowledge, Plan, Planner
 from edge.mission.planning.vitl import VitlPlanner
 
-__all__ = ["Knowledge", "Plan", "Planner", "PlannerError", "make_planner", "warm_up"]
+__all__ = ["Knowledge", "Plan", "Planner", "make_planner", "warm_up"]
 
 REGISTRY: dict[str, Any] = {
     "vitl": VitlPlanner,
-    "expected": ExpectedPlanner,
     "in_order": InOrderPlanner,
 }
 
 
 def make_planner(
-    config: PlannerVitl | PlannerExpected | PlannerInOrder | PlannerOwn,
+    config: PlannerVitl | PlannerInOrder | PlannerOwn,
     automaton: Automaton,
     instruction: str = "",
     **keywords: Any,
@@ -42,18 +39,14 @@ def make_planner(
 
     Args:
         instruction: that the automaton is of, for one's own.
-        keywords: `known_reached` of `VitlPlanner`; `universe_extra` of `ExpectedPlanner`, which
-            knows no metres.
+        keywords: `known_reached` of `VitlPlanner`.
 
     Raises:
-        PlannerError: the automaton is too large for the expected-cost planner.
         ConfigError: one's own cannot be made.
     """
     if isinstance(config, PlannerOwn):
         make = find_own_planner(config, "mission.planner")
         return make(automaton=automaton, instruction=instruction)
-    if isinstance(config, PlannerExpected) and config.weights == "distance":
-        return ExpectedMetresPlanner(config, automaton)
     return REGISTRY[config.kind](config, automaton, **keywords)
 
 
@@ -79,8 +72,6 @@ def warm_up() -> None:
         accepting=np.array([False, True]),
         steps_left=np.array([1, 0], np.int32),
     )
-    for kind in (PlannerVitl, PlannerExpected):
-        for weights in ("constant", "distance"):
-            make_planner(kind(weights=weights), automaton).plan(0, Knowledge())
+    for weights in ("constant", "distance"):
+        make_planner(PlannerVitl(weights=weights), automaton).plan(0, Knowledge())
     distances.warm_up()
-    belief.warm_up()

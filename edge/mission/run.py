@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Literal
 
+import numpy as np
+
 from edge.config import Mission
 from edge.geometry import SE2
 from edge.mission.automaton import NOTHING
 from edge.mission.brief import Brief
 from edge.mission.planner import make_planner
-from edge.mission.planning.belief import Survey
 from edge.mission.planning.in_sight import InSightPlanner
 from edge.mission.planning.plan import Knowledge, Plan, Planner
 from edge.text import one_line
@@ -77,7 +78,7 @@ class MissionRun:
             if brief.steps is None
             else InSightPlanner(brief.targets, brief.steps)
         )
-        self._survey: Survey | None = None
+        self._distance_m: np.ndarray | None = None
         self._ended: Literal["idle", "reached", "failed"] | None = None
         self._why_failed: dict[str, str] = {}
         self._newest: dict[str, int] = {}
@@ -107,8 +108,8 @@ class MissionRun:
     @property
     def knowledge(self) -> Knowledge:
         """The sets D, R and B (ViTL IV-A2), and metres where they are weights."""
-        reached, metres = frozenset(self.reached), self._survey or ()
-        return Knowledge(self.detected - reached, reached, self.failed, *metres)
+        reached = frozenset(self.reached)
+        return Knowledge(self.detected - reached, reached, self.failed, self._distance_m)
 
     @property
     def forbidden(self) -> tuple[str, ...]:
@@ -205,15 +206,15 @@ class MissionRun:
             self._note(now_ns, "seen", label, f"seen: {label}")
         self._replan(now_ns)
 
-    def survey(self, found: Survey, now_ns: int) -> None:
-        """New driving distances between the targets, and what searches are expected to take."""
+    def survey(self, distance_m: np.ndarray, now_ns: int) -> None:
+        """Take new driving distances between the targets; see `Knowledge.distance_m`."""
         if not self.done:
-            self._survey = found
+            self._distance_m = distance_m
             self._replan(now_ns)
 
     def forget_distances(self) -> None:
         """The frame that they were measured in is gone; new ones come with the next survey."""
-        self._survey = None
+        self._distance_m = None
 
     def arrive(self, evidence: str, now_ns: int) -> None:
         """The active target was reached: the one thing that moves the automaton."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import networkx as nx
 import numpy as np
 
 from edge.config import Mission
@@ -88,12 +87,14 @@ def _heeds_own_steps_only(automaton: Automaton) -> bool:
 def _sharing(formulas: Iterable[Formula]) -> list[list[Formula]]:
     """Formulas grouped by the propositions that they share, in order of first appearance."""
     given = list(formulas)
-    shared = nx.Graph()
-    shared.add_nodes_from(range(len(given)))
-    shared.add_edges_from((k, name) for k, f in enumerate(given) for name in ltl.propositions(f))
-    groups = nx.connected_components(shared)
-    members = sorted(sorted(k for k in group if isinstance(k, int)) for group in groups)
-    return [[given[k] for k in group] for group in members]
+    groups: list[tuple[set[str], list[int]]] = []
+    for k, formula in enumerate(given):
+        names, members = set(ltl.propositions(formula)), [k]
+        for group in [group for group in groups if group[0] & names]:
+            groups.remove(group)
+            names, members = names | group[0], [*group[1], *members]
+        groups.append((names, sorted(members)))
+    return [[given[k] for k in members] for _, members in sorted(groups, key=lambda g: g[1])]
 
 
 def asked_for(formula: Formula, limits: Mission | None = None) -> tuple[str, ...]:

@@ -33,6 +33,9 @@ from edge.types import GoalStatus
 
 log = logging.getLogger("edge.motion")
 
+LOOKAHEAD_M = 0.45
+REPLAN_S = 0.5
+CONTACT_M = 0.3  # driven, as it was told, without coming anywhere: it pushes against something
 AIM_FRACTIONS = (1.0, 0.6, 0.35)  # of the look-ahead, tried until the way there is free
 SAFE_M = 0.3  # this much of the path has to be free in the newest map
 DRIFT_M = 0.4  # off the path by more than this: plan again
@@ -65,7 +68,7 @@ class Controller:
         self._workspace = astar.Workspace()
         self._map: costmap.CostMap | None = None
         self._stuck = StuckDetector(settings.motion.stuck_s, settings.motion.stuck_m)
-        self._contact = Contact(settings.motion.contact_m, settings.motion.stuck_m)
+        self._contact = Contact(CONTACT_M, settings.motion.stuck_m)
         self._progress = Progress(6 * settings.motion.stuck_s)
         self._radius_m = settings.robot.radius_m
         self._trail = Trail()
@@ -254,7 +257,7 @@ class Controller:
             self._planned_ns = None
             return STOP
         for fraction in AIM_FRACTIONS:
-            k = index_ahead(self._path, self._index, fraction * self._motion.lookahead_m)
+            k = index_ahead(self._path, self._index, fraction * LOOKAHEAD_M)
             aim = (float(self._path[k, 0]), float(self._path[k, 1]))
             command = pursue(pose, *aim, remaining_m, self._limits)
             if smoothing.line_is_free(self._map, here, aim) and self._is_clear(pose, command):
@@ -277,14 +280,14 @@ class Controller:
         return True
 
     def _remaining_m(self, pose: SE2) -> float:
-        near = self._path[: index_ahead(self._path, self._index, 4 * self._motion.lookahead_m) + 1]
+        near = self._path[: index_ahead(self._path, self._index, 4 * LOOKAHEAD_M) + 1]
         self._index = nearest_index(near, pose.x_m, pose.y_m, self._index)
         return length_m(self._path[self._index :]) + pose.distance_to(*self._path[self._index])
 
     # -- planning -------------------------------------------------------------------------------
 
     def _is_plan_due(self, pose: SE2, now_ns: int) -> bool:
-        if self._planned_ns is None or now_ns - self._planned_ns >= self._motion.replan_s * 1e9:
+        if self._planned_ns is None or now_ns - self._planned_ns >= REPLAN_S * 1e9:
             return True
         return len(self._path) > 0 and pose.distance_to(*self._path[self._index]) > DRIFT_M
 

@@ -39,6 +39,7 @@ log = logging.getLogger(__name__)
 
 INPUTS = ("images", "txt_feats")
 OUTPUTS = ("boxes", "scores")
+NMS_IOU = 0.5
 USUAL_COLUMNS, MAX_COLUMNS = 16, 256
 """Prompts, background counted in, that a TensorRT engine is tuned for and can take."""
 
@@ -301,7 +302,7 @@ class OnnxDetector:
     def _pick(self, asked: _Asked, boxes: np.ndarray, scores: np.ndarray) -> tuple[_Kept, _Kept]:
         """Boxes (a, 4) and scores (a, columns) → those of targets, whose rivals lie in `_against`,
         and those of the context."""
-        c, tau, targets = self.config, np.float32(self.config.tau_vl), len(asked.prompts)
+        tau, targets = np.float32(self.config.tau_vl), len(asked.prompts)
         named = targets + len(asked.columns.context)
         kernels.fold(scores, asked.columns.thing, asked.folded)
         found, invalid = kernels.candidates(
@@ -318,7 +319,7 @@ class OnnxDetector:
         mine = self._keep(asked, boxes, found, (0, targets), self._mine)
         kernels.strongest_rivals(
             boxes, asked.folded, asked.columns.competes, tau, self._top, asked.anchor, asked.label,
-            mine.kept, len(mine.kept), mine.cut, c.nms_iou, self._against,
+            mine.kept, len(mine.kept), mine.cut, NMS_IOU, self._against,
         )  # fmt: skip
         return mine, self._keep(asked, boxes, found, (targets, named), self._around)
 
@@ -329,7 +330,7 @@ class OnnxDetector:
         place, one_word = self._place, labels[0] > 0
         n = kernels.suppress(
             boxes, asked.anchor, asked.label, asked.score, found, *labels, one_word,
-            self.config.nms_iou, out.kept,
+            NMS_IOU, out.kept,
         )  # fmt: skip
         n = kernels.to_image(
             boxes, asked.anchor, out.kept, n, place.scale, place.top, place.left,

@@ -16,6 +16,7 @@ from edge.perception.detector import Health
 from edge.perception.text import PromptError, check_prompts
 from edge.types import ContextBoxes, Detections, Observation
 
+MIN_VISIBLE_PX = 40
 _FULL_VIEW = 0.02
 """Share of the image that an object must fill for its score not to suffer from smallness."""
 _MAX_JITTER = 0.05
@@ -177,7 +178,7 @@ class SimDetector:
         random = np.random.default_rng((c.seed, seq))
         h, w = image_hw
         found = []
-        for i in np.flatnonzero(self._pixels >= c.min_visible_px):
+        for i in np.flatnonzero(self._pixels >= MIN_VISIBLE_PX):
             # Drawn for every visible object, so that one prompt's noise does not shift another's.
             missed, mistaken, noise, edges = (
                 random.random(), random.random(), random.normal(), random.uniform(-1, 1, 4),

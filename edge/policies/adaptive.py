@@ -11,6 +11,8 @@ from edge.config import PolicyAdaptive
 from edge.policies.base import Context, Why
 from edge.policies.by_value import count_frontiers, values_near
 
+LEAST_SPREAD, LEAST_RATIO = 0.030, 1.2
+"""Values tell frontiers apart if their standard deviation, and the best over the mean, are more."""
 MAX_STOPS = 8
 """The shortest tour through more is not sought: the nearest of them are taken."""
 _FIRST, _STEP = 2.0, 0.05
@@ -71,9 +73,9 @@ class Adaptive:
     def _promising(self, scored: np.ndarray) -> np.ndarray:
         """Which of the scored frontiers a tour is to go through; none where geometry decides."""
         c, value = self.config, self._value[scored]
-        if len(scored) < 2 or value.std() <= c.least_spread:
+        if len(scored) < 2 or value.std() <= LEAST_SPREAD:
             return scored[:0]
-        if value.max() <= c.least_ratio * value.mean():
+        if value.max() <= LEAST_RATIO * value.mean():
             return scored[:0]
         return scored[value >= c.keep * value.max()]
 

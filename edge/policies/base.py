@@ -37,7 +37,7 @@ class Candidates:
         sure: (capacity,) bool, instances that the detector has confirmed.
         blocked: (capacity,) bool, discarded for a while.
         path_m: (capacity,) float32, driving distance from the robot, inf where it does not get
-            to; of a look what its turn is worth as way (`policy.turn_m_per_rad`).
+            to; of a look what its turn is worth as way (`edge.loop.candidates.TURN_M_PER_RAD`).
         gain_m2: (capacity,) float32, unknown area that frontiers and looks are expected to show
             (`edge.mapping.gain`); 0 for instances. A frontier's may be some ticks old.
     """

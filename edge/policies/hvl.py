@@ -13,6 +13,11 @@ from edge.perception.prior import table
 from edge.policies.base import FRONTIER, Context, Why, distances_m
 from edge.types import Detections
 
+SIGMA_RAD = 0.1
+"""Of eq. 3: how far from its direction a box speaks."""
+UNKNOWN_K, UNKNOWN_RADIUS_M = 2.0, 1.0
+"""Of eq. 6, and the circle that its share is of."""
+
 
 class Hvl:
     """Scores by eq. 8: what was seen in a frontier's direction, how near, how unknown.
@@ -50,14 +55,14 @@ class Hvl:
             vl_scores(
                 xy_m, candidates.first_seen_ns, self._n, at.x_m, at.y_m,
                 at.yaw_rad + optical_yaw_rad(seen.observation.T_base_camera),
-                seen.observation.stamp_ns, camera.hfov_rad, mu, alpha, len(seen), c.sigma_rad,
+                seen.observation.stamp_ns, camera.hfov_rad, mu, alpha, len(seen), SIGMA_RAD,
                 self._vl,
             )  # fmt: skip
-        context.map.unknown_ratio(xy_m, n, c.unknown_radius_m, self._ratio)
+        context.map.unknown_ratio(xy_m, n, UNKNOWN_RADIUS_M, self._ratio)
         away_m = distances_m(context, c.distance)
         hvl_scores(
             kind, candidates.confidence, self._vl[context.active], self._ratio, away_m, n,
-            c.w_dist, c.w_vl, c.unknown_k, c.heuristics, self._score,
+            c.w_dist, c.w_vl, UNKNOWN_K, c.heuristics, self._score,
         )  # fmt: skip
         return self._score
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from edge.config import PolicySearch
-from edge.policies.base import FRONTIER, INSTANCE, LOOK, Context, Why
+from edge.policies.base import FRONTIER, INSTANCE, Context, Why
+
+START_M = 1.0
+"""No place is so near that it is worth any area."""
 
 
 class Search:
@@ -22,17 +25,16 @@ class Search:
 
     def score(self, context: Context) -> np.ndarray:
         """See `Policy.score`."""
-        c, candidates = self.config, context.candidates
+        candidates = context.candidates
         n = candidates.n
         kind, path_m = candidates.kind[:n], candidates.path_m[:n]
-        score = np.sqrt(np.maximum(candidates.gain_m2[:n], 0.0)) / (c.start_m + path_m)
-        score[kind == LOOK] *= c.look_weight
+        score = np.sqrt(np.maximum(candidates.gain_m2[:n], 0.0)) / (START_M + path_m)
         frontiers = int(np.count_nonzero(kind == FRONTIER))
-        if context.prior is not None and c.prior_weight > 0.0:
+        if context.prior is not None:
             if len(self._lift) < len(candidates.id):
                 self._lift = np.ones(len(candidates.id), np.float32)
             context.prior.lift(context.target, candidates.xy_m, frontiers, self._lift)
-            score[:frontiers] *= self._lift[:frontiers] ** c.prior_weight
+            score[:frontiers] *= self._lift[:frontiers]
         return np.where(kind == INSTANCE, self._of_instances(context), score)
 
     def _of_instances(self, context: Context) -> np.ndarray:
@@ -43,7 +45,7 @@ class Search:
         xy_m, path_m = candidates.xy_m[:n], candidates.path_m[:n]
         straight_m = np.hypot(xy_m[:, 0] - pose.x_m, xy_m[:, 1] - pose.y_m)
         way_m = np.where(np.isfinite(path_m), path_m, straight_m)
-        return np.sqrt(candidates.confidence[:n]) / (self.config.start_m + way_m)
+        return np.sqrt(candidates.confidence[:n]) / (START_M + way_m)
 
     def reset(self, why: Why) -> None:
         """It remembers nothing."""

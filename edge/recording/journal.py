@@ -23,7 +23,6 @@ from edge.loop.journal import Input
 from edge.loop.prior import Rooms
 from edge.loop.result import TickResult
 from edge.mission import ltl, saved
-from edge.mission.planning.belief import Survey
 from edge.mission.translate import Translation
 from edge.perception.choice.question import Choice
 from edge.policies.base import Similarity
@@ -366,18 +365,13 @@ def draft_of(said: dict[str, Any]) -> Draft:
     )
 
 
-def _survey(found: Survey) -> dict[str, Any]:
-    searched = found.search_m
-    return {
-        "distance_m": _array(found.distance_m),
-        "search_m": None if searched is None else _array(searched),
-    }
+def _survey(distance_m: np.ndarray) -> dict[str, Any]:
+    return {"distance_m": _array(distance_m)}
 
 
-def survey_of(said: dict[str, Any]) -> Survey:
-    """A survey; recordings of before there was `search_m` have distances alone."""
-    searched = said.get("search_m")
-    return Survey(_array_of(said["distance_m"]), None if searched is None else _array_of(searched))
+def survey_of(said: dict[str, Any]) -> np.ndarray:
+    """Return the driving distances of a survey."""
+    return _array_of(said["distance_m"])
 
 
 _FOUND: dict[str, Callable[[Any], dict[str, Any]]] = {

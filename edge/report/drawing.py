@@ -1,17 +1,18 @@
-"""The picture of an automaton: a scene, laid out in columns, drawn by matplotlib.
+"""The picture of an automaton: a scene in columns, drawn by matplotlib.
 
-Every arrow goes from left to right where no cycle is in its way. Labels have columns of their own
-between those of the states (Sugiyama, Tagawa and Toda, 1981), so that none lies on a state or on
-another label. Graphviz would do it too, but a robot does not have it installed.
+States stand in even columns by their rank, the labels of arrows in odd ones, so that no label lies
+on a state or on another label. `edge.report.dot` writes text for Graphviz, which draws it better.
 """
 
 from __future__ import annotations
 
 import math
 import textwrap
+from collections import defaultdict
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from statistics import fmean
+from typing import TYPE_CHECKING, NamedTuple, Union
 
 from edge.report import canvas
 from edge.report.canvas import PAPER, text_width
@@ -19,7 +20,6 @@ from edge.report.palette import INK, MUTED
 from edge.report.scene import Arrow, Node, Role, Scene
 
 if TYPE_CHECKING:
-    import networkx as nx
     from matplotlib.axes import Axes
 
 RADIUS = 15.0
@@ -28,60 +28,49 @@ ENTRY = 26.0  # length of the arrow that comes from nowhere to the initial state
 LABEL, CAPTION, NOTE = 11.0, 9.2, 10.0
 LEADING = 1.25
 MIN_WIDTH = 430.0
-GAP = 22.0  # between columns, where arrows bend
-SWEEPS = 24
+GAP = 40.0  # beside a label, where arrows bend
 FAN = 0.3  # how steeply arrows that part at a state leave it
 FORBIDDEN, CURRENT, DEAD, STATE = "#a61e4d", "#1864ab", "#e3e6eb", "#f4f6f9"
 
 
 class Style(NamedTuple):
-    """Of an arrow: `pull` is how much it wants to be level, `order` what it covers."""
+    """Look of an arrow; `order` says what it covers."""
 
     colour: str
     width: float
     ink: str
-    pull: float
     order: int
 
 
 STYLES: dict[Role, Style] = {
-    "other": Style("#9aa4b2", 1.1, INK, 1.0, 0),
-    "visited": Style("#2b8a3e", 2.4, "#2b8a3e", 6.0, 1),
-    "plan": Style("#1c7ed6", 2.4, "#1864ab", 6.0, 2),
+    "other": Style("#9aa4b2", 1.1, INK, 0),
+    "visited": Style("#2b8a3e", 2.4, "#2b8a3e", 1),
+    "plan": Style("#1c7ed6", 2.4, "#1864ab", 2),
 }
 
 
-class Slot(NamedTuple):
-    """What stands in a column, a state, a label or an arrow that passes: size in px.
-
-    Attributes:
-        above, below: room on either side of its centre.
-    """
-
-    width: float
-    above: float
-    below: float
+Slot = Union[int, tuple[int, int]]
+"""What stands in a column: a node by its number, or an arrow that passes as (number, column)."""
 
 
 class Layout(NamedTuple):
-    """Where things stand, in px, y downwards.
+    """Places in px, y downwards.
 
     Attributes:
-        spans: (left, right) of each column.
-        centres: (x, y) of each node of the scene.
-        routes: for each arrow the (column, y) of the slots between its ends, in its direction;
-            its label stands in the first of them, of an arrow to the left in the last.
+        nodes: (x, y) of each node.
+        routes: of each arrow the (x, y) that it passes; its label is at the first.
+        half: half the width of the widest label.
     """
 
     width: float
     height: float
-    spans: list[tuple[float, float]]
-    centres: list[tuple[float, float]]
-    routes: list[list[tuple[int, float]]]
+    nodes: list[tuple[float, float]]
+    routes: list[list[tuple[float, float]]]
+    half: float
 
 
 def draw(scene: Scene) -> Axes:
-    """The picture of a scene: arrows, labels on a ground of their own, states, and the note.
+    """Draw a scene: arrows, labels on a ground of their own, states, and the note.
 
     Green: the way there. Blue: the plan from there. Filled: the current state. Two rings: it
     accepts.
@@ -92,7 +81,7 @@ def draw(scene: Scene) -> Axes:
     axes = canvas.page(width, layout.height + MARGIN + len(note) * NOTE * LEADING)
     for arrow, route in zip(scene.arrows, layout.routes, strict=True):
         _draw_arrow(axes, arrow, route, layout)
-    for node, (x, y) in zip(scene.nodes, layout.centres, strict=True):
+    for node, (x, y) in zip(scene.nodes, layout.nodes, strict=True):
         if node.initial:
             _draw_line(axes, [(x - RADIUS - ENTRY, y), (x - RADIUS, y)], STYLES["other"])
         _draw_node(axes, node, x, y)
@@ -102,59 +91,44 @@ def draw(scene: Scene) -> Axes:
     return axes
 
 
-# -- where it stands --------------------------------------------------------------------------
-
-
 def lay_out(scene: Scene) -> Layout:
-    """Places for what a scene shows; nothing in a column covers anything else in it."""
-    slots, chains = _slots(scene)
-    columns: list[list] = [[] for _ in range(1 + max(slots.nodes[s]["column"] for s in slots))]
-    for slot in slots:
-        columns[slots.nodes[slot]["column"]].append(slot)
-    y = _heights(slots, columns)
-    top = min(y[s] - slots.nodes[s]["size"].above for s in slots) - MARGIN
-    bottom = max(y[s] + slots.nodes[s]["size"].below for s in slots) + MARGIN
-    spans, x = [], MARGIN + ENTRY
-    for column in columns:
-        width = max(slots.nodes[s]["size"].width for s in column)
-        spans.append((x, x + width))
-        x += width + GAP
-    states = range(len(scene.nodes))
-    return Layout(
-        x - GAP + MARGIN,
-        bottom - top,
-        spans,
-        [(sum(spans[slots.nodes[s]["column"]]) / 2, y[s] - top) for s in states],
-        [[(slots.nodes[s]["column"], y[s] - top) for s in chain[1:-1]] for chain in chains],
-    )
-
-
-def _slots(scene: Scene) -> tuple[nx.Graph, list[list]]:
-    """What stands in the columns, joined along the arrows; and each arrow's slots, ends included.
-
-    States are the numbers of the scene's nodes, and stand in even columns.
-    """
-    import networkx as nx
-
-    column = {node: 2 * rank for node, rank in _ranks(scene).items()}
-    slots = nx.Graph()
-    for i, node in enumerate(scene.nodes):
-        slots.add_node(i, column=column[i], size=_node_size(node))
-    chains = []
+    """Place states, labels and where arrows pass: in each column evenly, near what they join."""
+    column: dict[Slot, int] = {i: 2 * rank for i, rank in _ranks(scene).items()}
+    near: dict[Slot, list[Slot]] = defaultdict(list)
+    chains: list[list[Slot]] = []
     for k, arrow in enumerate(scene.arrows):
         first, last = column[arrow.source], column[arrow.target]
         step = 1 if first < last else -1
-        chain = [arrow.source, *((k, c) for c in range(first + step, last, step)), arrow.target]
-        for slot in chain[1:-1]:
-            slots.add_node(slot, column=slot[1], size=Slot(0.0, 2.0, 2.0))
-        slots.nodes[chain[1]]["size"] = _label_size(arrow)
-        for a, b in pairwise(chain):
-            bends = isinstance(a, int) or isinstance(b, int)
-            pull = STYLES[arrow.role].pull * (1.0 if bends else 8.0)
-            before = slots.edges[a, b]["pull"] if slots.has_edge(a, b) else 0.0
-            slots.add_edge(a, b, pull=before + pull)
-        chains.append(chain)
-    return slots, chains
+        passed = [(k, c) for c in range(first + step, last, step)]
+        column.update((slot, slot[1]) for slot in passed)
+        chains.append([arrow.source, *passed, arrow.target])
+        for one, other in pairwise(chains[-1]):
+            near[one].append(other)
+            near[other].append(one)
+    captions = [line for node in scene.nodes for line, _ in _captions(node)]
+    lines = max((len(_captions(node)) for node in scene.nodes), default=0)
+    most = max((len(arrow.lines) for arrow in scene.arrows), default=1)
+    row = max(2 * RADIUS + 16.0 + lines * CAPTION * LEADING, most * LABEL * LEADING + 7.0)
+    columns = [[s for s in column if column[s] == c] for c in range(1 + max(column.values()))]
+    y: dict[Slot, float] = {}
+    for sweep in (columns, columns[::-1], columns):
+        for slots in sweep:
+            slots.sort(key=lambda slot: fmean([y[n] for n in near[slot] if n in y] or [0.0]))
+            y.update((s, (k - (len(slots) - 1) / 2) * row) for k, s in enumerate(slots))
+    widths = [text_width(line, LABEL * 1.08) for arrow in scene.arrows for line in arrow.lines]
+    half = max(widths, default=0.0) / 2
+    side = max([RADIUS, *(text_width(line, CAPTION) / 2 for line in captions)])
+    step, left = half + side + GAP, MARGIN + ENTRY + side
+    height = max(map(len, columns)) * row + 2 * MARGIN
+    place = {s: (left + c * step, y[s] + height / 2 - lines * CAPTION * LEADING / 2)
+             for s, c in column.items()}  # fmt: skip
+    return Layout(
+        left + (len(columns) - 1) * step + side + MARGIN,
+        height,
+        [place[i] for i in range(len(scene.nodes))],
+        [[place[slot] for slot in chain[1:-1]] for chain in chains],
+        half,
+    )
 
 
 def _ranks(scene: Scene) -> dict[int, int]:
@@ -171,86 +145,20 @@ def _ranks(scene: Scene) -> dict[int, int]:
     return {i: rank for rank, level in enumerate(nx.topological_generations(graph)) for i in level}
 
 
-def _heights(slots: nx.Graph, columns: Sequence[list]) -> dict:
-    """The y of each slot: near its neighbours', in an order that has few arrows cross.
-
-    Columns are sorted by where their slots would like to be, to and fro: first by what lies behind
-    in the sweep's direction, at last by both sides.
-    """
-    y = {slot: float(k) for column in columns for k, slot in enumerate(column)}
-    for sweep in range(SWEEPS):
-        for column in columns if sweep % 2 == 0 else reversed(columns):
-            both = 2 * sweep >= SWEEPS
-            wanted = {s: _wanted(slots, s, y, both, sweep % 2 == 0) for s in column}
-            column.sort(key=wanted.__getitem__)
-            _spread(slots, column, wanted, y)
-    return y
-
-
-def _wanted(slots: nx.Graph, slot, y: dict, both: bool, from_left: bool) -> float:  # type: ignore[no-untyped-def]
-    """The mean height of a slot's neighbours, in one column or both."""
-    own, total, weight = slots.nodes[slot]["column"], 0.0, 0.0
-    for near, edge in slots.adj[slot].items():
-        if both or (slots.nodes[near]["column"] < own) == from_left:
-            total += edge["pull"] * y[near]
-            weight += edge["pull"]
-    return total / weight if weight else y[slot]
-
-
-def _spread(slots: nx.Graph, column: list, wanted: dict, y: dict) -> None:
-    """Put a column's slots as near to where they want to be as their order and sizes allow.
-
-    With the sizes taken off it is isotonic regression: neighbours in each other's way share their
-    mean.
-    """
-    offsets, blocks, at = [], [], 0.0  # type: ignore[var-annotated]
-    for k, slot in enumerate(column):
-        if k:
-            at += slots.nodes[column[k - 1]]["size"].below + slots.nodes[slot]["size"].above
-        offsets.append(at)
-        mean, n = wanted[slot] - at, 1
-        while blocks and blocks[-1][0] > mean:
-            other, others = blocks.pop()
-            mean, n = (mean * n + other * others) / (n + others), n + others
-        blocks.append((mean, n))
-    levels = [mean for mean, n in blocks for _ in range(n)]
-    y.update((s, level + at) for s, level, at in zip(column, levels, offsets, strict=True))
-
-
-def _node_size(node: Node) -> Slot:
-    lines = _captions(node)
-    width = max((text_width(line, CAPTION) for line, _ in lines), default=0.0)
-    below = RADIUS + len(lines) * CAPTION * LEADING + 8.0
-    return Slot(max(width, 2 * RADIUS), RADIUS + 8.0, below)
-
-
-def _label_size(arrow: Arrow) -> Slot:
-    width = max(text_width(line, LABEL * 1.08) for line in arrow.lines)
-    half = len(arrow.lines) * LABEL * LEADING / 2 + 3.5
-    return Slot(width + 6.0, half, half)
-
-
-# -- what it looks like -----------------------------------------------------------------------
-
-
 def _draw_arrow(
-    axes: Axes, arrow: Arrow, route: Sequence[tuple[int, float]], layout: Layout
+    axes: Axes, arrow: Arrow, route: Sequence[tuple[float, float]], layout: Layout
 ) -> None:
-    style, to = STYLES[arrow.role], layout.centres[arrow.target]
-    start = layout.centres[arrow.source]
+    style, (x, y) = STYLES[arrow.role], route[0]
+    start, to = layout.nodes[arrow.source], layout.nodes[arrow.target]
     right = 1 if start[0] < to[0] else -1
-    stops = [_port(start, right, route[0][1])]
-    for column, y in route:
-        stops += [(x, y) for x in layout.spans[column][::right]]
-    stops.append(_port(to, -right, route[-1][1]))
-    _draw_line(axes, stops, style)
-    (left, end), y = layout.spans[route[0][0]], route[0][1]
+    stops = [(x - right * layout.half, y), (x + right * layout.half, y), *route[1:]]
+    _draw_line(axes, [_port(start, right, y), *stops, _port(to, -right, route[-1][1])], style)
     bold = "normal" if arrow.role == "other" else "bold"
     ground = {"facecolor": PAPER, "edgecolor": "none", "pad": 1.5}
     for k, line in enumerate(arrow.lines):
         at = y + (k - (len(arrow.lines) - 1) / 2) * LABEL * LEADING
         look = {"color": style.ink, "fontweight": bold, "bbox": ground, "zorder": 4}
-        canvas.write(axes, line, (left + end) / 2, at, LABEL, ha="center", **look)
+        canvas.write(axes, line, x, at, LABEL, ha="center", **look)
 
 
 def _port(centre: tuple[float, float], side: int, towards_y: float) -> tuple[float, float]:

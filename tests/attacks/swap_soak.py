@@ -25,7 +25,7 @@ def swap(isolation: str, swaps: int, names: tuple[str, str]) -> dict:
             "detector": {"kind": "onnx", "model": names[0], "threads": 1},
             "isolation": isolation,
             "process": {"timeout_s": 60.0},
-            "swap": {"images": 2, "probation": 4, "budget_ms": 1e5},
+            "swap": {"probation": 4, "budget_ms": 1e5},
         },
     }).perception  # fmt: skip
     worker, told = DetectorWorker(make_detector(perception, ["chair"])), []

@@ -85,7 +85,7 @@ def test_it_is_not_swapped_in_and_the_next_one_is(put, tmp_path, how):
             },
             "isolation": "thread",
             "process": {"timeout_s": PATIENCE_S, "start_timeout_s": PATIENCE_S},
-            "swap": {"images": 2, "probation": 3, "budget_ms": 1e6},
+            "swap": {"probation": 3, "budget_ms": 1e6},
         },
     }).perception  # fmt: skip
     worker, told = DetectorWorker(make_detector(perception, ["chair"])), []

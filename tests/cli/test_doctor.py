@@ -226,13 +226,6 @@ def test_rules_that_are_for_another_prefix_are_told():
         assert levels(doctor.check_strangers, settings) == expected
 
 
-def test_what_is_wrong_with_the_certificate_is_told(monkeypatch):
-    monkeypatch.setattr("edge.bus.certificate.judge", lambda found: "a.crt: runs out in 3 days")
-    (finding,) = doctor.check_strangers(SIM)
-    assert finding.level == "warn"
-    assert finding.what == "listen_certificate: a.crt: runs out in 3 days"
-
-
 def test_the_token_of_the_pages_is_looked_at(tmp_path):
     token = tmp_path / "token"
     settings = simulated({"http": {"token_file": str(token)}})
@@ -421,15 +414,6 @@ def test_worlds(monkeypatch):
         ({"target": "bed"}, "ok", "F bed"),
         ({"instruction": "go to the bed, then to the tv"}, "ok", "then the television"),
         ({"instruction": "go to the bed and never go to the bed"}, "fail", "contradiction"),
-        (
-            {
-                "instruction": " & ".join(f"F object{i}" for i in range(12)),
-                "translator": {"kind": "ltl"},
-                "planner": {"kind": "expected"},
-            },
-            "fail",
-            "'expected' cannot take on",
-        ),
         ({"target": "bed", "checkpoint": "/no/such/folder/mission.json"}, "fail", "checkpoint"),
     ],
 )

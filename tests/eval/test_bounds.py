@@ -17,7 +17,7 @@ from edge.eval.drive import in_process, run_episode
 from edge.eval.episodes import plan
 from edge.geometry import SE2
 from edge.policies import find_policy, make_policy
-from edge.policies.base import FRONTIER, INSTANCE, LOOK, Candidates
+from edge.policies.base import FRONTIER, INSTANCE, LOOK, Candidates, Context
 from edge.sim.worlds import load_world
 
 RADIUS_M = 0.2
@@ -30,15 +30,15 @@ def world(tmp_path):
     return load_world(small_house(tmp_path))
 
 
-def context(target: str, *candidates: tuple[int, float, float, float, float]) -> SimpleNamespace:
+def context(target: str, *candidates: tuple[int, float, float, float, float]) -> Context:
     """Candidates as kind, x, y, way there [m] and what is to be seen there [m²]."""
     c = Candidates(8)
     c.n = len(candidates)
     for k, (kind, x, y, path_m, gain_m2) in enumerate(candidates):
         c.kind[k], c.xy_m[k], c.path_m[k], c.gain_m2[k] = kind, (x, y), path_m, gain_m2
-    return SimpleNamespace(
-        candidates=c.read_only(), target=target, prior=None, pose=SE2(0.0, 0.0, 0.0)
-    )
+    nowhere = (0, 0, 0, 0)
+    at = SE2(0.0, 0.0, 0.0)
+    return Context(None, at, None, nowhere, c.read_only(), None, None, (target,), target, 0)
 
 
 @pytest.mark.parametrize("kind", [PLACE, ROOM])

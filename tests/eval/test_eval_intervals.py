@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.eval.intervals import _student, bootstrap, ratio, wilson
+from edge.eval.intervals import bootstrap, ratio, wilson
 
 
 @pytest.mark.parametrize(
@@ -128,10 +128,3 @@ def test_turned_round_a_difference_is_its_negative(seed, n):
     assert (back.value, back.low, back.high) == pytest.approx(
         (-there.value, -there.high, -there.low), nan_ok=True
     )
-
-
-@pytest.mark.parametrize(
-    ("freedom", "t"), [(1, 12.706), (2, 4.303), (3, 3.182), (9, 2.262), (60, 2.0)]
-)
-def test_students_t(freedom, t):
-    assert _student(freedom) == pytest.approx(t, abs=5e-3)

@@ -115,7 +115,7 @@ def config(tmp_path, monkeypatch, endpoint, isolation) -> Path:
         "isolation": isolation,
         "process": {"timeout_s": PATIENCE_S},
         "detector": {"kind": "onnx", "model": "first", "vocabulary": str(words), "threads": 1},
-        "swap": {"probation": 10, "images": 2, "budget_ms": 1e5},
+        "swap": {"probation": 10, "budget_ms": 1e5},
     }
     return write_config(
         tmp_path, zenoh={"endpoint": endpoint}, perception=perception, loop={"hz": 100},

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 import pytest
-from chat_server import saying, send, serving
+from chat_server import saying, send, sends_100_mb, serving, stalls
 from live_patience import PATIENCE_S, eventually
 from simulated import simulated
 
@@ -36,18 +36,6 @@ def swapped_to(state: str, loop: ClosedLoop) -> bool:
     swapper.step(loop.drive.motion.stamp_ns)
     assert swapper.state not in ("refused", "rolled back"), swapper.status()
     return swapper.state == state
-
-
-def stalls(handler):
-    handler.stopping.wait()
-
-
-def sends_100_mb(handler):
-    handler.send_response(200)
-    handler.send_header("Content-Length", str(100 << 20))
-    handler.end_headers()
-    for _ in range(100):
-        handler.wfile.write(b" " * (1 << 20))
 
 
 def dies(handler):
@@ -100,7 +88,7 @@ def test_a_detector_is_swapped_while_a_task_is_driven(tmp_path, monkeypatch):
     shutil.copy(f"{shipped}.onnx", resources.models_dir())
     perception = {
         "detector": {"kind": "onnx", "model": SHIPPED, "threads": 1},
-        "swap": {"probation": 10, "images": 2, "budget_ms": 1e5},
+        "swap": {"probation": 10, "budget_ms": 1e5},
     }
     lockstep = {"lockstep": True, "step_s": 0.2}
     config = simulated({"loop": {"lockstep": True}, "sim": lockstep, "perception": perception})

@@ -214,17 +214,17 @@ def test_a_turn_is_one_candidate_that_lasts_and_can_be_left_alone():
 
     def turn(now_ns: int) -> Candidates:
         pool.update(frontiers(), [], now_ns, now_ns)
-        pool.add_look(grid, pose, 1.3, 0.2, now_ns)
+        pool.add_look(grid, pose, 1.3, now_ns)
         return pool.candidates
 
     c = turn(0)
     assert (c.n, c.kind[0], pool.shown.n) == (1, LOOK, 1)
     assert c.gain_m2[0] > 1.5
-    assert 0.2 < c.path_m[0] < 0.2 * 6.3
+    assert 0.15 < c.path_m[0] < 0.15 * 6.3
     first = int(c.id[0])
     assert turn(1).id[0] == first
     pool.discard(LOOK, first, tuple(c.xy_m[0].tolist()), until_ns=100)
     assert turn(2).blocked[0]
     pool.update(frontiers((1, 0), (2, 0)), [], 3, 3)
-    pool.add_look(grid, pose, 1.3, 0.2, 3)
+    pool.add_look(grid, pose, 1.3, 3)
     assert pool.candidates.n == 2, "no room for it"

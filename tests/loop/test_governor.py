@@ -14,10 +14,12 @@ from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import CameraModel
 from edge.host.board import Board
 from edge.loop import governor as module
+from edge.loop import ladder
 from edge.loop.governor import Governor
 from edge.loop.status import status_of
 from edge.perception.cards import ModelError
 from edge.perception.detector import Health
+from edge.perception.swap import swapper
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.types import Detections, Observation
@@ -55,14 +57,13 @@ class Fake:
 class Bench:
     """Ten images a second of the loop's time; `models` makes those that are asked for."""
 
-    def __init__(self, ladder=LADDER, board=COOL, **governor) -> None:
-        rules = {"ladder": ladder, "over_s": 2, "dwell_s": 5, "room_s": 10, **governor}
+    def __init__(self, ladder=LADDER, board=COOL) -> None:
         config = parse({
             "perception": {
                 "detector": {"kind": "onnx", "model": "large"},
                 "choice": {"kind": "text", "url": "http://127.0.0.1:1/v1", "model": "m"},
-                "swap": {"images": 1, "probation": 2},
-                "governor": rules,
+                "swap": {"probation": 2},
+                "governor": {"ladder": ladder},
             }
         })  # fmt: skip
         self.config, self.board, self.said = config, board, []
@@ -131,6 +132,9 @@ class Bench:
 def bench(monkeypatch):
     monkeypatch.setattr(module, "_check_here", lambda name: None)
     monkeypatch.setattr(module, "BOARD_S", 0.01)
+    monkeypatch.setattr(swapper, "IMAGES", 1)
+    for name, seconds in {"OVER_S": 2.0, "DWELL_S": 5.0, "ROOM_S": 10.0}.items():
+        monkeypatch.setattr(ladder, name, seconds)
     opened = []
 
     def make(**more) -> Bench:
@@ -265,7 +269,7 @@ def test_there_is_none_without_a_ladder_nor_where_runs_replay(lockstep, ladder):
 
 
 def test_a_service_tells_of_each_step_in_its_status_and_to_its_sinks():
-    closed = service(False, ladder=LADDER[1:], over_s=1)
+    closed = service(False, ladder=LADDER[1:])
     governor = closed.service.governor
     try:
         governor._board._work = lambda _: HOT

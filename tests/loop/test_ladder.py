@@ -8,24 +8,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.config import Governor
+from edge.loop import ladder
 from edge.loop.ladder import MOST_DOUBLINGS, UNLIKELY, Ladder, Second
 
 S = 1_000_000_000
 BUDGET_MS = 33.0
-TWO = ({"model": "small"}, {"rest": "choice"})
 
 
-def rules(ladder=TWO, **settings) -> Governor:
-    return Governor(ladder=ladder, over_s=3, dwell_s=10, room_s=60, **settings)
+@pytest.fixture(autouse=True)
+def _soon(monkeypatch):
+    monkeypatch.setattr(ladder, "DWELL_S", 10.0)
 
 
 class Plant:
     """A computer: what detect takes on a rung, times the load; a step is taken at once."""
 
-    def __init__(self, costs_ms=(20.0, 10.0, 5.0), **settings) -> None:
-        ladder = [{"rest": "choice"}] * (len(costs_ms) - 1)
-        self.ladder, self.costs_ms = Ladder(rules(ladder, **settings), BUDGET_MS), costs_ms
+    def __init__(self, costs_ms=(20.0, 10.0, 5.0)) -> None:
+        self.ladder, self.costs_ms = Ladder(len(costs_ms) - 1, BUDGET_MS), costs_ms
         self.now_s, self.moves = 0, []
 
     @property
@@ -71,7 +70,7 @@ def test_distress_is_a_step_down_whatever_detect_takes(told):
 
 
 def test_a_detector_that_finds_nothing_out_is_no_room():
-    ladder = Ladder(rules(), BUDGET_MS)
+    ladder = Ladder(2, BUDGET_MS)
     ladder.arrived(1, 0)
     assert all(ladder.look(Second(None), s * S) is None for s in range(1, 1000))
 
@@ -114,7 +113,7 @@ def test_another_power_mode_makes_all_that_was_learnt_void():
 
 
 def test_a_step_that_is_refused_is_tried_again_but_not_at_once():
-    ladder, asked = Ladder(rules(), BUDGET_MS), []
+    ladder, asked = Ladder(2, BUDGET_MS), []
     for s in range(1, 100):
         if ladder.look(Second(50.0), s * S) is not None:
             asked.append(s)
@@ -152,7 +151,7 @@ def test_whatever_came_before_all_is_taken_back_once_there_is_room(phases, load)
 @settings(max_examples=50)
 @given(st.floats(0.05, 6.0), st.tuples(*[st.floats(0.1, 1.0)] * 2), st.floats(5.0, 60.0))
 def test_under_a_load_that_stays_it_steps_down_and_hardly_ever_up(load, shares, cost_ms):
-    """What a rung saves is known once it is taken: a try comes at 16 times `room_s` or later."""
+    """What a rung saves is known once it is taken: a try comes at 16 times `ROOM_S` or later."""
     costs_ms = (cost_ms, cost_ms * shares[0], cost_ms * shares[0] * shares[1])
     plant = Plant(costs_ms).run(60 << UNLIKELY, load)
     assert [rung for _, rung, _ in plant.moves] == list(range(1, len(plant.moves) + 1))

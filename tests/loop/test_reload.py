@@ -223,7 +223,7 @@ def test_a_real_detector_is_made_anew_beside_the_one_at_work():
     first = load("demo").model_dump(exclude={"path"})
     first["loop"]["lockstep"] = first["sim"]["lockstep"] = True
     first["perception"]["isolation"] = "thread"
-    first["perception"]["swap"] = {"images": 2, "probation": 4, "budget_ms": 1e6}
+    first["perception"]["swap"] = {"probation": 4, "budget_ms": 1e6}
     bench = Bench(parse(first))
     before = bench.service.swapper._worker.detector
     first["perception"]["detector"]["max_detections"] = 9

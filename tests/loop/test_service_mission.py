@@ -16,7 +16,6 @@ from edge.loop.requests import handle_mission
 from edge.loop.status import status_of
 from edge.mission.brief import prepare
 from edge.perception.text import PromptError
-from edge.policies.base import FRONTIER
 
 CHOICE = "F ((chair | sofa) & F television) & !bed W television"
 
@@ -35,10 +34,10 @@ def taken(loop: ClosedLoop, kind: str) -> list[str]:
     return [step.label for step in loop.service.mission.steps if step.kind == kind]
 
 
-@pytest.mark.parametrize(("planner", "seed"), [("vitl", 0), ("expected", 1), ("vitl", 2)])
-def test_a_choice_a_sequence_and_a_prohibition(planner, seed):
+@pytest.mark.parametrize(("weights", "seed"), [("constant", 0), ("distance", 1), ("constant", 2)])
+def test_a_choice_a_sequence_and_a_prohibition(weights, seed):
     perception = {"detector": {"kind": "sim", "seed": seed}}
-    mission = {"planner": {"kind": planner}}
+    mission = {"planner": {"kind": "vitl", "weights": weights}}
     loop = ClosedLoop(config(CHOICE, mission=mission, perception=perception), colour=False).run(300)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     reached = taken(loop, "reached")
@@ -152,19 +151,6 @@ def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes
     assert loop.service.mission is before
 
 
-def test_a_mission_that_the_planner_cannot_take_on_is_refused_and_the_old_goes_on():
-    loop = ClosedLoop(config("F bed", mission={"planner": {"kind": "expected"}}), colour=False).run(
-        3
-    )
-    before, prompts = loop.service.mission, loop.service._worker.detector.prompts
-    large = " & ".join(f"F object{i}" for i in range(12))
-    brief = prepare(config("F bed").mission, formula=large)
-    told = refusal(loop, "new", brief)
-    assert "'expected' cannot take on a formula with 12 objects" in told
-    assert loop.service.mission is before
-    assert loop.service._worker.detector.prompts == prompts
-
-
 def test_no_target_is_given_up_before_anything_was_seen():
     loop = ClosedLoop(config("F bed", mission={"search_limit_s": 5.0}), colour=False)
     for second in range(20):
@@ -175,48 +161,21 @@ def test_no_target_is_given_up_before_anything_was_seen():
     assert loop.service.mission.target == "bed"
 
 
-@pytest.mark.parametrize(("kind", "searched"), [("vitl", False), ("expected", True)])
-def test_a_pose_jump_ends_what_was_known_of_distances(kind, searched):
-    mission = {"planner": {"kind": kind, "weights": "distance"}}
+def test_a_pose_jump_ends_what_was_known_of_distances():
+    mission = {"planner": {"kind": "vitl", "weights": "distance"}}
     loop = ClosedLoop(config(CHOICE, mission=mission), colour=False)
     while loop.service.mission.knowledge.distance_m is None:
         loop.step()
-    assert (loop.service.mission.knowledge.search_m is not None) == searched
     loop.service.forget_places(loop.drive.motion.stamp_ns)
     assert loop.service.mission.knowledge.distance_m is None
-    assert loop.service.mission.knowledge.search_m is None
     assert loop.service._surveyor.poll() is None
     loop.service.close()
 
 
-def test_a_search_goes_on_at_the_frontiers_and_turns_that_show_something():
-    loop = ClosedLoop(config(CHOICE, mission={"planner": {"kind": "expected"}}))
-    here = loop.service.map
-    assert here.prospects(("bed",)).lift.shape == (1, 0)
-    while loop.service.mission.knowledge.search_m is None:
-        loop.step()
-    candidates, there = here.pool.candidates, []
-    for i in range(candidates.n):
-        if candidates.kind[i] == FRONTIER and i % 2:
-            candidates.blocked[i] = True
-        way_m, blocked = float(candidates.path_m[i]), bool(candidates.blocked[i])
-        if candidates.gain_m2[i] > 0 and way_m < float("inf") and not blocked:
-            there.append(i)
-    assert there
-    found = here.prospects(("bed", "zeppelin"))
-    np.testing.assert_array_equal(found.xy_m, candidates.xy_m[there])
-    np.testing.assert_array_equal(found.area_m2, candidates.gain_m2[there])
-    assert (found.lift[1] == 1.0).all()
-    for i, lift in zip(there, found.lift[0], strict=True):
-        expected = np.ones(1, np.float32)
-        if candidates.kind[i] == FRONTIER:
-            here.prior.lift("bed", candidates.xy_m[i : i + 1], 1, expected)
-        assert lift == pytest.approx(float(expected[0]))
-    loop.service.close()
-
-
 def test_why_a_target_is_pursued_is_said_in_metres():
-    loop = ClosedLoop(config(CHOICE, mission={"planner": {"kind": "expected"}})).run(300)
+    loop = ClosedLoop(
+        config(CHOICE, mission={"planner": {"kind": "vitl", "weights": "distance"}})
+    ).run(300)
     why = [s.text for s in loop.service.mission.steps if s.kind == "target"]
     assert any(" m to the end" in text for text in why), why
 
@@ -315,7 +274,6 @@ def test_a_stop_beside_what_must_not_be_reached_is_reported_before():
 
 
 def _thing_at(instance_id: int, label: str, x_m: float, y_m: float):
-    import numpy as np
 
     from edge.types import Instance
 

@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from edge.config import Mission, PlannerExpected
+from edge.config import Mission
 from edge.errors import UserError
 from edge.mission.automaton import compile_formula
 from edge.mission.brief import prepare
@@ -52,13 +52,6 @@ def test_a_mission_that_makes_no_sense_is_refused_with_the_reason(formula, words
     text = str(caught.value)
     assert "\n" not in text
     assert all(word in text for word in words), text
-
-
-def test_a_mission_too_large_for_its_planner_is_refused():
-    anywhere = " & ".join(f"F object{i}" for i in range(12))
-    assert len(prepare(Mission(), formula=anywhere).targets) == 12
-    with pytest.raises(UserError, match="'expected' cannot take on a formula with 12 objects"):
-        prepare(Mission(planner=PlannerExpected()), formula=anywhere)
 
 
 def test_what_does_not_matter_is_not_looked_for():

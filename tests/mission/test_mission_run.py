@@ -6,7 +6,6 @@ import pytest
 from edge.config import Mission, PlannerVitl
 from edge.geometry import SE2
 from edge.mission.brief import prepare
-from edge.mission.planning.belief import Survey
 from edge.mission.run import MissionRun
 
 S = 1_000_000_000
@@ -198,7 +197,7 @@ def test_with_distances_the_nearer_branch_wins_by_the_margin():
 
     def survey(chair_m: float, sofa_m: float) -> str:
         between = np.array([[0, 4.0], [4.0, 0]])
-        mission.survey(Survey(np.vstack([between, [chair_m, sofa_m]])), 2 * S)
+        mission.survey(np.vstack([between, [chair_m, sofa_m]]), 2 * S)
         return mission.target
 
     assert survey(5.0, 4.5) == "chair"

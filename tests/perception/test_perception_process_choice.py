@@ -19,7 +19,7 @@ from edge.perception.choice.question import SYSTEM
 from edge.perception.model_file import ModelError
 from edge.perception.process.choice import ProcessModel, _decode
 
-RULES = ModelProcess(timeout_s=PATIENCE_S, start_timeout_s=PATIENCE_S, backoff_s=0.01)
+RULES = ModelProcess(timeout_s=PATIENCE_S, start_timeout_s=PATIENCE_S)
 ASKED = asked_of(2, "lamp")
 
 

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.config import ModelProcess
-from edge.perception.process.kept import Pause, Restarts
-
-CONFIG = ModelProcess(backoff_s=1.0, backoff_max_s=5.0, restarts=4, window_s=60.0)
+from edge.perception.process import kept
+from edge.perception.process.kept import WINDOW_S, Pause, Restarts
 
 
-def pauses(runs, **changes):
+@pytest.fixture(autouse=True)
+def _rules(monkeypatch):
+    monkeypatch.setattr(kept, "BACKOFF_S", 1.0)
+    monkeypatch.setattr(kept, "MOST_ENDS", 4)
+
+
+def pauses(runs):
     """The pause after each end of a process that was ready for so many seconds."""
-    restarts = Restarts(CONFIG.model_copy(update=changes))
+    restarts = Restarts()
     return [restarts.after(ran_s) for ran_s in runs]
 
 
@@ -40,18 +42,12 @@ def test_pauses(runs, expected):
     assert pauses(runs) == expected
 
 
-def test_no_restart_at_all():
-    assert pauses([9, 9], restarts=0) == [Pause(math.inf, True)] * 2
-
-
-@given(st.lists(st.floats(0, 200), max_size=60), st.integers(1, 6), st.floats(1, 100))
-def test_so_many_ends_in_a_row_reach_the_limit_and_only_a_long_run_lifts_it(
-    runs, restarts, window_s
-):
-    made = pauses(runs, restarts=restarts, window_s=window_s)
-    for k, pause in enumerate(made):
+@given(st.lists(st.floats(0, 200), max_size=60))
+def test_so_many_ends_in_a_row_reach_the_limit_and_only_a_long_run_lifts_it(runs):
+    for k, pause in enumerate(made := pauses(runs)):
         in_a_row = 1
-        while in_a_row <= k and runs[k + 1 - in_a_row] <= window_s:
+        while in_a_row <= k and runs[k + 1 - in_a_row] <= WINDOW_S:
             in_a_row += 1
-        assert pause.limit == (in_a_row > restarts)
-        assert pause.seconds >= (window_s if pause.limit else CONFIG.backoff_s)
+        assert pause.limit == (in_a_row > kept.MOST_ENDS)
+        assert pause.seconds >= (WINDOW_S if pause.limit else kept.BACKOFF_S)
+    assert len(made) == len(runs)

@@ -73,7 +73,7 @@ class Bench:
         self.old, self.new, self.said, self.seq = old, new, [], 0
         self.worker = DetectorWorker(old, inline)
         self._make_observation = make_observation
-        settings = {"images": 2, "probation": 5, "budget_ms": 20.0, **swap}
+        settings = {"probation": 5, "budget_ms": 20.0, **swap}
         self.swapper = Swapper(
             simulated({"perception": {"swap": settings}}).perception.model_copy(
                 update={"isolation": isolation}
@@ -123,6 +123,7 @@ class Bench:
 @pytest.fixture
 def bench(make_observation, monkeypatch):
     monkeypatch.setattr(swapper, "related", lambda model, running: True)
+    monkeypatch.setattr(swapper, "IMAGES", 2)
     opened = []
 
     def make(new=None, old=None, **more):
@@ -184,10 +185,10 @@ def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline
           for score in (float("inf"), NAN, 1e30, -0.5)),
         (Fake(ms=21), "too slow: median 21.0 ms on 2 images, perception.swap.budget_ms is 20; "
                       "--force takes it all the same"),
-        (Fake(box=(40, 40, 60, 60)), "finds 0 of the 2 boxes of old, perception.swap.min_recall "
-                                     "is 0.5; --force takes it all the same"),
-        (Fake(score=0.29), "finds 0 of the 2 boxes of old, perception.swap.min_recall is 0.5; "
-                           "--force takes it all the same"),
+        (Fake(box=(40, 40, 60, 60)), "finds 0 of the 2 boxes of old, fewer than half; --force "
+                                     "takes it all the same"),
+        (Fake(score=0.29), "finds 0 of the 2 boxes of old, fewer than half; --force takes it "
+                           "all the same"),
     ],
 )  # fmt: skip
 def test_a_model_that_does_badly_beside_the_running_one_is_refused(bench, new, reason):
@@ -292,8 +293,9 @@ def test_one_swap_at_a_time_and_none_to_the_model_that_runs(bench):
         b.swapper.request("new", False, 0)
 
 
-def test_no_images_no_swap_and_the_wait_for_them_ends(bench):
-    b = bench(load_timeout_s=9.0)
+def test_no_images_no_swap_and_the_wait_for_them_ends(bench, monkeypatch):
+    monkeypatch.setattr(swapper, "LOAD_TIMEOUT_S", 9.0)
+    b = bench()
     b.swapper.request("new", False, 0)
     eventually(lambda: b.swapper.state == "checking")
     b.swapper.step(0)
@@ -301,10 +303,7 @@ def test_no_images_no_swap_and_the_wait_for_them_ends(bench):
     b.clock_s = 9.5
     b.swapper.step(0)
     assert b.swapper.state == "refused"
-    assert b.said[-1] == (
-        "model new: refused: 0 of 2 images at hand after 9 s (perception.swap.load_timeout_s); "
-        "old goes on"
-    )
+    assert b.said[-1] == ("model new: refused: 0 of 2 images at hand after 9 s; old goes on")
     eventually(lambda: b.new.closed)
 
 
@@ -420,8 +419,9 @@ def test_an_image_that_there_is_no_room_to_copy_speaks_against_the_model(bench, 
     assert b.image() is not None
 
 
-def test_a_model_refused_while_it_loads_is_not_tried_and_no_third_one_comes(bench):
-    b = bench(Slow(), load_timeout_s=9.0)
+def test_a_model_refused_while_it_loads_is_not_tried_and_no_third_one_comes(bench, monkeypatch):
+    monkeypatch.setattr(swapper, "LOAD_TIMEOUT_S", 9.0)
+    b = bench(Slow())
     b.swapper.request("new", False, 0)
     assert b.new.begun.wait(PATIENCE_S)
     b.image()

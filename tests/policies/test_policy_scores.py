@@ -202,7 +202,6 @@ def context(
         (PolicyNearest(), [0.2, 1 / 3, 0.0, 0.6, 0.5]),
         (PolicyNearest(distance="straight"), [0.2, 1 / 3, 0.5, 0.6, 0.5]),
         (PolicySearch(), [0.4, 1.0, 0.0, 0.6**0.5 / 10, 1.0]),
-        (PolicySearch(start_m=2.0, look_weight=0.5), [1 / 3, 0.75, 0.0, 0.6**0.5 / 11, 1 / 3]),
     ],
     ids=lambda value: getattr(value, "kind", ""),
 )

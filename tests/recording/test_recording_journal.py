@@ -21,7 +21,6 @@ from edge.loop.draft import Draft
 from edge.loop.journal import Input, Journal
 from edge.loop.prior import Rooms
 from edge.mission.brief import prepare
-from edge.mission.planning.belief import Survey
 from edge.perception.choice.question import Choice
 from edge.policies.base import Similarity
 from edge.recording import journal
@@ -136,27 +135,13 @@ def test_recordings_of_before_there_were_masks_are_read():
     assert journal.detections_of(entry.fields["what"], found.observation).mask is None
 
 
-@pytest.mark.parametrize("before", [False, True])
-def test_a_survey_of_distances_alone(before):
-    """As `vitl` has it, and as recordings of before there was another have it."""
-    values = np.array([[0.0], [2.5]])
-    found = Survey(values)
-    (entry,) = again(Input(0, "found", {"worker": "surveyor", "what": found}))
-    what = entry.fields["what"]
-    if before:
-        del what["search_m"]
-    back = journal.survey_of(what)
-    assert back.distance_m.tolist() == values.tolist()
-    assert back.search_m is None
-
-
 def test_what_was_found_beside_the_loop_comes_back():
     values = np.array([0.1, np.inf, np.nan], np.float32)
     cells = np.arange(6, dtype=np.uint8).reshape(2, 3)
     rooms = Rooms(Grid(cells, (0.1, -0.2), 0.1), cells > 2, cells.astype(np.int16), 3, cells * 1)
     pose, stamp = SE2(0.1, 0.2, 0.3), 5
     what = {
-        "surveyor": Survey(values, values[::-1].copy()),
+        "surveyor": values,
         "prior": rooms,
         "similarity": ("asked", Similarity(stamp, pose, ("a", "b"), values[:2])),
         "choice": ("asked", Choice(stamp, "a", (3, 1), values[:2], 0.25, 0.5)),
@@ -165,9 +150,7 @@ def test_what_was_found_beside_the_loop_comes_back():
         *(Input(i, "found", {"worker": w, "what": f}) for i, (w, f) in enumerate(what.items()))
     )
     back = {entry.fields["worker"]: entry.fields["what"] for entry in entries}
-    found = journal.survey_of(back["surveyor"])
-    assert found.distance_m.tobytes() == values.tobytes()
-    assert found.search_m.tobytes() == values[::-1].tobytes()
+    assert journal.survey_of(back["surveyor"]).tobytes() == values.tobytes()
     again_rooms = journal.rooms_of(back["prior"])
     assert again_rooms.grid.origin_xy_m == (0.1, -0.2)
     for one, other in zip(rooms[1:], again_rooms[1:], strict=True):

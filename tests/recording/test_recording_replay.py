@@ -179,7 +179,7 @@ def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
         policy={"kind": "directional"},
         perception={"prior": "rooms", "choice": {"kind": "openai", "url": URL, "model": "m"}},
         mission={"instruction": "F bed & F sofa", "translator": {"kind": "ltl"},
-                 "planner": {"kind": "expected"}},
+                 "planner": {"kind": "vitl", "weights": "distance"}},
     )  # fmt: skip
     thinks = Thinks()
     monkeypatch.setattr(

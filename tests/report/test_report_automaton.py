@@ -200,13 +200,13 @@ def test_wrapped_labels_are_small_and_say_that_they_leave_out(items):
 def test_every_arrow_goes_column_by_column_and_no_two_things_share_a_place(automaton):
     scene = make_scene(automaton)
     layout = lay_out(scene)
-    passed = [stop for route in layout.routes for stop in route]
-    assert len(passed) == len(set(passed))
+    places = [*layout.nodes, *(stop for route in layout.routes for stop in route)]
+    assert len(places) == len(set(places))
     for arrow, route in zip(scene.arrows, layout.routes, strict=True):
-        ends = [layout.centres[i][0] for i in (arrow.source, arrow.target)]
-        xs = [sum(layout.spans[column]) / 2 for column, _ in route]
-        assert [ends[0], *xs, ends[1]] == sorted([*ends, *xs], reverse=ends[0] > ends[1])
-    for x, y in layout.centres:
+        ends = [layout.nodes[i][0] for i in (arrow.source, arrow.target)]
+        xs = [ends[0], *(x for x, _ in route), ends[1]]
+        assert xs == sorted(xs, reverse=ends[0] > ends[1])
+    for x, y in places:
         assert 0 < x < layout.width
         assert 0 < y < layout.height
 

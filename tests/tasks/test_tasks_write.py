@@ -8,7 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from chat_server import completion, recorded, saying, send, serving
+from chat_server import completion, recorded, saying, send, sends_100_mb, serving, stalls
 from task_scenes import STREET, street
 
 from edge.chat import ChatError
@@ -200,18 +200,6 @@ def test_a_robot_that_stands_in_nothing_known_asks_nobody():
         with pytest.raises(WriteError, match="nothing around the robot is known to be free"):
             write(INSTRUCTION, scene, by_model(server))
         assert server.requests == []
-
-
-def stalls(handler):
-    handler.stopping.wait()
-
-
-def sends_100_mb(handler):
-    handler.send_response(200)
-    handler.send_header("Content-Length", str(100 << 20))
-    handler.end_headers()
-    for _ in range(100):
-        handler.wfile.write(b" " * (1 << 20))
 
 
 def fails(handler):

@@ -1,7 +1,7 @@
 """`edge eval results`: a document of measurements, made whole by one command.
 
-A YAML file says what belongs into it, section by section; what has not been run is run, and the
-Markdown is written beside the YAML. It names no date, so it changes only when a result does.
+A YAML file says what belongs into it, section by section. What has not been run is run, and the
+Markdown is written next to the outcomes. It names no date, so it changes only when a result does.
 """
 
 from __future__ import annotations
@@ -149,12 +149,11 @@ def run(args: argparse.Namespace) -> int:
         for chapter in book.sections
         if (shown := _shown(chapter, book, args.out)) is not None
     }
-    path = args.file.with_suffix(".md")
+    path = args.out / f"{args.file.stem}.md"
     try:
-        images = _write_plots(found, args.file.with_suffix(""))
-        before = path.read_text("utf-8") if path.exists() else ""
-        text = document(book, found, args.file, args.out, machine(), before)
-        write_atomically(path, text.encode())
+        args.out.mkdir(parents=True, exist_ok=True)
+        images = _write_plots(found, args.out)
+        write_atomically(path, document(book, found, args.file, args.out, machine()).encode())
     except OSError as error:
         raise FileError(f"{path}: {error.strerror or error}") from None
     print("\n".join(map(str, [path, *images])))
@@ -251,30 +250,22 @@ def _write_plots(found: Mapping[str, Shown], folder: Path) -> list[Path]:
     paths = []
     for name, shown in found.items():
         for plot, (_, content) in shown.images.items():
-            paths.append(folder / _image(name, plot))
+            paths.append(folder / f"{name}-{plot}.png")
             write_atomically(paths[-1], content)
     return paths
-
-
-def _image(chapter: str, plot: str) -> str:
-    return f"{chapter}-{plot}.png"
 
 
 # -- the document -------------------------------------------------------------------------------
 
 
-def document(
-    book: Book, found: Mapping[str, Shown], path: Path, out: Path, computer: str, before: str = ""
-) -> str:
-    """The Markdown.
+def document(book: Book, found: Mapping[str, Shown], path: Path, out: Path, computer: str) -> str:
+    """Write the Markdown.
 
     Args:
-        found: by section; one that is not there stays as the document has it, or is told not to
-            have been run.
+        found: by section; of one that is not there it says that it was not run.
         path: of the YAML.
         out: where outcomes are.
         computer: in words.
-        before: the document as it is.
     """
     parts = [
         f"# {book.title}",
@@ -284,17 +275,12 @@ def document(
         "progress in place of success (Datta et al. 2020). Every column of a table drove the same "
         "episodes, but where it says which ran fewer.",
     ]
-    _, *kept = f"\n{before}".split("\n## ")
-    kept_of = {text.partition("\n")[0]: text.strip() for text in kept}
     for chapter in book.sections:
-        if chapter.name not in found and chapter.title in kept_of:
-            parts.append(f"## {kept_of[chapter.title]}")
-        else:
-            parts += _chapter(chapter, found.get(chapter.name), path.stem, out)
+        parts += _chapter(chapter, found.get(chapter.name), out)
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _chapter(chapter: Chapter, shown: Shown | None, folder: str, out: Path) -> list[str]:
+def _chapter(chapter: Chapter, shown: Shown | None, out: Path) -> list[str]:
     parts = [f"## {chapter.title}", chapter.text.strip()]
     lines = [f"edge {shlex.join(words)}" for words in commands(chapter, out)]
     if lines:
@@ -305,7 +291,7 @@ def _chapter(chapter: Chapter, shown: Shown | None, folder: str, out: Path) -> l
     for table in shown.tables:
         parts += [f"**{table.title}**", tables.markdown(table)]
     for plot, (words, _) in shown.images.items():
-        parts.append(f"![{words}]({folder}/{_image(chapter.name, plot)})")
+        parts.append(f"![{words}]({chapter.name}-{plot}.png)")
     return parts
 
 

@@ -1,7 +1,7 @@
 """The planners that `edge eval planning` compares, behind one interface.
 
 A planner is made for a problem, then for a p_obs, and then answers situations
-(`edge.eval.planning.executor.Choose`). Only `expected` and `optimal` make use of p_obs.
+(`edge.eval.planning.executor.Choose`). Only `optimal` makes use of p_obs.
 """
 
 from __future__ import annotations
@@ -11,16 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.config import PlannerExpected, PlannerInOrder, PlannerVitl
+from edge.config import PlannerInOrder, PlannerVitl
 from edge.eval.planning.executor import DONE, NOTHING, Choose, Problem, Situation
-from edge.eval.planning.lifted import MAX_OBJECTS
-from edge.mission.planner import Knowledge, Planner, PlannerError, make_planner
-
-OTHERS = tuple(f"other object {i}" for i in range(MAX_OBJECTS))
-"""Names for what is met but not named by the (lifted) formula."""
-
-DIRECT_COST = 1e-5
-"""Of going to a known object where only explorations are to be counted; waiting costs less."""
+from edge.eval.planning.optimum import Optimum
+from edge.mission.planner import Knowledge, Planner, make_planner
 
 MakeForProblem = Callable[[Problem], Callable[[float], Choose]]
 
@@ -48,25 +42,6 @@ def vitl(problem: Problem, known_reached: bool = True) -> Callable[[float], Choo
 def vitl_eq1(problem: Problem) -> Callable[[float], Choose]:
     """ViTL eq. 1 to the letter: an object that was reached weighs 1, as if it had to be found."""
     return vitl(problem, known_reached=False)
-
-
-def expected(problem: Problem, **config: float) -> Callable[[float], Choose]:
-    """The service's `expected` planner, told the true p_obs and how many other objects exist.
-
-    Args:
-        config: of `PlannerExpected`, besides p_obs.
-
-    Raises:
-        PlannerError: by what it returns, for a problem that is too large to be solved.
-    """
-    others = problem.n_objects - problem.n_letters
-
-    def at(p_obs: float) -> Choose:
-        settings = PlannerExpected(weights="constant", p_obs=p_obs, **config)
-        planner = make_planner(settings, problem.automaton, universe_extra=others)
-        return _asking(planner, problem)
-
-    return at
 
 
 def in_order(problem: Problem) -> Callable[[float], Choose]:
@@ -98,28 +73,13 @@ def clairvoyant(problem: Problem) -> Callable[[float], Choose]:
 
 
 def least_explorations(problem: Problem) -> Callable[[float], Choose]:
-    """The exact optimum under the planners' information: going to a known object and waiting
-    only break ties.
-
-    Targets are the formula's own objects, as for every planner. At p_obs < 1/6 one that explored
-    on behalf of objects that the task does not name would gain (see `edge.eval.planning.executor`).
-    """
-    return expected(problem, w_det=DIRECT_COST)
-
-
-def solvable(problem: Problem) -> bool:
-    """Whether a problem is small enough for its optimum to be found."""
-    try:
-        least_explorations(problem)(1.0)
-    except PlannerError:
-        return False
-    return True
+    """The exact optimum under the planners' information; see `Optimum`."""
+    return lambda p_obs: Optimum(problem, p_obs).choose
 
 
 PLANNERS = {
     "vitl": Entrant(vitl, "ViTL eq. 1 and 2, reached objects known, as in the service"),
     "vitl-eq1": Entrant(vitl_eq1, "ViTL eq. 1 and 2 to the letter: reached objects weigh 1"),
-    "expected": Entrant(expected, "least expected cost, told the true p_obs"),
     "in-order": Entrant(in_order, "first object of the sentence that makes valid progress"),
     "random-valid": Entrant(random_valid, "any object that makes valid progress"),
     "optimal": Entrant(least_explorations, "fewest expected explorations, the exact optimum"),
@@ -144,16 +104,14 @@ def _asking(planner: Planner, problem: Problem) -> Choose:
     letters = problem.automaton.letters
     index = {letter: i for i, letter in enumerate(letters)}
     own = (1 << problem.n_letters) - 1
-    answers: dict[tuple[int, int, int, int, int], int] = {}
+    answers: dict[tuple[int, int, int, int], int] = {}
 
     def choose(situation: Situation) -> int:
         state, current = situation.state, situation.current
         seen, reached = situation.seen & own, situation.reached & own
-        # Which ones of the other objects were met makes no difference, how many does.
-        others = (situation.seen & ~own).bit_count()
-        key = (state, seen, reached, others, current)
+        key = (state, seen, reached, current)
         if key not in answers:
-            detected = _names(seen & ~reached, letters).union(OTHERS[:others])
+            detected = _names(seen & ~reached, letters)
             knowledge = Knowledge(detected, _names(reached, letters), frozenset())
             plan = planner.plan(state, knowledge, letters[current] if current >= 0 else None)
             waits = plan.feasible and bool(plan.steps)

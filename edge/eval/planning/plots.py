@@ -31,7 +31,6 @@ class Style(NamedTuple):
 STYLES = {
     "vitl": Style("#0072b2", "o"),
     "vitl-eq1": Style("#56b4e9", "s", (0, (1, 1.2))),
-    "expected": Style("#009e73", "^"),
     "in-order": Style("#e69f00", "v", (0, (4, 2))),
     "random-valid": Style("#cc79a7", "D", (0, (4, 2))),
     "optimal": Style("#000000", "x", (0, (2, 2))),

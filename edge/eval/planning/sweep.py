@@ -19,7 +19,8 @@ import numpy as np
 from edge.errors import UserError
 from edge.eval.planning.executor import COMPLETE, Problem, draws_of, run_episode
 from edge.eval.planning.lifted import lift
-from edge.eval.planning.planners import PLANNERS, solvable
+from edge.eval.planning.optimum import solvable
+from edge.eval.planning.planners import PLANNERS
 from edge.eval.planning.templates import Task
 
 BATCH_EPISODES = 20

@@ -15,7 +15,6 @@ import numpy as np
 
 from edge.config import load
 from edge.errors import FAILED, FileError, Stopped
-from edge.eval.soak import page
 from edge.eval.soak.faults import Fault, chosen
 from edge.eval.soak.holds import When, recovered, says
 from edge.eval.soak.missions import Missions
@@ -23,8 +22,8 @@ from edge.eval.soak.record import Record, of, verdict
 from edge.eval.soak.rules import GROWTHS, RULES, grown, grows, most_per_h, none_reached
 from edge.eval.soak.schedule import Drawn, Steps, make, rounds
 from edge.eval.soak.stage import Stage, staged
+from edge.eval.soak.tables import summary
 from edge.eval.soak.watch import Watch
-from edge.host.machine import describe, summary
 from edge.host.signals import stop_on_signals
 
 log = logging.getLogger("edge.eval.soak")
@@ -57,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
             log.info("stopped before all had started")
             return os.EX_OK
         soak.conclude()
-    print(page.write(record.rows, out, summary(describe())))
+    print(summary(record.rows))
     print(verdict(record.rows))
     return FAILED if of(record.rows, "broken") else os.EX_OK
 

@@ -29,7 +29,6 @@ def distances(
     unknown_cost: float = 3.0,
     snap_m: float = 1.2,
     cell_m: float = 0.2,
-    begin: int | None = None,
 ) -> np.ndarray:
     """`Knowledge.distance_m`: metres to drive from each object, and from the robot, to each.
 
@@ -45,10 +44,9 @@ def distances(
             The nearest instance counts.
         unknown_cost: how many metres a metre over unknown cells stands for, 1 … 100.
         cell_m: about how long a cell of the search is; never shorter than the map's.
-        begin: from how many of the letters, the first, distances are wanted; None: from all.
 
     Returns:
-        (begin + 1, k) float64; 0 from an object to itself; inf where there is no way, and to and
+        (k + 1, k) float64; 0 from an object to itself; inf where there is no way, and to and
         from a letter without an instance or with none near a cell the robot may enter.
 
     Raises:
@@ -69,7 +67,7 @@ def distances(
     start = np.array([[robot, 0]] if robot >= 0 else [], np.int64).reshape(-1, 2)
     weight = np.array([0, 1.0, unknown_cost])
     step = np.rint(np.outer([STRAIGHT, DIAGONAL], weight)).astype(np.int32)
-    return _matrix(state, step, ends, [*ends[:begin], start]) / STRAIGHT * side_m
+    return _matrix(state, step, ends, [*ends, start]) / STRAIGHT * side_m
 
 
 def warm_up() -> None:
@@ -84,7 +82,7 @@ def _matrix(
     """Costs from the cells of each of `rows` to each object's: (rows, k) float64.
 
     Args:
-        ends, rows: (m, 2) int64 each, cells and costs to end or begin with; rows are the first
+        ends, rows: (m, 2) int64 each, cells and costs to end or begin with; rows are the
             objects, and the start.
     """
     out = np.full((len(rows), len(ends)), np.inf)

@@ -20,17 +20,13 @@ class Knowledge:
         reached: R.
         failed: B, given up on; wins where a letter is in another set too.
         distance_m: (k + 1, k) float64, metres to drive from letter i (row k: from the robot) to
-            letter j, or to where it may be; inf or NaN where that is not known. Only read with
-            distances as weights.
-        search_m: (k + 1, k, k) float64, metres that a search from letter i (row k: from the robot)
-            for letter j is expected to take until letter l is seen. Only read by `expected`.
+            letter j; inf or NaN where that is not known. Only read with distances as weights.
     """
 
     detected: frozenset[str] = frozenset()
     reached: frozenset[str] = frozenset()
     failed: frozenset[str] = frozenset()
     distance_m: np.ndarray | None = None
-    search_m: np.ndarray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +37,7 @@ class Plan:
         target: the object to go to now; None when accepted, infeasible, or when the first step
             is one in which nothing of the formula is reached.
         steps: letters along the way, `NOTHING` ("") possible; () when accepted or infeasible.
-        cost: the sum of eq. 2, or the expected cost; inf when infeasible.
+        cost: the sum of eq. 2; inf when infeasible.
         feasible: whether acceptance can be reached without a failed object.
         blocked_by: failed objects that would open the shortest way to acceptance if they were
             found after all; () when feasible, and when success is impossible in any case.

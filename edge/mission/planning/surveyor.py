@@ -1,16 +1,15 @@
-"""Driving distances and expected searches for the planner, worked out beside the loop."""
+"""Driving distances for the planner, worked out beside the loop."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from edge.config import PlannerExpected, PlannerInOrder, PlannerOwn, PlannerVitl
+from edge.config import PlannerInOrder, PlannerOwn, PlannerVitl
 from edge.geometry import SE2
 from edge.host.worker import Worker
-from edge.mission.planning.belief import Prospects, Survey, survey
 from edge.mission.planning.distances import distances
 
 if TYPE_CHECKING:
@@ -26,11 +25,9 @@ class Surveyor:
 
     Args:
         inline: work it out inside `ask`, so that a run replays the same.
-        explore_m: see `survey`; None: searches are not surveyed.
     """
 
-    def __init__(self, inline: bool, explore_m: float | None = None) -> None:
-        self._explore_m = explore_m
+    def __init__(self, inline: bool) -> None:
         self._worker = Worker("surveyor", lambda survey: survey(), inline=inline)
         self._asked_ns: int | None = None
 
@@ -43,54 +40,37 @@ class Surveyor:
         mission: MissionRun,
         grid: RollingMap,
         tracker: InstanceTracker,
-        prospects: Callable[[Sequence[str]], Prospects],
         pose: SE2,
         now_ns: int,
     ) -> None:
-        """Hand the mission the survey that is there, and begin one where it is due.
-
-        Args:
-            prospects: where a search for letters may go on.
-        """
+        """Hand the mission the survey that is there, and begin one where it is due."""
         if (found := self.poll()) is not None and not mission.paused:
             mission.survey(found, now_ns)
         if self.due(now_ns):
             letters = mission.brief.automaton.letters
             xy_m = [[one.center_m[:2] for one in tracker.of(letter)] for letter in letters]
             known = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
-            searched = self._explore_m is not None
-            self.ask(grid, pose, known, now_ns, prospects(letters) if searched else None)
+            self.ask(grid, pose, known, now_ns)
 
     def due(self, now_ns: int) -> bool:
         """Whether it is time for another survey."""
         rested = self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
         return rested and self._worker.idle
 
-    def ask(
-        self,
-        grid: RollingMap,
-        pose: SE2,
-        positions: list[np.ndarray],
-        now_ns: int,
-        prospects: Prospects | None = None,
-    ) -> None:
+    def ask(self, grid: RollingMap, pose: SE2, positions: list[np.ndarray], now_ns: int) -> None:
         """Begin a survey.
 
         Args:
             positions: for each letter of the automaton the (m, 2) positions of its known instances.
-            prospects: where a search may go on; None: only distances are wanted.
         """
         self._asked_ns = now_ns
 
-        def work() -> Survey:
-            snapshot = grid.snapshot(inflated=50)
-            if prospects is None:
-                return Survey(distances(snapshot, (pose.x_m, pose.y_m), positions))
-            return survey(snapshot, pose, positions, prospects, self._explore_m)
+        def work() -> np.ndarray:
+            return distances(grid.snapshot(inflated=50), (pose.x_m, pose.y_m), positions)
 
         self._worker.submit(work)
 
-    def poll(self) -> Survey | None:
+    def poll(self) -> np.ndarray | None:
         """The survey, once, when it is there."""
         return self._worker.poll()
 
@@ -105,10 +85,9 @@ class Surveyor:
 
 
 def make_surveyor(
-    planner: PlannerVitl | PlannerExpected | PlannerInOrder | PlannerOwn, inline: bool
+    planner: PlannerVitl | PlannerInOrder | PlannerOwn, inline: bool
 ) -> Surveyor | None:
     """A surveyor, where metres are what the planner weighs by; else None."""
-    if not isinstance(planner, (PlannerVitl, PlannerExpected)) or planner.weights != "distance":
+    if not isinstance(planner, PlannerVitl) or planner.weights != "distance":
         return None
-    searched = isinstance(planner, PlannerExpected)
-    return Surveyor(inline, planner.explore_m if searched else None)
+    return Surveyor(inline)

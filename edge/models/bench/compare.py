@@ -23,6 +23,7 @@ from edge.models.bench.variants import PROVIDERS, Variant, families, providers_h
 from edge.perception.cards import how_to_get, load_detector_card
 from edge.perception.encoders import make_text_encoder
 from edge.perception.model_file import remembered_sha256
+from edge.perception.swap.swapper import LOAD_TIMEOUT_S
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +33,7 @@ VERSION = 1
 STAGES = ("pre", "session", "post")
 _FRAME_S = 2.0
 """What one frame may take at most, on average."""
-_LIMIT = "perception.swap.load_timeout_s and a bit for each frame"
+_LIMIT = f"{LOAD_TIMEOUT_S:g} s and a bit for each frame"
 
 
 def run(args: argparse.Namespace) -> int:
@@ -132,8 +133,8 @@ def compare(
     # The configured model's background may be foreign to another family's encoder.
     background = tuple(frames.words_for(settings.background, resolve))
     settings = settings.model_copy(update={"background": background})
-    tau_det, perception = config.perception.tau_det, config.perception
-    limit_s = perception.swap.load_timeout_s + _FRAME_S * len(pictures.rgb)
+    tau_det = config.perception.tau_det
+    limit_s = LOAD_TIMEOUT_S + _FRAME_S * len(pictures.rgb)
     before = machine.describe()
     bench = Bench(Job(settings, prompts, pictures.rgb, tau_det), limit_s)
     results = _run_all(bench, todo)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Sequence
 from concurrent.futures import Future
 from functools import partial
@@ -74,10 +73,8 @@ class _Process(KeptProcess):
 
     def _ended(self, why: str, failed: Exception | None, pause: Pause) -> None:
         """See `KeptProcess`."""
-        often = " (perception.process.restarts)" if pause.limit else ""
-        never = math.isinf(pause.seconds)
-        again = "not started again" if never else f"started again after {pause.seconds:.1f} s"
-        self._why = f"{why}; {again}{often}"
+        often = "ended too often, " if pause.limit else ""
+        self._why = f"{why}; {often}started again after {pause.seconds:.1f} s"
         self._link = None
         log.warning("%s", self._why)
 

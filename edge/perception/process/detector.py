@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import threading
 import time
 from collections.abc import Sequence
@@ -140,10 +139,7 @@ class ProcessDetector(KeptProcess):
     def _outlook(self, pause: Pause) -> str:
         if not pause.limit:
             return f"started again in {pause.seconds:.1f} s"
-        limit = f"(perception.process.restarts: {self._rules.restarts})"
-        if math.isinf(pause.seconds):
-            return f"not started again {limit}"
-        return f"ended too often {limit}, started again in {pause.seconds:.0f} s"
+        return f"ended too often, started again in {pause.seconds:.0f} s"
 
     def _say(self, health: Health) -> None:
         """Take on a state, and log that it changed."""

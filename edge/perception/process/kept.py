@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -16,6 +15,10 @@ from edge.perception.detector import Tell
 from edge.perception.process.link import Link
 from edge.perception.process.wire import FrameFile
 
+BACKOFF_S, BACKOFF_MAX_S = 0.2, 5.0
+"""Pause before a restart: the first, and the longest after doublings."""
+MOST_ENDS, WINDOW_S = 8, 60.0
+"""More ends in a row than this, none after a run of `WINDOW_S`: one more try each `WINDOW_S`."""
 _CLOSE_S = 10.0  # for the thread to end once its process was killed
 
 
@@ -27,35 +30,28 @@ class Pause(NamedTuple):
 
 
 class Restarts:
-    """Backoff and limit of `config.ModelProcess`.
+    """Backoff and limit of restarts.
 
-    Ends count in a row, however long each start takes: one after a run of over `window_s` is the
-    first again. The backoff begins anew after a run of over `backoff_max_s`.
+    Ends count in a row, however long each start takes: one after a run of over `WINDOW_S` is the
+    first again. The backoff begins again after a run of over `BACKOFF_MAX_S`.
     """
 
-    def __init__(self, rules: config.ModelProcess) -> None:
-        self._rules = rules
+    def __init__(self) -> None:
         self._ends = 0
-        self._backoff_s = rules.backoff_s
+        self._backoff_s = BACKOFF_S
 
     def after(self, ran_s: float) -> Pause:
         """What a process's end calls for.
 
         Args:
             ran_s: how long it was ready; 0 if it never was.
-
-        Returns:
-            The pause; infinite where no restart is allowed at all.
         """
-        c = self._rules
-        self._ends = 1 if ran_s > c.window_s else self._ends + 1
-        if ran_s > c.backoff_max_s:
-            self._backoff_s = c.backoff_s
-        seconds, self._backoff_s = self._backoff_s, min(2 * self._backoff_s, c.backoff_max_s)
-        if c.restarts == 0:
-            return Pause(math.inf, True)
-        if self._ends > c.restarts:
-            return Pause(max(seconds, c.window_s), True)
+        self._ends = 1 if ran_s > WINDOW_S else self._ends + 1
+        if ran_s > BACKOFF_MAX_S:
+            self._backoff_s = BACKOFF_S
+        seconds, self._backoff_s = self._backoff_s, min(2 * self._backoff_s, BACKOFF_MAX_S)
+        if self._ends > MOST_ENDS:
+            return Pause(max(seconds, WINDOW_S), True)
         return Pause(seconds, False)
 
 
@@ -107,7 +103,7 @@ class KeptProcess(ABC):
 
     def _run(self, first: Future[None]) -> None:
         """Keep a process running until `close`; how its first start went goes to `first`."""
-        restarts = Restarts(self._rules)
+        restarts = Restarts()
         while not self._closing.is_set():
             ran_s, failed = 0.0, None
             try:
@@ -120,7 +116,7 @@ class KeptProcess(ABC):
             pause = restarts.after(ran_s)
             if not self._closing.is_set():
                 self._ended(why, failed, pause)
-            if not self._closing.wait(None if math.isinf(pause.seconds) else pause.seconds):
+            if not self._closing.wait(pause.seconds):
                 self.restarts += 1
 
     @abstractmethod

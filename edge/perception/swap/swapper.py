@@ -33,6 +33,8 @@ Make = Callable[..., Detector]
 """Called like `make_detector`."""
 
 OVER = ("kept", "rolled back", "refused")
+IMAGES = 4  # that a model is tried on
+LOAD_TIMEOUT_S = 600.0
 _APART_NS = 200_000_000  # between two images that a model is tried on
 _LOOK_S = 0.02
 _CLOSE_S = 5.0
@@ -49,7 +51,7 @@ class Swapper:
         tell: called with a line for everything that happens, the loop's time, and the log's level
             for it where a model was refused or rolled back.
         make: makes the new detector.
-        clock: seconds, for `load_timeout_s`.
+        clock: seconds, for `LOAD_TIMEOUT_S`.
 
     Attributes:
         perception: what models are made and judged by, but for their name; may be set.
@@ -98,7 +100,7 @@ class Swapper:
         self._number += 1
         attempt = _Attempt(model, force, perception or self.perception, self._worker, self._make)
         self._attempt = attempt
-        self._until_s = self._clock() + attempt.perception.swap.load_timeout_s
+        self._until_s = self._clock() + LOAD_TIMEOUT_S
         self._worker.watch = self._attempt.see
         self._tell(f"model {model}: loading beside {running}", now_ns)
 
@@ -158,11 +160,10 @@ class Swapper:
 
     def _overdue(self, attempt: _Attempt) -> str:
         """Why a model is not waited for any longer; empty while it is."""
-        limit_s = attempt.perception.swap.load_timeout_s
         if self._clock() <= self._until_s:
             return ""
         what = attempt.progress or ("not loaded" if attempt.detector is None else "not ready")
-        return f"{what} after {limit_s:g} s (perception.swap.load_timeout_s)"
+        return f"{what} after {LOAD_TIMEOUT_S:g} s"
 
     def _end(self, attempt: _Attempt, state: str, detail: str, now_ns: int) -> None:
         self.outcomes[state] += 1
@@ -210,7 +211,7 @@ class _Attempt:
         self.trying, self.switched, self._won = True, False, False
         self.over = threading.Event()
         self.perception, self._worker, self._make = perception, worker, make
-        self._samples = deque(maxlen=perception.swap.images)
+        self._samples = deque(maxlen=IMAGES)
         self._latencies_ns: list[int] = []
         self._invalid = 0
         self._hand = threading.Lock()  # on the model's prompts, and on whether it is switched to
@@ -219,12 +220,12 @@ class _Attempt:
     @property
     def progress(self) -> str:
         """How far it is, for a person; changes with every image."""
-        swap, n = self.perception.swap, len(self._samples)
+        n = len(self._samples)
         if self.switched:
-            return f"{len(self._latencies_ns)} of {swap.probation} images"
+            return f"{len(self._latencies_ns)} of {self.perception.swap.probation} images"
         if self.detector is None or self.finding:
             return ""
-        return f"{n} of {swap.images} images at hand" if n < swap.images else f"tried on {n} images"
+        return f"{n} of {IMAGES} images at hand" if n < IMAGES else f"tried on {n} images"
 
     def status(self) -> dict[str, str]:
         """See `Swapper.status`."""
@@ -357,7 +358,7 @@ class _Attempt:
         return self._make(perception, prompts, self._loading, cancelled=self.over)
 
     def _await_samples(self) -> None:
-        while len(self._samples) < self.perception.swap.images and not self.over.is_set():
+        while len(self._samples) < IMAGES and not self.over.is_set():
             time.sleep(_LOOK_S)
 
     def _follow_prompts(self) -> None:

@@ -17,6 +17,7 @@ from edge.types import Detections, Observation
 
 MATCH_IOU = 0.5
 MATCH_SCORE = 0.5  # a box that is found again with less than this share of its score is lost
+MIN_RECALL = 0.5
 _WARM_UPS = 2
 _ROUNDS = 3
 
@@ -82,9 +83,8 @@ def judge(
     share = f"finds {found} of the {old} boxes of {running}"
     if not related:
         return f"{pace}; {share} (another family, not held against it)"
-    if found < perception.swap.min_recall * old and not force:
-        least = f"perception.swap.min_recall is {perception.swap.min_recall:g}"
-        raise Unfit(f"{share}, {least}; {_FORCE}")
+    if found < MIN_RECALL * old and not force:
+        raise Unfit(f"{share}, fewer than half; {_FORCE}")
     return f"{pace}; {share}"
 
 

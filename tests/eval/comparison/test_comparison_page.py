@@ -5,11 +5,11 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from html.parser import HTMLParser
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from html_reader import Reader
 from made_outcomes import failure, many, record
 
 from edge.eval.comparison import page, plots, trails
@@ -18,7 +18,6 @@ from edge.eval.comparison.statistics import compare
 from edge.eval.comparison.worlds import Drawing
 
 BAD = '<script>alert("x")</script>&\'"'
-VOID = {"meta", "img", "input", "br"}
 BOX = np.array([[2.0, 2.0], [3.0, 2.0], [3.0, 3.0], [2.0, 3.0]])
 DRAWING = Drawing(b"png", 0.0, 4.0, 5.0, 4.0, {"bed": [BOX]})
 
@@ -27,37 +26,6 @@ DRAWING = Drawing(b"png", 0.0, 4.0, 5.0, 4.0, {"bed": [BOX]})
 def quick_plots(monkeypatch):
     """They have tests of their own."""
     monkeypatch.setattr(plots, "images", lambda comparison, kind: {"rates": b"png"})
-
-
-class Reader(HTMLParser):
-    """Checks that tags close in order; gathers tags with what they say, and text."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: list[tuple[str, dict]] = []
-        self.text = ""
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag):
-        if tag not in VOID:
-            assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.text += data
-
-    def all(self, tag, kind=None):
-        return [a for t, a in self.tags if t == tag and kind in (None, *a.get("class", "").split())]
 
 
 def page_of(records, drawings=None) -> str:

@@ -7,7 +7,6 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from edge.config import PlannerExpected
 from edge.eval.planning.executor import (
     COMPLETE,
     DONE,
@@ -19,11 +18,11 @@ from edge.eval.planning.executor import (
     run_episode,
 )
 from edge.eval.planning.lifted import lift, world_of
-from edge.eval.planning.planners import DIRECT_COST, PLANNERS, least_explorations, valid_targets
+from edge.eval.planning.optimum import Optimum
+from edge.eval.planning.planners import PLANNERS, valid_targets
 from edge.eval.planning.sweep import Settings, run_tasks
 from edge.eval.planning.templates import generate
 from edge.mission.ltl import parse, propositions
-from edge.mission.planner import Knowledge, make_planner
 
 CASE_1 = parse(
     "(F(toilet & F bed) | F(couch & F chair) | F(plant & F tv)) "
@@ -55,7 +54,7 @@ def way(formula, planner: str, p_obs: float = 1.0) -> tuple[str, ...]:
     return tuple(reached)
 
 
-@pytest.mark.parametrize("planner", ["vitl", "vitl-eq1", "expected", "optimal", "clairvoyant"])
+@pytest.mark.parametrize("planner", ["vitl", "vitl-eq1", "optimal", "clairvoyant"])
 def test_case_studies_under_the_weak_until(planner):
     """ViTL tables II and III: the second plan is the only optimum, the first one of two."""
     assert way(CASE_2, planner) == ("tv", "bed", "toilet")
@@ -98,35 +97,24 @@ def test_nobody_beats_the_bounds(results):
 
 def test_planners_of_the_service_lie_between_the_optimum_and_chance(results):
     mean = dict(zip(results.planners, results.explorations.mean(axis=(1, 2, 3)), strict=True))
-    assert mean["expected"] < mean["vitl"] < mean["in-order"]
-    assert mean["expected"] == pytest.approx(mean["optimal"], rel=0.02)
+    assert mean["optimal"] < mean["vitl"] < mean["in-order"]
 
 
 def test_simulation_agrees_with_the_exact_value():
     """The executor and the solver are written apart; they must mean the same model."""
-    p_obs, episodes, nothing = 0.4, 150, Knowledge()
-    config = PlannerExpected(weights="constant", p_obs=p_obs, w_det=DIRECT_COST)
+    p_obs, episodes = 0.4, 150
     for task in generate(12, seed=3):
         problem = problem_of(task.formula)
-        choose = least_explorations(problem)(p_obs)
+        optimum = Optimum(problem, p_obs)
         runs = [
-            run_episode(problem, p_obs, choose, draws_of(0, task.id, p_obs, e))
+            run_episode(problem, p_obs, optimum.choose, draws_of(0, task.id, p_obs, e))
             for e in range(episodes)
         ]
         assert all(run.outcome == COMPLETE for run in runs)
         counts = np.array([run.explorations for run in runs])
         error = counts.std(ddof=1) / np.sqrt(episodes)
-        extra = problem.n_objects - problem.n_letters
-        planner = make_planner(config, problem.automaton, universe_extra=extra)
-        exact = planner.plan(0, nothing).cost
+        exact = optimum.value[0, problem.n_objects - problem.n_letters, 0]
         assert abs(counts.mean() - exact) < 4.5 * error + 1e-3, task.sentence
-
-
-def test_the_optimum_waits_only_where_the_formula_asks_for_it():
-    problem = problem_of(parse("X a"))
-    choose = least_explorations(problem)(0.5)
-    assert choose(Situation(0)) == NOTHING
-    assert choose(Situation(int(problem.moves[0, -1]))) == 0
 
 
 @pytest.mark.parametrize(
@@ -152,15 +140,7 @@ def test_random_valid_draws_all_and_in_order_the_first():
     assert PLANNERS["in-order"].make(problem)(0.5)(Situation(0)) == 0
 
 
-@pytest.mark.parametrize("planner", ["vitl", "expected", "in-order", "random-valid"])
+@pytest.mark.parametrize("planner", ["vitl", "in-order", "optimal", "random-valid"])
 def test_planners_give_up_where_nothing_can_be_done(planner):
     problem = problem_of(parse("F a & G !a"))
     assert PLANNERS[planner].make(problem)(0.5)(Situation(0)) == DONE
-
-
-def test_seen_objects_outside_the_formula_count_for_the_expected_planner():
-    """With all others known, exploring for one of two branches is a matter of p_obs alone."""
-    problem = problem_of(parse("F a & F b"))
-    choose = PLANNERS["expected"].make(problem)(0.1)
-    assert choose(Situation(0, seen=0b111100)) in (0, 1)
-    assert choose(Situation(0, seen=0b111101)) == 0

@@ -52,7 +52,7 @@ def test_exported_tasks_can_be_run(tmp_path, capsys):
     path = tmp_path / "tasks.jsonl"
     assert command.run(parsed("--n", "8", "--export", str(path))) == 0
     assert read_tasks(path) == generate(8)
-    options = ["--tasks", str(path), "--planners", "vitl, expected", "--p-obs", "1"]
+    options = ["--tasks", str(path), "--planners", "vitl, optimal", "--p-obs", "1"]
     assert command.run(parsed(*options, "--jobs", "1", "--out", str(tmp_path))) == 0
     assert "8 tasks" in capsys.readouterr().out
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge.eval.planning import sweep
+from edge.eval.planning import optimum, sweep
 from edge.eval.planning.sweep import NOT_RUN, Settings, run_tasks
 from edge.eval.planning.templates import generate
-from edge.mission.planning import expected
 
 SETTINGS = Settings(("vitl", "random-valid", "optimal"), (0.3, 1.0), episodes=2)
 
@@ -51,7 +50,7 @@ def test_seed_is_the_luck():
 
 
 def test_optimum_of_what_is_too_large_is_left_out(monkeypatch):
-    monkeypatch.setattr(expected, "MAX_VALUES", 1)
+    monkeypatch.setattr(optimum, "MAX_VALUES", 1)
     results = run_tasks(generate(3), SETTINGS)
     assert (results.outcome[2] == NOT_RUN).all()
     assert results.complete[:2].all()

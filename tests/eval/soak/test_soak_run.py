@@ -56,9 +56,7 @@ def test_seconds_with_two_faults(edge, tmp_path):
     assert {sample["healthz"] for sample in samples} == {200}
     assert max(sample["ticks"] or 0 for sample in samples if "ticks" in sample) > 0
     assert samples[-1]["service"]["memory_mb"] > 20
-    page = (out / "soak.html").read_text(encoding="utf-8")
-    assert page.count("<img") == 6
-    assert faults[0]["name"] in page
+    assert any(line.startswith(faults[0]["name"]) for line in soak.lines)
 
 
 @pytest.mark.slow
@@ -78,7 +76,6 @@ def test_a_service_that_is_killed_is_told_of(edge, tmp_path):
     service.kill()
     assert soak.wait() == FAILED
     assert "service lives: it ended with -9" in soak.lines[-1]
-    assert (out / "soak.html").exists()
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The record of a soak, its verdict and its page."""
+"""The record of a soak, its verdict and its tables."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from contextlib import closing
 
 import pytest
 
-from edge.eval.soak.page import html, write
 from edge.eval.soak.record import Record, of, verdict
+from edge.eval.soak.tables import summary
 
 USED = {"pid": 1, "memory_mb": 200.0, "shared_mb": 0.0, "threads": 30, "descriptors": 28}
 
@@ -25,11 +25,9 @@ def watch(record: Record, **fields) -> None:
     record.add("sample", **{**sample, **fields})
 
 
-def test_a_soak_of_nothing_held_and_has_a_page(record):
+def test_a_soak_of_nothing_held_and_has_no_tables(record):
     assert verdict(record.rows) == "all held for 0 min: 0 faults, 0 missions, 0 of them reached"
-    page = html(record.rows, "a machine")
-    assert "<img" not in page
-    assert "a machine" in page
+    assert summary(record.rows) == ""
 
 
 def test_the_file_has_every_row_at_once(record, tmp_path):
@@ -45,21 +43,17 @@ def test_the_first_rule_that_broke_is_the_verdict(record):
     assert verdict(record.rows) == "broken at 0 s: log: 900 lines in a minute (1 more)"
 
 
-def test_the_page_shows_what_was_watched_and_quotes_what_was_said(record, tmp_path):
-    said = "<script>alert(1)</script>"
-    watch(record)  # before the first beat was heard, and with no model's process
-    tick = {"ticks": 10, "interval_ms": [1, 2, 3], "gap_ms": [1, 2, 3], "tick_ms": [0, 0, 0]}
-    watch(record, **tick, dropped={"stale": 3}, goals=4, goals_reached=1, goals_failed=0)
-    watch(record, service=None)
+def test_the_tables_show_what_was_watched_a_line_each(record):
+    said = "two\nlines"
     for name, why in (("camera-gone", ""), ("reload", said)):
         times = {"began_s": 1.0, "lasted_s": 2.0, "recovered_s": 3.0}
         record.add("fault", name=name, broken=why, **times)
     record.add("mission", instruction=said, phase="reached", reason=said, elapsed_s=9.0, path_m=2.0)
     record.add("growth", name="memory", unit="MB", most_per_h=20, per_h=1, low=0, high=2)
-    page = write(record.rows, tmp_path, "a machine").read_text(encoding="utf-8")
-    assert page.count("<img") == 6
-    assert said not in page
-    assert page.count("&lt;script&gt;") == 3
-    for cell in ("camera-gone", "1 of 1", "+0.00 … +2.00"):
-        assert cell in page
+    record.add("broken", rule="log", why=said)
+    lines = summary(record.rows).splitlines()
+    for row in ("log", "memory", "camera-gone", "reload", "reached"):
+        assert sum(row in line.split() for line in lines) == 1
+    assert any("+0.00 … +2.00" in line for line in lines)
+    assert "lines" not in lines
     assert len(of(record.rows, "fault")) == 2
