@@ -40,7 +40,7 @@ def test_topics_are_those_of_the_drivers(name):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_sensors_sit_where_tf_says(name):
     config, body = ready_config(name), ROBOTS[name]
-    frames = Frames(config.ros2)
+    frames = Frames(config)
     frames.take(transforms_of(body.tree))
     mounted = config.sensors.camera.T_base_camera()
     np.testing.assert_allclose(frames.mount_of(body.camera), mounted, atol=1e-3)

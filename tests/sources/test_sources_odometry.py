@@ -35,7 +35,7 @@ def ring(*samples: tuple[int, float], capacity=64, max_gap_s=1.0, max_jump_m=1.0
     ],
 )
 def test_pose_at(samples, asked_ns, x_m, missing):
-    T, why = ring(*samples).pose_at(asked_ns)
+    T, why, _ = ring(*samples).pose_at(asked_ns)
     assert why == missing
     if x_m is None:
         assert T is None
@@ -47,7 +47,7 @@ def test_yaw_is_interpolated_over_the_short_side():
     poses = OdometryRing(64, 1.0, 1.0)
     poses.push(0, SE2(0.0, 0.0, math.pi - 0.1).matrix())
     poses.push(10, SE2(0.0, 0.0, -math.pi + 0.1).matrix())
-    T, _ = poses.pose_at(5)
+    T, *_ = poses.pose_at(5)
     assert abs(se2_of(T).yaw_rad) == pytest.approx(math.pi)
 
 
@@ -72,7 +72,7 @@ def test_a_flood_does_not_push_out_what_frames_ask_for(every_ns):
 
 def test_what_was_handed_out_is_not_written_over():
     poses = ring((0, 0.5), capacity=2)
-    T, _ = poses.pose_at(0)
+    T, *_ = poses.pose_at(0)
     for i in range(1, 5):
         poses.push(i, SE2(0.5 + 0.1 * i, 0.0, 0.0).matrix())
     assert T[0, 3] == 0.5
@@ -171,7 +171,7 @@ def test_poses_agree_with_numpy_interp(samples, asked_ns):
         poses.push(stamp_ns, SE2(x_m, 0.0, 0.0).matrix())
         xs.append(stamp_ns)
         ys.append(x_m)
-    T, why = poses.pose_at(asked_ns)
+    T, why, _ = poses.pose_at(asked_ns)
     if xs and xs[0] <= asked_ns <= xs[-1]:
         assert T[0, 3] == pytest.approx(np.interp(asked_ns, xs, ys), abs=1e-12)
     else:

@@ -12,9 +12,10 @@ from edge.config import ConfigError
 from edge.geometry import SE2, CameraModel
 from edge.sources import messages as typed
 from edge.sources.decoder import CdrDecoder
-from edge.sources.synchronizer import PATIENCE_NS, TimeSynchronizer
+from edge.sources.synchronizer import TimeSynchronizer
 
 MS = 1_000_000
+WAIT_NS = 500 * MS  # source.wait_s
 FRAME_NS = 33_333_333
 CAMERA = CameraModel(4, 3, 5.0, 5.0, 1.5, 1.0)
 ONNX = {"perception": {"detector": {"kind": "onnx"}}}
@@ -62,7 +63,7 @@ class Robot:
     def poll(self):
         return self.synchronizer.poll()
 
-    def wait(self, ns: int = PATIENCE_NS + 1) -> Robot:
+    def wait(self, ns: int = WAIT_NS + 1) -> Robot:
         self.now_ns += ns
         return self
 
@@ -99,7 +100,7 @@ def test_a_frame_with_its_interpolated_pose():
 def test_odometry_at_the_stamp_is_waited_for():
     robot = Robot().info().odom(1000, 0.0).frame(1500)
     assert robot.poll() is None
-    assert robot.wait(PATIENCE_NS // 2).poll() is None
+    assert robot.wait(WAIT_NS // 2).poll() is None
     assert robot.odom(2000, 0.5).poll().pose.x_m == pytest.approx(0.25)
 
 
