@@ -26,6 +26,7 @@ from edge.sources.messages import (
 from edge.sources.synchronizer import TimeSynchronizer
 from edge.sources.tf import Frames
 
+_SHARE = 0.8  # of a frame's wait for its pose, in which that waits for its transforms
 _INFO_BODY = 12  # behind CDR header and stamp: a camera says the same again and again
 
 
@@ -89,7 +90,8 @@ class CdrDecoder:
         self._frames = frames
         self._info = b""
         config = synchronizer.config
-        self._wait_ns = math.inf if config.loop.lockstep else config.source.wait_s * 1e9
+        wait_ns = _SHARE * 1e9 * config.source.wait_s
+        self._wait_ns = math.inf if config.loop.lockstep else wait_ns
         self._most_waiting = config.source.odometry_ring
         self._waiting: deque[tuple[int, messages.Odometry]] = deque()  # for transforms, and since
 

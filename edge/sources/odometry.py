@@ -213,9 +213,10 @@ class OdometryRing:
             return None, "gap", 0
         return poses.between(n, stamp_ns), "", max(poses.age(n), poses.age(n - 1))
 
-    def latest(self, stamp_ns: int) -> np.ndarray | None:
-        """Return the newest pose if `stamp_ns` is at most the largest gap after it."""
+    def latest(self, stamp_ns: int) -> tuple[np.ndarray | None, int]:
+        """Return the newest pose and the age of its transforms; (None, 0) if `stamp_ns` is not at
+        most the largest gap after it."""
         newest_ns = self.newest_ns
         if newest_ns is None or not 0 <= stamp_ns - newest_ns <= self._max_gap_ns:
-            return None
-        return self._poses.pose(0).copy()
+            return None, 0
+        return self._poses.pose(0).copy(), self._poses.age(0)

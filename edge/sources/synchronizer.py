@@ -269,7 +269,7 @@ class TimeSynchronizer:
                 return None
             # If no pose came since the frame did, odometry is not late: it is silent.
             if missing == "too_new" and self._pose_came_ns >= leader.arrived_ns:
-                T_map_base = self.odometry.latest(leader.stamp_ns)
+                T_map_base, tf_age_ns = self.odometry.latest(leader.stamp_ns)
                 pose_age_ns = leader.stamp_ns - self.odometry.newest_ns
         if T_map_base is None:
             return self._without_pose(leader, missing)

@@ -19,8 +19,8 @@ _RARELY_NS = 500_000_000
 class _Edge:
     """The transforms of one frame to its parent.
 
-    One transform alone holds for all time. Of two that are further apart than `rarely_ns` the
-    first holds until the second: such a frame moves in steps, and nobody waits for the next.
+    A transform holds until the next if that comes more than `rarely_ns` later, and for all time if
+    it is alone: such a frame moves in steps, or never, and nobody waits for the next.
     """
 
     __slots__ = ("T", "_guard", "_moves", "_rarely_ns", "parent")

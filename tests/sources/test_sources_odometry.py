@@ -138,10 +138,19 @@ def test_yaw_over_the_turn_of_the_circle_is_no_jump():
 
 def test_the_newest_pose_serves_for_a_while():
     poses = ring((10**9, 0.5), max_gap_s=0.25)
-    assert poses.latest(1_250_000_000)[0, 3] == 0.5
-    assert poses.latest(1_250_000_001) is None
-    assert poses.latest(999_999_999) is None
-    assert ring().latest(5) is None
+    assert poses.latest(1_250_000_000)[0][0, 3] == 0.5
+    assert poses.latest(1_250_000_001) == (None, 0)
+    assert poses.latest(999_999_999) == (None, 0)
+    assert ring().latest(5) == (None, 0)
+
+
+def test_the_age_of_a_poses_transforms_is_kept():
+    poses = OdometryRing(64, 1.0, 1.0)
+    for stamp_ns, age_ns in ((10, 0), (20, 7), (30, 0), (40, 5)):
+        poses.push(stamp_ns, np.eye(4), age_ns)
+    ages = [poses.pose_at(at_ns)[2] for at_ns in (10, 15, 20, 25, 30)]
+    assert ages == [0, 7, 7, 7, 0]
+    assert poses.latest(45)[1] == 5
 
 
 def test_a_ring_of_one_is_refused():
