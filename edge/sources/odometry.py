@@ -12,6 +12,7 @@ from edge.geometry import SE2, interpolate, se2_of, wrap_angle
 
 RESET_AFTER = 8
 _HASTE = 1.5  # robots are faster than they say, downhill and when pushed
+_FEW = 4
 _MAX_TURN_RAD = 1.0  # what yaw may change at once
 
 Missing = Literal["", "empty", "too_old", "too_new", "gap"]
@@ -69,8 +70,7 @@ class StampedPoses:
         if capacity < 2:
             raise ValueError(f"capacity {capacity}: at least 2 poses are needed")
         self._apart_ns = apart_ns
-        self._stamps_ns = np.zeros(capacity, np.int64)
-        self._ages_ns = np.zeros(capacity, np.int64)
+        self._stamps_ns, self._ages_ns = [0] * capacity, [0] * capacity
         self._poses = np.zeros((capacity, 4, 4))
         self._written = 0
         self._kept = 0
@@ -97,11 +97,11 @@ class StampedPoses:
 
     def stamp(self, n: int) -> int:
         """Return the stamp of the `n`-th newest."""
-        return int(self._stamps_ns[(self._written - 1 - n) % len(self._stamps_ns)])
+        return self._stamps_ns[(self._written - 1 - n) % len(self._stamps_ns)]
 
     def age(self, n: int) -> int:
         """Return how old the parts of the `n`-th newest were, in ns."""
-        return int(self._ages_ns[(self._written - 1 - n) % len(self._stamps_ns)])
+        return self._ages_ns[(self._written - 1 - n) % len(self._stamps_ns)]
 
     def pose(self, n: int) -> np.ndarray:
         """Return the `n`-th newest, as a view of the ring."""
@@ -109,7 +109,11 @@ class StampedPoses:
 
     def newer_than(self, stamp_ns: int) -> int:
         """Return how many are newer than an instant."""
-        return bisect_left(range(self._kept), -stamp_ns, key=lambda n: -self.stamp(n))
+        few = min(_FEW, self._kept)
+        for n in range(few):  # nearly always
+            if self.stamp(n) <= stamp_ns:
+                return n
+        return bisect_left(range(self._kept), -stamp_ns, few, key=lambda n: -self.stamp(n))
 
     def between(self, n: int, stamp_ns: int) -> np.ndarray:
         """Interpolate between the `n`-th newest and its successor."""

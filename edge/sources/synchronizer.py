@@ -175,7 +175,9 @@ class TimeSynchronizer:
 
     def _count_old(self, leader: Frame, joined: _Joined) -> None:
         """Count an observation with an old pose or mount; the first of its kind is also told."""
-        self.counters["old_pose"] += max(joined.pose_age_ns, joined.tf_age_ns) > 0
+        if max(joined.pose_age_ns, joined.tf_age_ns) == 0:
+            return
+        self.counters["old_pose"] += 1
         for topic, what, age_ns in (
             (Odometry.topic, "poses", joined.pose_age_ns),
             ("tf", "transforms", joined.tf_age_ns),

@@ -14,6 +14,8 @@ from edge.sources.odometry import StampedPoses, StampGuard
 _DEEPEST = 64
 _KEPT = 128  # transforms of each frame that moves
 _RARELY_NS = 500_000_000
+_SAME = Placed(np.eye(4))
+_SAME.T.flags.writeable = False
 
 
 class _Edge:
@@ -61,12 +63,12 @@ class _Edge:
             return moves.pose(n - 1), stamp_ns - moves.stamp(n - 1)
         before_ns = moves.stamp(n)
         if before_ns == stamp_ns:
-            return moves.pose(n), 0
+            return moves.pose(n).copy(), 0
         later = max(n, 1) - 1
         rarely = moves.stamp(later) - moves.stamp(later + 1) > self._rarely_ns
         if n == 0:
-            return moves.pose(0), 0 if rarely else stamp_ns - before_ns
-        return moves.pose(n) if rarely else moves.between(n, stamp_ns), 0
+            return moves.pose(0).copy(), 0 if rarely else stamp_ns - before_ns
+        return moves.pose(n).copy() if rarely else moves.between(n, stamp_ns), 0
 
 
 class TfBuffer:
@@ -108,6 +110,8 @@ class TfBuffer:
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> Placed:
         """Return `T_target_source` at an instant."""
+        if target == source:
+            return _SAME
         above_target, above_source = self._above(target), self._above(source)
         meeting = next((frame for frame in above_source if frame in above_target), None)
         if meeting is None:
@@ -124,14 +128,17 @@ class TfBuffer:
     def _climb(self, above: list[str], top: str, stamp_ns: int) -> tuple[np.ndarray, int, str]:
         """Return `T_top_frame` of the first frame, the age of its oldest part, and why it is not
         known."""
-        T, oldest_ns, why = np.eye(4), 0, ""
-        for frame in above[: above.index(top)]:
+        T, oldest_ns, why = _SAME.T, 0, ""
+        for frame in above:
+            if frame == top:
+                break
             edge = self._edges[frame]
             T_parent_frame, age_ns = edge.at(stamp_ns)
             if age_ns < 0:
                 said = f"the first transform from '{frame}' to '{edge.parent}' is"
                 why = why or f"{said} {-age_ns / 1e6:.0f} ms later"
-            T, oldest_ns = T_parent_frame @ T, max(oldest_ns, age_ns)
+            T = T_parent_frame if T is _SAME.T else T_parent_frame @ T
+            oldest_ns = max(oldest_ns, age_ns)
         return T, oldest_ns, why
 
     def _above(self, frame: str) -> list[str]:
