@@ -149,7 +149,8 @@ class TimeSynchronizer:
         self._wait_ns = math.inf if config.loop.lockstep else wait_ns
         self._mount_at = mount_at
         self._camera_frame = ""
-        self._pose_came_ns, self._pose_delay_ns = -1, 0
+        self._pose_came_ns = -1
+        self._pose_delay_ns: int | None = None
         self._camera: CameraModel | None = None
         self._pool: FramePool | None = None
         self._seq = 0

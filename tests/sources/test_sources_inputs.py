@@ -115,6 +115,14 @@ def test_what_is_late_is_named_with_by_how_much(late, late_ms, name, why):
     assert row.dropped.get(why.split(" ")[0], 0) > 50 or not why
 
 
+def test_what_never_came_is_not_late():
+    robot = Robot().info()
+    robot.wait(10**12)
+    for _ in range(40):
+        robot.wait(FRAME_NS).frame(robot.now_ns - 10**12).poll()
+    assert rows(robot)["camera/depth"].why == "no_pose (no odom)"
+
+
 def test_poses_that_are_old_are_told_for_as_long_as_they_are_used():
     robot = driven(Robot(), 5, late="odom", late_ns=700 * MS)
     row = rows(robot)["odom"]
