@@ -174,6 +174,14 @@ def test_a_sweep_waits_for_a_picture_no_longer_than_pictures_are_late(without, m
     assert (seen.rgb is None) == bool(without)
 
 
+def test_frames_that_were_joined_are_let_go():
+    robot = Robot().info().odom(0)
+    for k in range(1, 10):
+        robot.odom(k * FRAME_NS).frame(k * FRAME_NS).poll().release()
+        kept = [stream.newest_first() for stream in robot.synchronizer.streams.values()]
+        assert [len(frames) for frames in kept] == [0, 1]  # the newest, to say how far it is
+
+
 def test_frames_that_wait_take_no_more_than_their_room():
     limits = {"source": {"max_message_mb": 0.001, "odometry_ring": 64}}
     robot = Robot({**ONNX, **limits}).info().odom(0)
