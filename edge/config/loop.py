@@ -79,7 +79,7 @@ class Source(Section):
     `wait_s`: how long a frame waits for its pose, its transforms and the other sensors' frames of
     its stamp. It waits only for those that come late. Then poses and transforms that are older
     serve, which is counted and reported. `max_pose_gap_s`: how far apart two poses may be between
-    which a frame's is interpolated, and how old a pose may serve.
+    which a frame's is interpolated, and how old one may be from which it is extrapolated.
 
     `localised`: poses are those of a localisation in a map that lasts, as AMCL's in tf. What
     `mission.checkpoint` keeps of places is then good wherever the robot is after a restart, and

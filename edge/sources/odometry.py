@@ -13,6 +13,7 @@ from edge.geometry import SE2, interpolate, se2_of, wrap_angle
 RESET_AFTER = 8
 _HASTE = 1.5  # robots are faster than they say, downhill and when pushed
 _FEW = 4
+_SPEED_OVER_NS = 100_000_000
 _MAX_TURN_RAD = 1.0  # what yaw may change at once
 
 Missing = Literal["", "empty", "too_old", "too_new", "gap"]
@@ -217,10 +218,20 @@ class OdometryRing:
             return None, "gap", 0
         return poses.between(n, stamp_ns), "", max(poses.age(n), poses.age(n - 1))
 
-    def latest(self, stamp_ns: int) -> tuple[np.ndarray | None, int]:
-        """Return the newest pose and the age of its transforms; (None, 0) if `stamp_ns` is not at
-        most the largest gap after it."""
-        newest_ns = self.newest_ns
+    def extrapolated(self, stamp_ns: int) -> tuple[np.ndarray | None, int]:
+        """Move the newest pose on to an instant, as the poses before it moved.
+
+        Returns:
+            (T_map_base, age of its transforms); (None, 0) if the instant is not at most the largest
+            gap after it.
+        """
+        poses, newest_ns = self._poses, self.newest_ns
         if newest_ns is None or not 0 <= stamp_ns - newest_ns <= self._max_gap_ns:
             return None, 0
-        return self._poses.pose(0).copy(), self._poses.age(0)
+        over_ns = max(stamp_ns - newest_ns, _SPEED_OVER_NS)
+        n = min(poses.newer_than(newest_ns - over_ns), len(poses) - 1)
+        since_ns = poses.stamp(n)
+        if newest_ns - since_ns < stamp_ns - newest_ns:  # never farther than it has been followed
+            return poses.pose(0).copy(), poses.age(0)
+        fraction = (stamp_ns - since_ns) / (newest_ns - since_ns)
+        return interpolate(poses.pose(n), poses.pose(0), fraction), poses.age(0)

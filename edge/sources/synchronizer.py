@@ -2,10 +2,10 @@
 
 One sensor leads (`mapping.input`): every depth image or every cloud is one observation. The others
 are joined to it by stamp. It waits for them, and for a pose and mounts at or after its stamp, at
-most `source.wait_s`. Then older ones serve, a pose only within `source.max_pose_gap_s` and while
-odometry comes. A frame that still has no pose, or lacks a sensor it must have, is dropped and
-counted. In lockstep it waits for ever, so that a run replays the same. Of several complete
-observations the newest wins.
+most `source.wait_s`. Then older ones serve: a pose is extrapolated, but only within
+`source.max_pose_gap_s` and while odometry comes. A frame that still has no pose, or lacks a sensor
+it must have, is dropped and counted. In lockstep it waits for ever, so that a run replays the same.
+Of several complete observations the newest wins.
 """
 
 from __future__ import annotations
@@ -272,7 +272,7 @@ class TimeSynchronizer:
                 return None
             # If no pose came since the frame did, odometry is not late: it is silent.
             if missing == "too_new" and self._pose_came_ns >= leader.arrived_ns:
-                T_map_base, tf_age_ns = self.odometry.latest(leader.stamp_ns)
+                T_map_base, tf_age_ns = self.odometry.extrapolated(leader.stamp_ns)
                 pose_age_ns = leader.stamp_ns - self.odometry.newest_ns
         if T_map_base is None:
             return self._without_pose(leader, missing)

@@ -138,10 +138,36 @@ def test_yaw_over_the_turn_of_the_circle_is_no_jump():
 
 def test_the_newest_pose_serves_for_a_while():
     poses = ring((10**9, 0.5), max_gap_s=0.25)
-    assert poses.latest(1_250_000_000)[0][0, 3] == 0.5
-    assert poses.latest(1_250_000_001) == (None, 0)
-    assert poses.latest(999_999_999) == (None, 0)
-    assert ring().latest(5) == (None, 0)
+    assert poses.extrapolated(1_250_000_000)[0][0, 3] == 0.5
+    assert poses.extrapolated(1_250_000_001) == (None, 0)
+    assert poses.extrapolated(999_999_999) == (None, 0)
+    assert ring().extrapolated(5) == (None, 0)
+
+
+@pytest.mark.parametrize(
+    ("stamps_ms", "asked_ms", "x_m"),
+    [
+        # At 1 m/s, as far as it was followed.
+        (range(0, 301, 20), 300, 0.3),
+        (range(0, 301, 20), 330, 0.33),
+        (range(0, 301, 20), 550, 0.55),
+        (range(0, 301, 200), 250, 0.25),
+        ((280, 300), 320, 0.32),
+        ((280, 300), 321, 0.3),
+        ((300,), 301, 0.3),
+    ],
+)
+def test_the_newest_pose_is_moved_on_as_it_moved(stamps_ms, asked_ms, x_m):
+    poses = ring(*((1_000_000 * ms, 1e-3 * ms) for ms in stamps_ms))
+    assert poses.extrapolated(1_000_000 * asked_ms)[0][0, 3] == pytest.approx(x_m)
+
+
+def test_a_turn_goes_on_in_what_is_extrapolated():
+    poses = OdometryRing(64, 1.0, 1.0)
+    for ms in range(0, 501, 20):
+        poses.push(1_000_000 * ms, SE2(0.0, 0.0, 8e-4 * ms).matrix())
+    T, _ = poses.extrapolated(700_000_000)
+    assert se2_of(T).yaw_rad == pytest.approx(0.56, abs=0.002)  # nlerp; it was 0.4
 
 
 def test_the_age_of_a_poses_transforms_is_kept():
@@ -150,7 +176,7 @@ def test_the_age_of_a_poses_transforms_is_kept():
         poses.push(stamp_ns, np.eye(4), age_ns)
     ages = [poses.pose_at(at_ns)[2] for at_ns in (10, 15, 20, 25, 30)]
     assert ages == [0, 7, 7, 7, 0]
-    assert poses.latest(45)[1] == 5
+    assert poses.extrapolated(45)[1] == 5
 
 
 def test_a_ring_of_one_is_refused():
