@@ -183,7 +183,7 @@ def invert(T: np.ndarray) -> np.ndarray:
 
 
 def interpolate(T_a: np.ndarray, T_b: np.ndarray, fraction: float) -> np.ndarray:
-    """The pose `fraction` of the way from `T_a` to `T_b`, rotation by nlerp.
+    """The pose `fraction` of the way from `T_a` to `T_b`, beyond it above 1; rotation by nlerp.
 
     nlerp differs from slerp by less than 1e-4 rad between odometry samples (< 10 degrees apart).
     """

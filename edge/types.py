@@ -28,7 +28,7 @@ class Observation:
     Attributes:
         seq: counts observations of this source from 0.
         stamp_ns: capture time of the image or cloud.
-        T_map_base: (4, 4) float64, the pose interpolated at `stamp_ns`.
+        T_map_base: (4, 4) float64, the pose at `stamp_ns`.
         rgb: (h, w, 3) uint8, or None.
         depth_m: (h, w) float32 registered to `rgb`; NaN or 0 = no return; or None.
         camera: intrinsics of `rgb` and `depth_m`; None when there is no image.
@@ -36,6 +36,8 @@ class Observation:
         cloud_m: (n, 3) float32 in the LiDAR's frame, or None.
         T_base_lidar: (4, 4) float64.
         slot: the pool slot that owns the arrays; None when nothing is pooled.
+        pose_age_ns: how much older than `stamp_ns` the pose is, or a transform that it or a mount
+            is made of; 0: all are interpolated at the stamp.
     """
 
     seq: int
@@ -48,6 +50,7 @@ class Observation:
     cloud_m: np.ndarray | None = None
     T_base_lidar: np.ndarray = field(default_factory=lambda: np.eye(4))
     slot: Slot | None = None
+    pose_age_ns: int = 0
 
     @property
     def pose(self) -> SE2:

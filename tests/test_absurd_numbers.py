@@ -23,7 +23,7 @@ from edge.geometry import Grid, se2_of
 from edge.loop.status import status_of
 from edge.motion.controller import Controller
 from edge.sources.decoder import CdrDecoder
-from edge.sources.synchronizer import PATIENCE_NS, TimeSynchronizer
+from edge.sources.synchronizer import TimeSynchronizer
 
 
 @pytest.mark.parametrize("mode", ["depth", "cloud"])
@@ -42,7 +42,7 @@ def test_no_number_breaks_decoding_or_a_tick(mode):
         del said[topics.SEGMENTATION]  # the closed loop's own is looked at
         for topic, payload in said.items():
             decoder.offer(topic, payload)
-        clock.now_ns = PATIENCE_NS + 1
+        clock.now_ns = int(config.source.wait_s * 1e9) + 1
         if (observation := source.poll()) is not None:
             ticks += 1
             service.tick(observation, observation.stamp_ns)

@@ -76,6 +76,11 @@ class Source(Section):
     `kind` is a short name (`edge/sources/__init__.py`), or `module:Class` of one's own; `options`
     are given to the class. Everything outside the limits is dropped and counted.
 
+    `wait_s`: how long a frame waits for its pose, its transforms and the other sensors' frames of
+    its stamp. It waits only for those that come late. Then poses and transforms that are older
+    serve, which is counted and reported. `max_pose_gap_s`: how far apart two poses may be between
+    which a frame's is interpolated, and how old one may be from which it is extrapolated.
+
     `localised`: poses are those of a localisation in a map that lasts, as AMCL's in tf. What
     `mission.checkpoint` keeps of places is then good wherever the robot is after a restart, and
     after one of the computer, too; else only where odometry went on.
@@ -84,7 +89,8 @@ class Source(Section):
     kind: str = "zenoh"
     options: dict[str, Any] = Field(default_factory=dict)
     max_message_mb: Positive = 64.0
-    max_pose_gap_s: Positive = 0.25
+    wait_s: Annotated[float, Field(ge=0, le=10)] = 0.5
+    max_pose_gap_s: Positive = 0.5
     max_pose_jump_m: Positive = 1.0
     max_cloud_points: Annotated[int, Field(ge=16)] = 131072
     pool_slots: Annotated[int, Field(ge=3, le=32)] = 6

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 from edge.config import Config
 from edge.geometry import SE2, wrap_angle
@@ -18,6 +20,9 @@ SILENT_NS = 3_000_000_000
 ARRIVED_M, ARRIVED_RAD, ARRIVED_S = 0.3, 0.35, 2.0
 # A robot that moves this far under goals that nobody answers has a controller all the same.
 DRIVEN_M, DRIVEN_RAD = 0.3, 0.5
+# A stamp that went through a double comes back up to 128 ns off. Goals are farther apart.
+_SAME_NS = 1_000
+_KEPT = 256
 
 
 class GoalClient:
@@ -40,6 +45,8 @@ class GoalClient:
         self._unheard_at: SE2 | None = None  # where the robot was when nobody began to answer
         self._moved = False  # since then
         self._transmit = transmit
+        self._stamps_ns: deque[int] = deque(maxlen=_KEPT)  # of the goals that were sent
+        self._stranger_told = False
         self._sent_ns: int | None = None  # stamp of the goal that the controller drives to
         self._blocked: tuple[float, float] | None = None
         self._unanswered_since_ns: int | None = None
@@ -50,9 +57,30 @@ class GoalClient:
         if self._unanswered_since_ns is None:
             self._unanswered_since_ns = now_ns
         self._sent_ns = goal.stamp_ns
+        self._stamps_ns.append(goal.stamp_ns)
         self.driving = True
         self._arrival.reset()
         self._transmit(goal)
+
+    def matched(self, answer: GoalStatus) -> GoalStatus:
+        """Return the answer with the stamp of the goal that it means, which may be slightly off.
+
+        An answer to no goal that was sent is returned as it is, and reported once.
+        """
+        stamp_ns = answer.stamp_ns
+        nearest_ns = min(self._stamps_ns, key=lambda sent_ns: abs(sent_ns - stamp_ns), default=None)
+        if nearest_ns is None or nearest_ns == stamp_ns:
+            return answer
+        if abs(nearest_ns - stamp_ns) <= _SAME_NS:
+            return replace(answer, stamp_ns=nearest_ns)
+        if not self._stranger_told:
+            self._stranger_told = True
+            log.warning(
+                "goal_status: no goal has the stamp %d (the nearest is %d): the controller must "
+                "return the goal's own stamp, in whole nanoseconds (further ones are not reported)",
+                stamp_ns, nearest_ns,
+            )  # fmt: skip
+        return answer
 
     def answered(self, answer: GoalStatus, goal: Goal | None) -> bool:
         """The controller said something; what it says of old goals only shows that it is there.

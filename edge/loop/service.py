@@ -453,6 +453,7 @@ class Service:
     def goal_answered(self, answer: GoalStatus) -> None:
         """The controller said something about a goal; answers to old goals are void."""
         self._journal.note("answer", answer=answer)
+        answer = self.goals.client.matched(answer)
         self._publisher.answers.append(answer)
         self.goals.answered(answer)
 

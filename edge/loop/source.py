@@ -9,9 +9,9 @@ from typing import Any, Literal, Protocol
 from edge.geometry import SE2
 from edge.types import GoalStatus, Observation
 
-NO_DROPS = ("received", "observations", "overrun")
-"""Counters of messages that came, of observations given out, and of looks that found more messages
-than there was room for once more."""
+NO_DROPS = ("received", "observations", "old_pose", "overrun")
+"""Counters of messages that came, of observations given out, of those whose pose is older than they
+are, and of looks that found more messages than there was room for once more."""
 
 
 InputState = Literal["ok", "missing", "silent", "dropped", "unused"]
@@ -28,7 +28,8 @@ class InputRow:
         where: the key, the ROS topic or the address where it is listened to.
         group: inputs of one group stand in for each other, as `lidar/points` and `lidar/scan`.
         needed: whether the robot cannot do its work without the group.
-        why: the reason for which messages are dropped, if none can be used.
+        why: the reason for which messages are dropped, if none can be used; of an input that is ok,
+            what is wrong with those that are used.
         hz: how often messages come, as measured; `expected_hz`: as configured, 0 = on events.
         age_s: time since the newest message; None before the first.
         received: messages; `dropped`: those that became part of no observation, by reason.

@@ -211,7 +211,7 @@ def _operand_text(f: Formula, at_least: int) -> list[Formula | str]:
 
 
 def _name_text(name: str) -> str:
-    if re.fullmatch(WORD, name) and name not in KEYWORDS:
+    if re.fullmatch(WORD, name) and name not in KEYWORDS and not _apart(name):
         return name
     return '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
@@ -238,6 +238,10 @@ _TOKEN = re.compile(
     | (?P<paren>[()])""",
     re.VERBOSE | re.DOTALL,
 )
+_CAPITALS = re.compile(r"[XFGUWRM]")
+_PREFIXED = re.compile(r"(WX|[XFG])([A-Za-z_]\w*)", re.ASCII)
+_BINARY = re.compile(r"[UWRM]")
+_LETTER = re.compile(r"[A-Za-z][0-9]*")
 _NARY = {"&": conj, "|": disj}
 _CONSTANTS = {"true": TRUE, "false": FALSE}
 
@@ -273,7 +277,7 @@ def parse(text: str) -> Formula:
     From tightest to loosest: `! X WX F G`; `U W R M`; `&`; `|`; `->`; `<->`; binary operators
     other than & and | associate to the right. Propositions are words, or anything in double
     quotes (`\\"` and `\\\\` inside), that `edge.names` takes for a name. `&& || => <=> <> []` and
-    ◇ □ ○ ¬ ∧ ∨ → ↔ are read too.
+    ◇ □ ○ ¬ ∧ ∨ → ↔ are read too. A word with joined operators, as `Fa` or `aUb`, is refused.
 
     Raises:
         FormulaError: the text is no formula, a proposition is no name, or the text is longer than
@@ -368,7 +372,10 @@ def _tokens(text: str) -> Iterator[_Token]:
             elif op in _CONSTANTS:
                 yield _Token("constant", op, column)
             else:
-                yield _name(op, column)
+                name = _name(op, column)
+                if spaced := _apart(op):
+                    raise FormulaError(column, _unspaced(op, spaced))
+                yield name
     yield _Token("end", "", len(text) + 1)
 
 
@@ -378,6 +385,37 @@ def _name(text: str, column: int) -> _Token:
     except names.NotANameError as error:
         raise FormulaError(column, str(error)) from None
     return _Token("name", text, column)
+
+
+def _apart(word: str) -> str:
+    """Set the operators in a word apart, as `F a` for `Fa`; "" if the word is only a name.
+
+    Names that the alias table has, as `Fridge`, hold no operator.
+    """
+    if not _CAPITALS.search(word) or word in KEYWORDS or names.is_known(word):
+        return ""
+    if found := _PREFIXED.fullmatch(word):
+        op, operand = found.groups()
+        return f"{op} {_apart(operand) or operand}"
+    for found in _BINARY.finditer(word, 1):
+        left, op, right = word[: found.start()], found[0], word[found.end() :]
+        # `livingRoom` is a name; `aRb` and `chairRtable` are not, nor is `pinkBoxUtv`.
+        until = op == "U" and word[0].islower() and re.match(WORD, right)
+        if not until and not _is_operand(left):
+            continue
+        spaced = _apart(right)
+        if until or spaced or _is_operand(right):
+            return f"{left} {op} {spaced or right}"
+    return ""
+
+
+def _is_operand(word: str) -> bool:
+    return _LETTER.fullmatch(word) is not None or names.is_known(word)
+
+
+def _unspaced(word: str, spaced: str) -> str:
+    word, spaced = one_line(word, 40), one_line(spaced, 60)
+    return f"'{word}' lacks spaces: write '{spaced}', or \"{word}\" for a thing called so"
 
 
 def _unreadable(char: str) -> str:

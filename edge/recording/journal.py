@@ -139,6 +139,7 @@ def _observation(
         "rgb_hw": None if whole is None or whole.rgb is None else list(whole.rgb.shape[:2]),
         "depth": whole is not None and whole.depth_m is not None,
         "cloud": whole is not None and whole.cloud_m is not None,
+        "pose_age_ns": seen.pose_age_ns,
     }
     now = {
         "camera": seen.camera,
@@ -175,7 +176,7 @@ def observation_of(
     return Observation(
         said["seq"], said["stamp_ns"], _array_of(said["T_map_base"]), rgb, depth_m,
         None if camera is None else CameraModel(**camera), _array_of(rig["T_base_camera"]),
-        cloud_m, _array_of(rig["T_base_lidar"]),
+        cloud_m, _array_of(rig["T_base_lidar"]), pose_age_ns=int(said.get("pose_age_ns", 0)),
     )  # fmt: skip
 
 

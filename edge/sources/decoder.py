@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 
@@ -17,7 +19,6 @@ from edge.sources.messages import (
     DepthImage,
     Frame,
     Image,
-    Mount,
     Odometry,
     Scan,
     WrongSizeError,
@@ -25,6 +26,7 @@ from edge.sources.messages import (
 from edge.sources.synchronizer import TimeSynchronizer
 from edge.sources.tf import Frames
 
+_SHARE = 0.8  # of a frame's wait for its pose, in which that waits for its transforms
 _INFO_BODY = 12  # behind CDR header and stamp: a camera says the same again and again
 
 
@@ -74,8 +76,7 @@ class CdrDecoder:
     """Hands payloads to a synchronizer as what they say, or as counted drops; for one thread.
 
     Args:
-        frames: takes poses into `map` and knows where the sensors sit. Without it odometry is in
-            `map` already, and the sensors sit where the configuration says.
+        frames: takes poses into `map`. Without it odometry is in `map` already.
     """
 
     def __init__(
@@ -88,6 +89,11 @@ class CdrDecoder:
         self._clock = clock
         self._frames = frames
         self._info = b""
+        config = synchronizer.config
+        wait_ns = _SHARE * 1e9 * config.source.wait_s
+        self._wait_ns = math.inf if config.loop.lockstep else wait_ns
+        self._most_waiting = config.source.odometry_ring
+        self._waiting: deque[tuple[int, messages.Odometry]] = deque()  # for transforms, and since
 
     def offer(self, topic: Topic, payload: bytes, type_name: str = "") -> None:
         """Take one message of any topic in `edge.bus.topics` that sensors write.
@@ -101,7 +107,7 @@ class CdrDecoder:
             return
         try:
             if topic is topics.ODOMETRY:
-                self._move(topic, payload)
+                self._move(payload)
             elif topic is topics.CAMERA_INFO:
                 self._describe(payload)
             else:
@@ -109,28 +115,38 @@ class CdrDecoder:
         except DecodeError as error:
             self._synchronizer.count(topic.key, "malformed", str(error))
 
-    def _move(self, topic: Topic, payload: bytes) -> None:
+    def _move(self, payload: bytes) -> None:
         sample = messages.decode_odometry(payload)
-        T_map_base: np.ndarray | None = sample.T_map_base
-        if self._frames is not None:
-            T_map_base = self._frames.base_in_map(sample)
-        if T_map_base is None:
-            detail = f"from {sample.frame_id} and {sample.child_frame_id}"
-            self._synchronizer.count(topic.key, "no_transform", detail)
+        if self._frames is None:
+            self._synchronizer.offer(Odometry(sample.stamp_ns, sample.T_map_base))
             return
-        self._synchronizer.offer(Odometry(sample.stamp_ns, T_map_base))
+        self._waiting.append((self._clock(), sample))
+        self.settle()
+
+    def settle(self) -> None:
+        """Take the poses into `map` whose transforms have come, or for which too much waits."""
+        while self._waiting:
+            came_ns, sample = self._waiting[0]
+            placed = self._frames.base_in_map(sample)
+            waited = self._clock() - came_ns > self._wait_ns
+            if placed.age_ns and not waited and len(self._waiting) < self._most_waiting:
+                return
+            self._waiting.popleft()
+            if placed.T is None:
+                self._synchronizer.count(topics.ODOMETRY.key, "no_transform", placed.why)
+            else:
+                self._synchronizer.offer(Odometry(sample.stamp_ns, placed.T, placed.age_ns))
 
     def _show(self, topic: Topic, payload: bytes, type_name: str) -> None:
         kind, into = KINDS[topic], _INTO[type_name]
         stamp_ns, frame_id = messages.peek_header(payload)
         # Depth is registered to the colours: it sits where these do, whatever it says.
-        if self._frames is not None and self._frames.by_tf and kind is not DepthImage:
-            T_base_sensor = self._frames.mount_of(frame_id)
-            if T_base_sensor is None:
-                self._synchronizer.count(topic.key, "no_transform", f"from {frame_id}")
-                return
-            self._synchronizer.offer(Mount(kind.field, T_base_sensor))
-        self._synchronizer.offer(kind(stamp_ns, self._clock(), partial(into, payload)))
+        by_tf = self._frames is not None and self._frames.by_tf and kind is not DepthImage
+        if by_tf and (why := self._frames.why_unplaced(frame_id)):
+            self._synchronizer.count(topic.key, "no_transform", why)
+            return
+        into = partial(into, payload)
+        self._synchronizer.offer(kind(stamp_ns, self._clock(), into, frame_id, len(payload)))
 
     def _describe(self, payload: bytes) -> None:
         """Cameras describe themselves with every frame, and hardly ever anew."""

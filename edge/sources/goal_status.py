@@ -30,6 +30,8 @@ def parse_goal_status(payload: bytes) -> GoalStatus:
     """
     data = read_json_object(payload, _MAX_BYTES)
     stamp, state, reason = data.get("stamp"), data.get("state"), data.get("reason", "")
+    if type(stamp) is float and stamp.is_integer():  # as some write large numbers: 1.8e18
+        stamp = int(stamp)
     if type(stamp) is not int:
         raise ValueError(f"stamp: expected nanoseconds, got {bounded_repr(stamp, 40)}")
     if state not in STATES:

@@ -31,13 +31,15 @@ class _Input:
         expected_hz: as configured; 0 where it comes on events, and is never silent.
         silent_ns: without a message for so long it is.
         came_ns, used_ns: when the newest message came, and when one was used; None: never.
+        doubt: what is wrong with messages that are used; since `doubted_ns`.
         dropped: messages by reason; `reason` and `detail` of the drops since one was used.
         hz: measured over the last window, which began at `since_ns` and has `in_window` messages.
     """
 
     __slots__ = (
-        "came_ns", "detail", "dropped", "expected_hz", "group", "hz", "in_window", "name", "needed",
-        "reason", "received", "silent_ns", "since_ns", "used_ns", "where",
+        "came_ns", "detail", "doubt", "doubted_ns", "dropped", "expected_hz", "group", "hz",
+        "in_window", "name", "needed", "reason", "received", "silent_ns", "since_ns", "used_ns",
+        "where",
     )  # fmt: skip
 
     def __init__(self, name: str, group: str, needed: bool, expected_hz: float) -> None:
@@ -47,7 +49,8 @@ class _Input:
         self.used_ns: int | None = None
         self.received = self.in_window = self.since_ns = 0
         self.dropped: dict[str, int] = {}
-        self.reason = self.detail = ""
+        self.reason = self.detail = self.doubt = ""
+        self.doubted_ns = 0
         self.hz = 0.0
         self.silent_ns = max(SILENT_S, 3.0 / expected_hz) * 1e9 if expected_hz else math.inf
 
@@ -60,6 +63,9 @@ class _Input:
         self.received += 1
         self.in_window += 1
         self.came_ns = now_ns
+
+    def doubts(self, now_ns: int) -> str:
+        return self.doubt if now_ns - self.doubted_ns <= _WINDOW_NS else ""
 
     def state(self, now_ns: int) -> InputState:
         if self.came_ns is None:
@@ -129,6 +135,14 @@ class InputTable:
             if reason not in _NORMAL and reason != row.reason:
                 row.reason, row.detail = reason, detail
 
+    def doubted(self, name: str, doubt: str) -> None:
+        """Note what is wrong with messages that are used. The first of a row of doubts is kept."""
+        now_ns = self._clock()
+        for row in self._called.get(name, ()):
+            if not row.doubts(now_ns):
+                row.doubt = doubt
+            row.doubted_ns = now_ns
+
     def unpaired(self, group: str, detail: str) -> None:
         """Note that an observation goes without these inputs, which it may."""
         for row in self._inputs:
@@ -154,6 +168,9 @@ def _row(row: _Input, state: InputState, now_ns: int) -> InputRow:
     came_ns, hz = row.came_ns, row.hz
     if not hz and came_ns is not None and came_ns > row.since_ns:  # the first window goes on
         hz = (row.in_window - 1) * 1e9 / (came_ns - row.since_ns)
+    why = row.doubts(now_ns) if state == "ok" else ""
+    if state == "dropped":
+        why = f"{row.reason}{row.detail and f' ({row.detail})'}"
     if hz and now_ns - came_ns > max(SILENT_S, 3.0 / hz) * 1e9:
         hz = 0.0
     return InputRow(
@@ -162,7 +179,7 @@ def _row(row: _Input, state: InputState, now_ns: int) -> InputRow:
         group=row.group,
         needed=row.needed,
         state=state,
-        why="" if state != "dropped" else f"{row.reason}{row.detail and f' ({row.detail})'}",
+        why=why,
         hz=round(hz, 1),
         expected_hz=row.expected_hz,
         age_s=None if came_ns is None else round(max(now_ns - came_ns, 0) * 1e-9, 2),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Union
+from typing import ClassVar, NamedTuple, Union
 
 import numpy as np
 
@@ -21,10 +21,15 @@ class WrongSizeError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
-    """Where the base is in `map`: (4, 4) float64."""
+    """Where the base is in `map`: (4, 4) float64.
+
+    Attributes:
+        age_ns: how much older than the stamp the transforms are that took it into `map`.
+    """
 
     stamp_ns: int
     T_map_base: np.ndarray
+    age_ns: int = 0
     topic: ClassVar[str] = "odom"
 
 
@@ -45,6 +50,8 @@ class Frame:
         arrived_ns: when it came, on the synchronizer's clock.
         into: writes it into an array of its field and returns how many rows or points that were;
             raises ValueError, in one line, for what is malformed, `WrongSizeError` among them.
+        frame_id: the frame that it is in, for a robot whose mounts move.
+        size: bytes that it takes until it is used.
         topic: what drops are told and counted under.
         field: the attribute of `Observation`, and of a pool's slot, that it becomes.
     """
@@ -52,6 +59,8 @@ class Frame:
     stamp_ns: int
     arrived_ns: int
     into: Callable[[np.ndarray], int]
+    frame_id: str = ""
+    size: int = 0
     topic: ClassVar[str]
     field: ClassVar[str]
 
@@ -80,13 +89,22 @@ class Scan(Cloud):
     topic = "lidar/scan"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Mount:
-    """Where the sensor that fills `field` (`rgb`, which depth is registered to, or `cloud_m`) sits
-    on the robot from here on: `T_base_sensor` (4, 4), a camera's from its optical frame."""
+class Placed(NamedTuple):
+    """One frame in another at an instant.
 
-    field: str
-    T_base_sensor: np.ndarray
+    Attributes:
+        T: (4, 4); None: not known.
+        age_ns: how much older than the instant the transforms are; 0: they are of the instant.
+        why: why it is not known, in one line.
+    """
+
+    T: np.ndarray | None
+    age_ns: int = 0
+    why: str = ""
 
 
-Message = Union[Odometry, CameraInfo, Mount, Frame]
+MountAt = Callable[[str, int], Placed]
+"""Returns `T_base_sensor` of the sensor whose messages name a frame, at a stamp in ns: a camera's
+from its optical frame."""
+
+Message = Union[Odometry, CameraInfo, Frame]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from typing import Literal
 
 import numpy as np
@@ -11,6 +12,8 @@ from edge.geometry import SE2, interpolate, se2_of, wrap_angle
 
 RESET_AFTER = 8
 _HASTE = 1.5  # robots are faster than they say, downhill and when pushed
+_FEW = 4
+_SPEED_OVER_NS = 100_000_000
 _MAX_TURN_RAD = 1.0  # what yaw may change at once
 
 Missing = Literal["", "empty", "too_old", "too_new", "gap"]
@@ -56,14 +59,77 @@ class StampGuard:
         self._behind_ns, self._behind = None, 0
 
 
+class StampedPoses:
+    """(4, 4) transforms in the order of their stamps, in a preallocated ring; for one thread.
+
+    Args:
+        apart_ns: of transforms closer than this the newest is kept, so that a flood of them does
+            not push out those that frames still ask for.
+    """
+
+    def __init__(self, capacity: int, apart_ns: int = 0) -> None:
+        if capacity < 2:
+            raise ValueError(f"capacity {capacity}: at least 2 poses are needed")
+        self._apart_ns = apart_ns
+        self._stamps_ns, self._ages_ns = [0] * capacity, [0] * capacity
+        self._poses = np.zeros((capacity, 4, 4))
+        self._written = 0
+        self._kept = 0
+
+    def __len__(self) -> int:
+        return self._kept
+
+    def clear(self) -> None:
+        self._kept = 0
+
+    def push(self, stamp_ns: int, T: np.ndarray, age_ns: int = 0) -> None:
+        """Take the newest transform; `age_ns` is how old its own parts were."""
+        if self._kept > 1 and stamp_ns - self.stamp(1) < self._apart_ns:
+            self._written -= 1
+            self._kept -= 1
+        i = self._written % len(self._stamps_ns)
+        self._stamps_ns[i], self._ages_ns[i], self._poses[i] = stamp_ns, age_ns, T
+        self._written += 1
+        self._kept = min(self._kept + 1, len(self._stamps_ns))
+
+    def replace(self, T: np.ndarray) -> None:
+        """Put another transform in the place of the newest."""
+        self._poses[(self._written - 1) % len(self._stamps_ns)] = T
+
+    def stamp(self, n: int) -> int:
+        """Return the stamp of the `n`-th newest."""
+        return self._stamps_ns[(self._written - 1 - n) % len(self._stamps_ns)]
+
+    def age(self, n: int) -> int:
+        """Return how old the parts of the `n`-th newest were, in ns."""
+        return self._ages_ns[(self._written - 1 - n) % len(self._stamps_ns)]
+
+    def pose(self, n: int) -> np.ndarray:
+        """Return the `n`-th newest, as a view of the ring."""
+        return self._poses[(self._written - 1 - n) % len(self._stamps_ns)]
+
+    def newer_than(self, stamp_ns: int) -> int:
+        """Return how many are newer than an instant."""
+        few = min(_FEW, self._kept)
+        for n in range(few):  # nearly always
+            if self.stamp(n) <= stamp_ns:
+                return n
+        return bisect_left(range(self._kept), -stamp_ns, few, key=lambda n: -self.stamp(n))
+
+    def between(self, n: int, stamp_ns: int) -> np.ndarray:
+        """Interpolate between the `n`-th newest and its successor."""
+        before_ns = self.stamp(n)
+        fraction = (stamp_ns - before_ns) / (self.stamp(n - 1) - before_ns)
+        return interpolate(self.pose(n), self.pose(n - 1), fraction)
+
+
 class OdometryRing:
     """Poses in a preallocated ring; for one thread.
 
     Args:
         max_jump_m: what a pose may move at once, on top of what the robot can drive in the time.
         max_speed_mps: of the robot; `max_turn_radps` likewise.
-        apart_ns: of poses closer than this the newest is kept, so that a flood of them does not
-            push out those that frames still ask for.
+        apart_ns: see `StampedPoses`.
 
     Attributes:
         epoch: rises whenever poses before and after have nothing to do with each other, since
@@ -80,33 +146,27 @@ class OdometryRing:
         max_turn_radps: float = 0.0,
         apart_ns: int = 0,
     ) -> None:
-        if capacity < 2:
-            raise ValueError(f"capacity {capacity}: at least 2 poses are needed")
         self.epoch = 0
         self._max_gap_ns = int(max_gap_s * 1e9)
         self._max_jump_m = max_jump_m
         self._max_speed_mps = max_speed_mps
         self._max_turn_radps = max_turn_radps
-        self._apart_ns = apart_ns
-        self._stamps_ns = np.zeros(capacity, np.int64)
-        self._poses = np.zeros((capacity, 4, 4))
-        self._written = 0
-        self._kept = 0
+        self._poses = StampedPoses(capacity, apart_ns)
         self._guard = StampGuard()
 
     def __len__(self) -> int:
-        return self._kept
+        return len(self._poses)
 
     @property
     def newest_ns(self) -> int | None:
-        return self._stamp(0) if self._kept else None
+        return self._poses.stamp(0) if len(self) else None
 
     @property
     def newest_pose(self) -> SE2 | None:
-        return se2_of(self._pose(0)) if self._kept else None
+        return se2_of(self._poses.pose(0)) if len(self) else None
 
-    def push(self, stamp_ns: int, T_map_base: np.ndarray) -> str:
-        """Take a pose.
+    def push(self, stamp_ns: int, T_map_base: np.ndarray, age_ns: int = 0) -> str:
+        """Take a pose; `age_ns` is how old the transforms were that took it into `map`.
 
         Returns:
             "", or what was odd: `repeated` and `backward` poses are left out; `clock_reset` goes
@@ -118,65 +178,60 @@ class OdometryRing:
             return verdict
         # Across a clock that was set anew only the time since then is known.
         since_ns = self._guard.behind_since_ns if verdict == "clock_reset" else last_ns
-        if self._kept and self._jumped(T_map_base, (stamp_ns - since_ns) * 1e-9):
+        if len(self) and self._jumped(T_map_base, (stamp_ns - since_ns) * 1e-9):
             self.epoch += 1
             verdict = "pose_jump"
         if verdict != "ok":
-            self._kept = 0
-        if self._kept > 1 and stamp_ns - self._stamp(1) < self._apart_ns:
-            self._written -= 1
-            self._kept -= 1
-        i = self._written % len(self._stamps_ns)
-        self._stamps_ns[i] = stamp_ns
-        self._poses[i] = T_map_base
-        self._written += 1
-        self._kept = min(self._kept + 1, len(self._stamps_ns))
+            self._poses.clear()
+        self._poses.push(stamp_ns, T_map_base, age_ns)
         return "" if verdict == "ok" else verdict
 
     def _jumped(self, T_map_base: np.ndarray, elapsed_s: float) -> bool:
         """Whether no robot could have come from the newest pose to this one in that time."""
-        last = self._pose(0)
+        last = self._poses.pose(0)
         moved_m = math.dist(T_map_base[:3, 3], last[:3, 3])
         turned_rad = abs(wrap_angle(se2_of(T_map_base).yaw_rad - se2_of(last).yaw_rad))
         farthest_m = self._max_jump_m + _HASTE * self._max_speed_mps * elapsed_s
         widest_rad = _MAX_TURN_RAD + _HASTE * self._max_turn_radps * elapsed_s
         return moved_m > farthest_m or turned_rad > widest_rad
 
-    def _stamp(self, age: int) -> int:
-        """The stamp of the `age`-th newest pose."""
-        return int(self._stamps_ns[(self._written - 1 - age) % len(self._stamps_ns)])
-
-    def _pose(self, age: int) -> np.ndarray:
-        return self._poses[(self._written - 1 - age) % len(self._stamps_ns)]
-
-    def pose_at(self, stamp_ns: int) -> tuple[np.ndarray | None, Missing]:
-        """The pose at an instant, interpolated between its two neighbours.
+    def pose_at(self, stamp_ns: int) -> tuple[np.ndarray | None, Missing, int]:
+        """Return the pose at an instant, interpolated between its two neighbours.
 
         Returns:
-            (T_map_base, "") or (None, why): `too_new` may be answered later, the rest never:
-            `empty`, `too_old` (before the ring begins), `gap` (the neighbours are further apart
-            than the largest gap allowed).
+            (T_map_base, "", age of its transforms) or (None, why, 0): `too_new` may be answered
+            later, the rest never: `empty`, `too_old` (before the ring begins), `gap` (the
+            neighbours are further apart than the largest gap allowed).
         """
-        if not self._kept:
-            return None, "empty"
-        if stamp_ns > self._stamp(0):
-            return None, "too_new"
-        age = 0
-        while age < self._kept and self._stamp(age) > stamp_ns:
-            age += 1
-        if age == self._kept:
-            return None, "too_old"
-        before_ns = self._stamp(age)
+        poses = self._poses
+        if not len(poses):
+            return None, "empty", 0
+        n = poses.newer_than(stamp_ns)
+        if n == len(poses):
+            return None, "too_old", 0
+        before_ns = poses.stamp(n)
         if before_ns == stamp_ns:
-            return self._pose(age).copy(), ""
-        after_ns = self._stamp(age - 1)
-        if after_ns - before_ns > self._max_gap_ns:
-            return None, "gap"
-        fraction = (stamp_ns - before_ns) / (after_ns - before_ns)
-        return interpolate(self._pose(age), self._pose(age - 1), fraction), ""
+            return poses.pose(n).copy(), "", poses.age(n)
+        if n == 0:
+            return None, "too_new", 0
+        if poses.stamp(n - 1) - before_ns > self._max_gap_ns:
+            return None, "gap", 0
+        return poses.between(n, stamp_ns), "", max(poses.age(n), poses.age(n - 1))
 
-    def latest(self, stamp_ns: int) -> np.ndarray | None:
-        """The newest pose, where `stamp_ns` is at most the largest gap after it."""
-        if not self._kept or not 0 <= stamp_ns - self._stamp(0) <= self._max_gap_ns:
-            return None
-        return self._pose(0).copy()
+    def extrapolated(self, stamp_ns: int) -> tuple[np.ndarray | None, int]:
+        """Move the newest pose on to an instant, as the poses before it moved.
+
+        Returns:
+            (T_map_base, age of its transforms); (None, 0) if the instant is not at most the largest
+            gap after it.
+        """
+        poses, newest_ns = self._poses, self.newest_ns
+        if newest_ns is None or not 0 <= stamp_ns - newest_ns <= self._max_gap_ns:
+            return None, 0
+        over_ns = max(stamp_ns - newest_ns, _SPEED_OVER_NS)
+        n = min(poses.newer_than(newest_ns - over_ns), len(poses) - 1)
+        since_ns = poses.stamp(n)
+        if newest_ns - since_ns < stamp_ns - newest_ns:  # never farther than it has been followed
+            return poses.pose(0).copy(), poses.age(0)
+        fraction = (stamp_ns - since_ns) / (newest_ns - since_ns)
+        return interpolate(poses.pose(n), poses.pose(0), fraction), poses.age(0)

@@ -27,7 +27,7 @@ class PolledSource(ABC):
     """An `edge.loop.source.Source`, but for `_drain`, which brings the messages, and `_where`.
 
     Args:
-        frames: see `CdrDecoder`.
+        frames: see `CdrDecoder`; also where the sensors sit, if that is for tf to say.
 
     Raises:
         ConfigError: a cloud is asked for and no LiDAR is described.
@@ -36,7 +36,8 @@ class PolledSource(ABC):
     def __init__(
         self, config: Config, session: zenoh.Session, frames: Frames | None = None
     ) -> None:
-        self._synchronizer = TimeSynchronizer(config)
+        mount_at = frames.mount_at if frames is not None and frames.by_tf else None
+        self._synchronizer = TimeSynchronizer(config, mount_at=mount_at)
         self._decoder = CdrDecoder(self._synchronizer, frames=frames)
         self._max_bytes = int(config.source.max_message_mb * 1e6)
         self.inbox = GoalStatusInbox(session, config.zenoh)

@@ -25,11 +25,11 @@ class Ros2Source(PolledSource):
     """The sensors that `ros2.topics` names as Observations."""
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
-        self._settings, self._frames = config.ros2, Frames(config.ros2)
+        self._settings, self._frames = config.ros2, Frames(config)
         super().__init__(config, session, self._frames)
         self._node = open_node(config, session, "source")
         # What was moored first: a frame whose sensor sits nowhere yet is dropped.
-        self._transforms = [self._subscribe(name, _TF_KEPT) for name in ("tf_static", "tf")]
+        self._transforms = {n: self._subscribe(n, _TF_KEPT) for n in ("tf_static", "tf")}
         for name in ("tf", "tf_static"):
             self._synchronizer.inputs.add(name, "tf", needed=self._frames.by_tf)
             self._synchronizer.inputs.listen(name, self._settings.topic(name))
@@ -50,15 +50,16 @@ class Ros2Source(PolledSource):
     def _drain(self) -> int:
         self._node.look()
         n = 0
-        for subscription in self._transforms:
+        for name, subscription in self._transforms.items():
             for _, payload in subscription.take():
                 n += 1
-                self._take_transforms(subscription.topic, payload)
+                self._take_transforms(subscription.topic, payload, name == "tf_static")
         for topic, subscription in self._sensors.items():
             for type_name, payload in subscription.take():
                 n += 1
                 self._take(topic, subscription, type_name, payload)
-        every = (*self._transforms, *self._sensors.values())
+        self._decoder.settle()
+        every = (*self._transforms.values(), *self._sensors.values())
         self.counters["overrun"] = sum(subscription.overruns for subscription in every)
         return n
 
@@ -77,16 +78,16 @@ class Ros2Source(PolledSource):
         else:
             self._decoder.offer(topic, payload.to_bytes(), type_name.replace("/msg/", "/"))
 
-    def _take_transforms(self, name: str, payload: zenoh.ZBytes) -> None:
+    def _take_transforms(self, name: str, payload: zenoh.ZBytes, static: bool) -> None:
         self._synchronizer.received(name)
         if self._is_too_large(name, payload):
             return
         try:
-            untaken = self._frames.take(payload.to_bytes())
+            untaken = self._frames.take(payload.to_bytes(), static)
         except DecodeError as error:
             self._synchronizer.count(name, "malformed", one_line(error))
             return
         if untaken:
-            self._synchronizer.count(name, "malformed", f"{untaken} transforms that fit nowhere")
+            self._synchronizer.count(name, "malformed", f"{untaken}, that fit nowhere")
         else:
             self._synchronizer.inputs.used(name)

@@ -1,13 +1,16 @@
-"""The last few frames of one sensor, waiting to be joined with those of the others."""
+"""The newest frames of one sensor, waiting to be joined with those of the others."""
 
 from __future__ import annotations
 
-from collections import deque
+from bisect import bisect_left
 
 from edge.sources.messages import Frame
 from edge.sources.odometry import StampGuard
 
 KEPT = 4
+"""Frames that are kept however old they are, and that wait between two looks at a topic."""
+MOST = 64
+"""Frames that are kept however small they are."""
 
 
 class Stream:
@@ -16,31 +19,48 @@ class Stream:
     Args:
         tolerance_ns: how far a frame's stamp may be from the instant it is asked for.
         required: whether there is no observation without it.
+        kept_ns: how much older than the newest frame a frame may be.
+        most_bytes: what all frames may take together.
+
+    Attributes:
+        delay_ns: when the newest frame came minus when it was taken, on two clocks; None before
+            the first. Only differences between streams mean anything.
     """
 
-    def __init__(self, tolerance_ns: int, required: bool) -> None:
+    def __init__(self, tolerance_ns: int, required: bool, kept_ns: int, most_bytes: int) -> None:
         self.required = required
-        self._tolerance_ns = tolerance_ns
-        self._frames: deque[Frame] = deque()
+        self.delay_ns: int | None = None
+        self._tolerance_ns, self._kept_ns, self._most_bytes = tolerance_ns, kept_ns, most_bytes
+        self._frames: list[Frame] = []
         self._guard = StampGuard()
+        self._bytes = 0
 
     def offer(self, frame: Frame) -> str:
         """Take a frame; why it was not taken, or why an older one was let go, or ""."""
         verdict = self._guard.judge(frame.stamp_ns)
         if verdict in ("repeated", "backward"):
             return verdict
+        self.delay_ns = frame.arrived_ns - frame.stamp_ns
         if verdict == "clock_reset":
             self._frames.clear()
-            self._frames.append(frame)
-            return verdict
+            self._bytes = 0
         self._frames.append(frame)
-        if len(self._frames) > KEPT:
-            self._frames.popleft()
-            return "superseded"
-        return ""
+        self._bytes += frame.size
+        n = len(self._frames)
+        while self._has_too_many(frame.stamp_ns - self._kept_ns):
+            self.drop(self._frames[0])
+        if verdict == "clock_reset":
+            return verdict
+        return "superseded" if len(self._frames) < n else ""
+
+    def _has_too_many(self, oldest_ns: int) -> bool:
+        n = len(self._frames)
+        if n > MOST or (n > 1 and self._bytes > self._most_bytes):
+            return True
+        return n > KEPT and self._frames[0].stamp_ns < oldest_ns
 
     def newest_first(self) -> list[Frame]:
-        return list(reversed(self._frames))
+        return self._frames[::-1]
 
     def near(self, stamp_ns: int) -> Frame | None:
         """The frame nearest to an instant, within the tolerance."""
@@ -51,7 +71,9 @@ class Stream:
 
     def nearest(self, stamp_ns: int) -> Frame | None:
         """Return the frame nearest to an instant, however far; None: there is none."""
-        return min(self._frames, key=lambda f: abs(f.stamp_ns - stamp_ns), default=None)
+        i = bisect_left(self._frames, stamp_ns, key=lambda f: f.stamp_ns)
+        around = self._frames[max(i - 1, 0) : i + 1]
+        return min(around, key=lambda f: abs(f.stamp_ns - stamp_ns), default=None)
 
     def is_past(self, stamp_ns: int) -> bool:
         """Whether every frame still to come is too late for this instant."""
@@ -60,11 +82,17 @@ class Stream:
 
     def drop(self, frame: Frame) -> None:
         self._frames.remove(frame)
+        self._bytes -= frame.size
 
     def drop_through(self, stamp_ns: int) -> int:
         """Let go of everything up to an instant; how many they were."""
         n = 0
         while self._frames and self._frames[0].stamp_ns <= stamp_ns:
-            self._frames.popleft()
+            self.drop(self._frames[0])
             n += 1
         return n
+
+    def drop_unneeded(self, stamp_ns: int) -> None:
+        """Let go of what no instant after this one can be joined with, but for the newest."""
+        while len(self._frames) > 1 and self._frames[0].stamp_ns < stamp_ns - self._tolerance_ns:
+            self.drop(self._frames[0])

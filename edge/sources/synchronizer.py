@@ -1,10 +1,11 @@
 """Joins camera, depth, cloud and odometry messages into Observations; knows no transport.
 
 One sensor leads (`mapping.input`): every depth image or every cloud is one observation. The others
-are joined to it by stamp. It waits for them, and for an odometry sample at or after its stamp, at
-most `PATIENCE_NS`; then the newest odometry within `source.max_pose_gap_s` serves, and a frame
-that still has no pose, or lacks a sensor it must have, is dropped and counted. In lockstep it waits
-for ever, so that a run replays the same. Of several complete observations the newest wins.
+are joined to it by stamp. It waits for them, and for a pose and mounts at or after its stamp, at
+most `source.wait_s`. Then older ones serve: a pose is extrapolated, but only within
+`source.max_pose_gap_s` and while odometry comes. A frame that still has no pose, or lacks a sensor
+it must have, is dropped and counted. In lockstep it waits for ever, so that a run replays the same.
+Of several complete observations the newest wins.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import logging
 import math
 import time
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,11 +28,11 @@ from edge.sources.messages import (
     Frame,
     Image,
     Message,
-    Mount,
+    MountAt,
     Odometry,
     WrongSizeError,
 )
-from edge.sources.odometry import OdometryRing
+from edge.sources.odometry import Missing, OdometryRing
 from edge.sources.pool import FramePool, PoolSlot
 from edge.sources.streams import Stream
 from edge.text import one_line
@@ -38,8 +40,10 @@ from edge.types import Observation
 
 log = logging.getLogger("edge.sources")
 
-PATIENCE_NS = 50_000_000
+# A sensor that an observation may lack is waited for as long as it is late, and so much longer.
+_SLACK_NS = 50_000_000
 _POSES_APART_NS = 1_000_000
+_LARGEST = 4  # messages of the largest size that one stream may hold
 _NAMES = {kind.field: kind.topic for kind in (Image, DepthImage, Cloud)}
 
 REASONS = (
@@ -62,50 +66,91 @@ def streams_of(config: Config) -> dict[str, Stream]:
         raise ConfigError(f"{config.at(key)}: cloud needs sensors.lidar (where it is mounted)")
     must = config.loop.lockstep or not cloud_leads
     half_frame_ns = int(0.5e9 / config.sensors.camera.rate_hz)
+    # A frame may come so long before the leading one, which then waits as long for its pose.
+    kept_ns = int(2e9 * config.source.wait_s)
+    most_bytes = int(_LARGEST * 1e6 * config.source.max_message_mb)
     streams = {}
     if cloud_leads or perception.lift == "cloud":
-        period_ns = int(1e9 / lidar.rate_hz)
-        streams["cloud_m"] = Stream(period_ns, required=cloud_leads or config.loop.lockstep)
+        required = cloud_leads or config.loop.lockstep
+        streams["cloud_m"] = Stream(int(1e9 / lidar.rate_hz), required, kept_ns, most_bytes)
     # The simulator's detector tells how far things are from the depth image.
     if not cloud_leads or perception.lift == "depth" or perception.detector.kind == "sim":
-        streams["depth_m"] = Stream(half_frame_ns, required=must)
-    streams["rgb"] = Stream(half_frame_ns, required=must)
+        streams["depth_m"] = Stream(half_frame_ns, must, kept_ns, most_bytes)
+    streams["rgb"] = Stream(half_frame_ns, must, kept_ns, most_bytes)
     leader = "cloud_m" if cloud_leads else "depth_m"
     return {leader: streams.pop(leader), **streams}
 
 
-def _apart(leader: Frame, name: str, nearest_ns: int | None) -> str:
+def _nearest(leader: Frame, name: str, nearest_ns: int | None) -> str:
     if nearest_ns is None:
         return f"no {name}"
     ms = (nearest_ns - leader.stamp_ns) / 1e6
     return f"the nearest {name} is {abs(ms):.0f} ms {'later' if ms > 0 else 'earlier'}"
 
 
+class _Joined(NamedTuple):
+    """What belongs to a leading frame.
+
+    Attributes:
+        frames: of all sensors, the leading one first.
+        mounts: fields of `Observation`.
+        pose_age_ns, tf_age_ns: how much older than the frame's stamp odometry and transforms are.
+    """
+
+    frames: list[Frame]
+    T_map_base: np.ndarray
+    mounts: dict[str, np.ndarray]
+    pose_age_ns: int
+    tf_age_ns: int
+
+
+class _Dropped(NamedTuple):
+    """Why a leading frame becomes no observation."""
+
+    reason: str
+    why: str
+
+
 class TimeSynchronizer:
     """See the module. For one thread.
 
+    Args:
+        mount_at: where the sensors sit, for a robot whose mounts move; by default they sit where
+            the configuration says.
+
     Attributes:
-        counters: `received` messages (counted by who hands them in), `observations` given out, and
-            drops by reason (`REASONS`).
+        counters: `received` messages (counted by who hands them in), `observations` given out,
+            `old_pose` of them (see `Observation.pose_age_ns`), and drops by reason (`REASONS`).
         inputs: the same for each input by itself, and how often and when it came.
     """
 
-    def __init__(self, config: Config, clock: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(
+        self,
+        config: Config,
+        clock: Callable[[], int] = time.monotonic_ns,
+        mount_at: MountAt | None = None,
+    ) -> None:
         self.config = config
+        wait_ns = int(config.source.wait_s * 1e9)
         self.odometry = OdometryRing(
             config.source.odometry_ring,
             config.source.max_pose_gap_s,
             config.source.max_pose_jump_m,
             config.robot.max_speed_mps,
             config.robot.max_turn_radps,
-            _POSES_APART_NS,
+            max(_POSES_APART_NS, 4 * wait_ns // config.source.odometry_ring),
         )
-        self.counters: dict[str, int] = dict.fromkeys(("received", "observations", *REASONS), 0)
+        first = ("received", "observations", "old_pose")
+        self.counters: dict[str, int] = dict.fromkeys((*first, *REASONS), 0)
         self.streams = streams_of(config)
         self._leader, *self._others = self.streams
         self._clock = clock
         self.inputs = InputTable(config, self.streams, clock)
-        self._patience_ns = math.inf if config.loop.lockstep else PATIENCE_NS
+        self._wait_ns = math.inf if config.loop.lockstep else wait_ns
+        self._mount_at = mount_at
+        self._camera_frame = ""
+        self._pose_came_ns = -1
+        self._pose_delay_ns: int | None = None
         self._camera: CameraModel | None = None
         self._pool: FramePool | None = None
         self._seq = 0
@@ -129,33 +174,45 @@ class TimeSynchronizer:
             said = f"({detail}) " if detail else ""
             log.warning("%s: dropped: %s %s(further ones are only counted)", topic, reason, said)
 
+    def _count_old(self, leader: Frame, joined: _Joined) -> None:
+        """Count an observation with an old pose or mount; the first of its kind is also told."""
+        if max(joined.pose_age_ns, joined.tf_age_ns) == 0:
+            return
+        self.counters["old_pose"] += 1
+        for topic, what, age_ns in (
+            (Odometry.topic, "poses", joined.pose_age_ns),
+            ("tf", "transforms", joined.tf_age_ns),
+        ):
+            if not age_ns:
+                continue
+            late = self._late(leader, topic, self._pose_delay_ns) if topic == "odom" else ""
+            said = f"mapped with {what} {age_ns / 1e6:.0f} ms old{late}"
+            self.inputs.doubted(topic, said)
+            if (topic, "old") not in self._told:
+                self._told.add((topic, "old"))
+                log.warning("%s: %s (further ones are only counted)", topic, said)
+
     # -- messages in --------------------------------------------------------------------------
 
     def offer(self, message: Message) -> None:
         """Take one message; frames of sensors that nobody asked for are left out."""
         reason = ""
         if isinstance(message, Odometry):
-            reason = self.odometry.push(message.stamp_ns, message.T_map_base)
+            reason = self.odometry.push(message.stamp_ns, message.T_map_base, message.age_ns)
             if reason not in ("repeated", "backward"):
+                self._pose_came_ns = self._clock()
+                self._pose_delay_ns = self._pose_came_ns - message.stamp_ns
                 self.inputs.used(message.topic)
         elif isinstance(message, CameraInfo):
             self._describe(message)
-        elif isinstance(message, Mount):
-            self._mount(message)
-            return
         elif (stream := self.streams.get(message.field)) is not None:
             reason = stream.offer(message)
+            if message.field == Image.field:
+                self._camera_frame = message.frame_id
             if reason == "superseded" and message.field != self._leader:
                 return
         if reason:
             self.count(message.topic, reason)
-
-    def _mount(self, message: Mount) -> None:
-        """Those that were given out keep the array that they have: it is never written to."""
-        if message.field == Cloud.field:
-            self._T_base_lidar = message.T_base_sensor
-        else:
-            self._T_base_camera = message.T_base_sensor
 
     def _describe(self, message: CameraInfo) -> None:
         camera = message.camera
@@ -177,62 +234,113 @@ class TimeSynchronizer:
         leading = self.streams[self._leader]
         now_ns = self._clock()
         for frame in leading.newest_first():
-            joined, T_map_base, reason = self._join(frame, now_ns)
-            if reason == "wait":
+            joined = self._join(frame, now_ns)
+            if joined is None:
                 continue
             leading.drop(frame)  # at once: one that cannot be decoded must not come up again
-            if T_map_base is None:
-                self.count(frame.topic, reason, self._why(frame, reason))
+            if isinstance(joined, _Dropped):
+                self.count(frame.topic, joined.reason, joined.why)
                 continue
-            observation = self._observe(frame, joined, T_map_base)
+            observation = self._observe(frame, joined)
             if observation is None:
                 continue
             self.counters["superseded"] += leading.drop_through(frame.stamp_ns)
+            for field in self._others:
+                self.streams[field].drop_unneeded(frame.stamp_ns)
             self.counters["observations"] += 1
             return observation
         return None
 
-    def _join(self, leader: Frame, now_ns: int) -> tuple[list[Frame], np.ndarray | None, str]:
-        """(frames that belong to the leader, its pose, why there is none; `wait` = not yet)."""
-        waited = now_ns - leader.arrived_ns > self._patience_ns
-        joined = []
+    def _join(self, leader: Frame, now_ns: int) -> _Joined | _Dropped | None:
+        """Return what belongs to the leader, or why it is dropped; None: not yet."""
+        since_ns = now_ns - leader.arrived_ns
+        waited = since_ns > self._wait_ns
+        frames = [leader]
         for field in self._others:
             stream = self.streams[field]
             match = stream.near(leader.stamp_ns)
             if match is not None:
-                joined.append(match)
-            elif not (waited or stream.is_past(leader.stamp_ns)):
-                return [], None, "wait"
+                frames.append(match)
+            elif not (since_ns > self._wait_for(stream) or stream.is_past(leader.stamp_ns)):
+                return None
             elif stream.required:
-                return [], None, "unpaired"
-        T_map_base, missing = self.odometry.pose_at(leader.stamp_ns)
+                return _Dropped("unpaired", self._apart(leader, field))
+        T_map_base, missing, tf_age_ns = self.odometry.pose_at(leader.stamp_ns)
+        pose_age_ns = 0
         if missing in ("empty", "too_new"):
             if not waited:
-                return [], None, "wait"
-            T_map_base = self.odometry.latest(leader.stamp_ns)
-        reason = "" if T_map_base is not None else "stale" if missing == "too_old" else "no_pose"
-        return joined, T_map_base, reason
+                return None
+            # If no pose came since the frame did, odometry is not late: it is silent.
+            if missing == "too_new" and self._pose_came_ns >= leader.arrived_ns:
+                T_map_base, tf_age_ns = self.odometry.extrapolated(leader.stamp_ns)
+                pose_age_ns = leader.stamp_ns - self.odometry.newest_ns
+        if T_map_base is None:
+            return self._without_pose(leader, missing)
+        mounts = {"T_base_camera": self._T_base_camera, "T_base_lidar": self._T_base_lidar}
+        for name, frame_id, stamp_ns in self._moving(frames):
+            placed = self._mount_at(frame_id, stamp_ns)
+            if placed.T is None:
+                return _Dropped("no_transform", placed.why)
+            if placed.age_ns and not waited:
+                return None
+            mounts[name], tf_age_ns = placed.T, max(tf_age_ns, placed.age_ns)
+        return _Joined(frames, T_map_base, mounts, pose_age_ns, tf_age_ns)
 
-    def _why(self, leader: Frame, reason: str) -> str:
-        """Say which input lacks a message for this frame, and how far its nearest one is."""
-        if reason != "unpaired":
-            return _apart(leader, Odometry.topic, self.odometry.newest_ns)
-        required = (field for field in self._others if self.streams[field].required)
-        return self._apart(
-            leader, next(f for f in required if self.streams[f].near(leader.stamp_ns) is None)
-        )
+    def _wait_for(self, stream: Stream) -> float:
+        """Return how long a frame waits for another sensor's, in ns."""
+        if stream.required:
+            return self._wait_ns
+        late_ns = 0
+        if stream.delay_ns is not None:
+            late_ns = max(0, stream.delay_ns - self.streams[self._leader].delay_ns)
+        return min(self._wait_ns, late_ns + _SLACK_NS)
+
+    def _moving(self, frames: list[Frame]) -> list[tuple[str, str, int]]:
+        """Return the mounts to ask for: field of `Observation`, frame of the sensor, stamp."""
+        if self._mount_at is None:
+            return []
+        by_field = {frame.field: frame for frame in frames}
+        asked = []
+        if (cloud := by_field.get(Cloud.field)) is not None:
+            asked.append(("T_base_lidar", cloud.frame_id, cloud.stamp_ns))
+        # Depth is registered to the colours: it is in their frame, at a stamp of its own.
+        image = by_field.get(DepthImage.field) or by_field.get(Image.field)
+        if image is not None and self._camera_frame:
+            asked.append(("T_base_camera", self._camera_frame, image.stamp_ns))
+        return asked
+
+    def _without_pose(self, leader: Frame, missing: Missing) -> _Dropped:
+        if missing == "gap":
+            why = "the poses around it are farther apart than source.max_pose_gap_s"
+            return _Dropped("no_pose", why)
+        newest_ns, delay_ns = self.odometry.newest_ns, self._pose_delay_ns
+        why = _nearest(leader, Odometry.topic, newest_ns) + self._late(leader, "odom", delay_ns)
+        return _Dropped("stale" if missing == "too_old" else "no_pose", why)
 
     def _apart(self, leader: Frame, field: str) -> str:
-        nearest = self.streams[field].nearest(leader.stamp_ns)
+        """Say how far the nearest frame of another sensor is, and which of the two is late."""
+        stream = self.streams[field]
+        nearest = stream.nearest(leader.stamp_ns)
         if nearest is None:
-            return _apart(leader, _NAMES[field], None)
-        return _apart(leader, nearest.topic, nearest.stamp_ns)
+            return _nearest(leader, _NAMES[field], None)
+        said = _nearest(leader, nearest.topic, nearest.stamp_ns)
+        return said + self._late(leader, nearest.topic, stream.delay_ns)
 
-    def _observe(
-        self, leader: Frame, joined: list[Frame], T_map_base: np.ndarray
-    ) -> Observation | None:
+    def _late(self, leader: Frame, topic: str, delay_ns: int | None) -> str:
+        """Say which of two topics comes later than a frame waits, and by how much; or ""."""
+        leader_delay_ns = self.streams[self._leader].delay_ns
+        if delay_ns is None or leader_delay_ns is None:
+            return ""
+        late_ns, wait_s = delay_ns - leader_delay_ns, self.config.source.wait_s
+        if abs(late_ns) <= wait_s * 1e9:
+            return ""
+        late, early = (topic, leader.topic) if late_ns > 0 else (leader.topic, topic)
+        said = f"{late} comes {abs(late_ns) / 1e6:.0f} ms after {early} of its stamp"
+        return f"; {said}, and source.wait_s is {wait_s:g}"
+
+    def _observe(self, leader: Frame, joined: _Joined) -> Observation | None:
         """Decode into a slot of the pool; None (and counted) where that fails."""
-        frames = [leader, *joined]
+        frames = joined.frames
         if self._camera is None and not all(isinstance(frame, Cloud) for frame in frames):
             self.count(leader.topic, "no_camera_info")
             if not isinstance(leader, Cloud):
@@ -257,14 +365,15 @@ class TimeSynchronizer:
         for field in self._others:
             if field not in fields:  # an observation is one without it, too
                 self.inputs.unpaired(field, self._apart(leader, field))
+        self._count_old(leader, joined)
         return Observation(
             seq=self._seq - 1,
             stamp_ns=leader.stamp_ns,
-            T_map_base=T_map_base,
+            T_map_base=joined.T_map_base,
             camera=self._camera if fields.keys() - {"cloud_m"} else None,
-            T_base_camera=self._T_base_camera,
-            T_base_lidar=self._T_base_lidar,
             slot=slot,
+            pose_age_ns=max(joined.pose_age_ns, joined.tf_age_ns),
+            **joined.mounts,
             **fields,
         )
 

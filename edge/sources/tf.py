@@ -1,4 +1,4 @@
-"""Where the robot's frames are to each other, by tf: the newest transform of each."""
+"""A time-stamped buffer of tf: where the robot's frames are to each other at an instant."""
 
 from __future__ import annotations
 
@@ -6,91 +6,204 @@ import numpy as np
 
 from edge.bus.wire.messages import Odometry
 from edge.bus.wire.transforms import MOST_TRANSFORMS, Transform, decode_transforms
-from edge.config.ros2 import Ros2
+from edge.config import Config
 from edge.geometry import invert
+from edge.sources.messages import Placed
+from edge.sources.odometry import StampedPoses, StampGuard
 
 _DEEPEST = 64
+_KEPT = 128  # transforms of each frame that moves
+_RARELY_NS = 500_000_000
+_SAME = Placed(np.eye(4))
+_SAME.T.flags.writeable = False
+
+
+class _Edge:
+    """The transforms of one frame to its parent.
+
+    A transform holds until the next if that comes more than `rarely_ns` later, and for all time if
+    it is alone: such a frame moves in steps, or never, and nobody waits for the next.
+    """
+
+    __slots__ = ("T", "_guard", "_moves", "_rarely_ns", "parent")
+
+    def __init__(self, transform: Transform, rarely_ns: int) -> None:
+        self.parent, self.T = transform.parent, transform.T
+        self._rarely_ns = rarely_ns
+        self._guard = StampGuard()
+        self._guard.judge(transform.stamp_ns)
+        self._moves: StampedPoses | None = None
+
+    def push(self, transform: Transform) -> None:
+        first_ns = self._guard.newest_ns
+        verdict = self._guard.judge(transform.stamp_ns)
+        if verdict == "backward":
+            return
+        if verdict == "clock_reset":
+            self._moves = None
+        elif verdict == "ok":
+            if self._moves is None:
+                self._moves = StampedPoses(_KEPT, 8 * self._rarely_ns // _KEPT)
+                self._moves.push(first_ns, self.T)
+            self._moves.push(transform.stamp_ns, transform.T)
+        elif self._moves is not None:
+            self._moves.replace(transform.T)
+        self.T = transform.T
+
+    def at(self, stamp_ns: int) -> tuple[np.ndarray, int]:
+        """Return the transform at an instant, and how much older than it the transform is.
+
+        A negative age is how much older than all transforms the instant is.
+        """
+        moves = self._moves
+        if moves is None:
+            return self.T, 0
+        n = moves.newer_than(stamp_ns)
+        if n == len(moves):
+            return moves.pose(n - 1), stamp_ns - moves.stamp(n - 1)
+        before_ns = moves.stamp(n)
+        if before_ns == stamp_ns:
+            return moves.pose(n).copy(), 0
+        later = max(n, 1) - 1
+        rarely = moves.stamp(later) - moves.stamp(later + 1) > self._rarely_ns
+        if n == 0:
+            return moves.pose(0).copy(), 0 if rarely else stamp_ns - before_ns
+        return moves.pose(n).copy() if rarely else moves.between(n, stamp_ns), 0
 
 
 class TfBuffer:
-    """A tree of frames, each with the newest transform to its parent; for one thread.
+    """A tree of frames, each with its newest transforms to its parent; for one thread.
 
-    Only the newest is kept: what is asked for is where sensors sit and how far odometry has
-    drifted, which change slowly or never.
+    Args:
+        wait_ns: how long a frame waits for a transform. Four times as long is remembered.
     """
 
-    def __init__(self) -> None:
-        self._parents: dict[str, tuple[str, np.ndarray]] = {}
+    def __init__(self, wait_ns: int) -> None:
+        self._rarely_ns = max(wait_ns, _RARELY_NS)
+        self._edges: dict[str, _Edge] = {}
 
-    def offer(self, transform: Transform) -> bool:
-        """Take a transform; False where there are too many frames already, or it is a loop."""
+    def offer(self, transform: Transform, static: bool = False) -> bool:
+        """Take a transform; False if there are too many frames already, or it joins no two.
+
+        Args:
+            static: it holds for all time, whatever its stamp is.
+        """
         child, parent = transform.child, transform.parent
-        if child == parent or (
-            child not in self._parents and len(self._parents) >= MOST_TRANSFORMS
-        ):
+        edge = self._edges.get(child)
+        full = edge is None and len(self._edges) >= MOST_TRANSFORMS
+        if child == parent or not child or not parent or full:
             return False
-        self._parents[child] = parent, transform.T
+        if edge is None or static or edge.parent != parent:
+            self._edges[child] = _Edge(transform, self._rarely_ns)
+        else:
+            edge.push(transform)
         return True
 
-    def lookup(self, target: str, source: str) -> np.ndarray | None:
-        """(4, 4) `T_target_source`; None where the two are not connected."""
-        if target == source:
-            return np.eye(4)
-        above_target = self._above(target)
-        T_ancestor_source = np.eye(4)
-        frame = source
-        for _ in range(_DEEPEST):
-            if frame in above_target:
-                return invert(above_target[frame]) @ T_ancestor_source
-            if frame not in self._parents:
-                return None
-            frame, T = self._parents[frame]
-            T_ancestor_source = T @ T_ancestor_source
-        return None
+    def why_apart(self, target: str, source: str) -> str:
+        """Say which transform is missing between two frames; "" if they are connected."""
+        if not set(self._above(target)).isdisjoint(self._above(source)):
+            return ""
+        known = self._edges.keys() | {edge.parent for edge in self._edges.values()}
+        absent = " and ".join(f"'{frame}'" for frame in (source, target) if frame not in known)
+        tail = f", which has no {absent}" if absent else ""
+        return f"no transform from '{source}' to '{target}' in tf{tail}"
 
-    def _above(self, frame: str) -> dict[str, np.ndarray]:
-        """The frame and all above it, each with the transform from `frame` into it."""
-        above = {frame: np.eye(4)}
-        T = np.eye(4)
-        for _ in range(_DEEPEST):
-            if frame not in self._parents:
+    def lookup(self, target: str, source: str, stamp_ns: int) -> Placed:
+        """Return `T_target_source` at an instant."""
+        if target == source:
+            return _SAME
+        above_target, above_source = self._above(target), self._above(source)
+        meeting = next((frame for frame in above_source if frame in above_target), None)
+        if meeting is None:
+            return Placed(None, why=self.why_apart(target, source))
+        T_meeting_source, age_ns, why = self._climb(above_source, meeting, stamp_ns)
+        if target == meeting:
+            return Placed(None if why else T_meeting_source, age_ns, why)
+        T_meeting_target, age_target_ns, why_target = self._climb(above_target, meeting, stamp_ns)
+        if why := why or why_target:
+            return Placed(None, why=why)
+        T = invert(T_meeting_target) @ T_meeting_source
+        return Placed(T, max(age_ns, age_target_ns))
+
+    def _climb(self, above: list[str], top: str, stamp_ns: int) -> tuple[np.ndarray, int, str]:
+        """Return `T_top_frame` of the first frame, the age of its oldest part, and why it is not
+        known."""
+        T, oldest_ns, why = _SAME.T, 0, ""
+        for frame in above:
+            if frame == top:
                 break
-            parent, T_parent_frame = self._parents[frame]
-            if parent in above:
+            edge = self._edges[frame]
+            T_parent_frame, age_ns = edge.at(stamp_ns)
+            if age_ns < 0:
+                said = f"the first transform from '{frame}' to '{edge.parent}' is"
+                why = why or f"{said} {-age_ns / 1e6:.0f} ms later"
+            T = T_parent_frame if T is _SAME.T else T_parent_frame @ T
+            oldest_ns = max(oldest_ns, age_ns)
+        return T, oldest_ns, why
+
+    def _above(self, frame: str) -> list[str]:
+        """Return the frame and all above it."""
+        above = [frame]
+        while len(above) < _DEEPEST and (edge := self._edges.get(above[-1])) is not None:
+            if edge.parent in above:
                 break  # a loop
-            T = T_parent_frame @ T
-            above[parent], frame = T, parent
+            above.append(edge.parent)
         return above
 
 
 class Frames:
-    """What tf says of the robot's base, its sensors and `map`.
+    """The robot's base, its sensors and `map` in tf.
 
     Attributes:
-        by_tf: whether it, not the configuration, says where the sensors sit.
+        by_tf: whether tf, not the configuration, says where the sensors sit.
     """
 
-    def __init__(self, settings: Ros2) -> None:
+    def __init__(self, config: Config) -> None:
+        settings = config.ros2
         self.by_tf = settings.mounts == "tf"
         self._map, self._base = settings.map_frame, settings.base_frame
-        self._tf = TfBuffer()
+        self._tf = TfBuffer(int(config.source.wait_s * 1e9))
 
-    def take(self, payload: bytes) -> int:
-        """Take a tf2_msgs/TFMessage; how many transforms could not be taken.
+    def take(self, payload: bytes, static: bool) -> str:
+        """Take a tf2_msgs/TFMessage; name the first transform that could not be taken, or "".
 
         Raises:
             DecodeError: malformed.
         """
-        return sum(not self._tf.offer(transform) for transform in decode_transforms(payload))
+        untaken = [t for t in decode_transforms(payload) if not self._tf.offer(t, static)]
+        if not untaken:
+            return ""
+        first = untaken[0]
+        return f"{len(untaken)} transforms, the first from '{first.child}' to '{first.parent}'"
 
-    def mount_of(self, frame_id: str) -> np.ndarray | None:
-        """(4, 4) `T_base_sensor` of the sensor whose messages name this frame; None: unknown."""
-        return self._tf.lookup(self._base, frame_id.lstrip("/"))
+    def why_unplaced(self, frame_id: str) -> str:
+        """Say why the place of a sensor is not known, whose messages name this frame; or ""."""
+        frame = frame_id.lstrip("/")
+        if not frame:
+            return f"header.frame_id is {_empty(frame_id)}: the driver must name the sensor's frame"
+        return self._tf.why_apart(self._base, frame)
 
-    def base_in_map(self, odometry: Odometry) -> np.ndarray | None:
-        """(4, 4) `T_map_base` as odometry tells it of its own two frames; None: unknown yet."""
-        T_map_odom = self._tf.lookup(self._map, odometry.frame_id.lstrip("/"))
-        T_child_base = self._tf.lookup(odometry.child_frame_id.lstrip("/"), self._base)
-        if T_map_odom is None or T_child_base is None:
-            return None
-        return T_map_odom @ odometry.T_map_base @ T_child_base
+    def mount_at(self, frame_id: str, stamp_ns: int) -> Placed:
+        """Return `T_base_sensor` of the sensor whose messages name this frame, at an instant."""
+        return self._tf.lookup(self._base, frame_id.lstrip("/"), stamp_ns)
+
+    def base_in_map(self, odometry: Odometry) -> Placed:
+        """Return `T_map_base` at the stamp of odometry, which has two frames of its own."""
+        parent, child = odometry.frame_id.lstrip("/"), odometry.child_frame_id.lstrip("/")
+        if not parent:
+            said = _empty(odometry.frame_id)
+            return Placed(None, why=f"header.frame_id is {said}: the driver must name it, as odom")
+        if not child:
+            said = _empty(odometry.child_frame_id)
+            fix = f"the driver must name the robot's frame, as {self._base}"
+            return Placed(None, why=f"child_frame_id is {said}: {fix}")
+        T_map_odom = self._tf.lookup(self._map, parent, odometry.stamp_ns)
+        T_child_base = self._tf.lookup(child, self._base, odometry.stamp_ns)
+        if T_map_odom.T is None or T_child_base.T is None:
+            return Placed(None, why=T_map_odom.why or T_child_base.why)
+        T = T_map_odom.T @ odometry.T_map_base @ T_child_base.T
+        return Placed(T, max(T_map_odom.age_ns, T_child_base.age_ns))
+
+
+def _empty(name: str) -> str:
+    return f"'{name}'" if name else "empty"

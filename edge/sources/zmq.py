@@ -203,7 +203,9 @@ class ZmqSource(ZenohSource):
             self._synchronizer.inputs.came(CameraInfo.topic)
             self._synchronizer.offer(CameraInfo(header.camera))
         into = partial(_into, parts[1].buffer, header.image)
-        frame = _FRAMES[header.topic](header.image.stamp_ns, self._clock(), into)
+        frame = _FRAMES[header.topic](
+            header.image.stamp_ns, self._clock(), into, size=len(parts[1])
+        )
         self._synchronizer.offer(frame)
 
     def _look_after(self) -> None:

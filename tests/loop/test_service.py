@@ -307,6 +307,28 @@ def test_answers_to_old_goals_are_void():
     assert not any("old" in event for event in loop.notes.events)
 
 
+@pytest.mark.parametrize("off_ns", [0, 128, -240, 1000])
+def test_a_stamp_that_went_through_a_double_is_that_of_its_goal(off_ns, caplog):
+    service = ClosedLoop(config(mission={"target": "surfboard"}), colour=False).run(3).service
+    stamp_ns = service.goal.stamp_ns
+    service.goal_answered(GoalStatus(stamp_ns + off_ns, "accepted", "rounded"))
+    assert service.goals.answer == GoalStatus(stamp_ns, "accepted", "rounded")
+    assert service._publisher.answers[-1].stamp_ns == stamp_ns  # by which it is not sent again
+    assert "goal_status" not in caplog.text
+
+
+@pytest.mark.parametrize("off_ns", [1001, -5_000_000, -1_700_000_000_000_000_000])
+def test_a_stamp_of_no_goal_is_reported_once(off_ns, caplog):
+    loop = ClosedLoop(config(mission={"target": "surfboard"}), colour=False)
+    loop.service.goal_answered(GoalStatus(5, "accepted"))  # to another service, before any goal
+    service = loop.run(3).service
+    stamp_ns = service.goal.stamp_ns + off_ns
+    for _ in range(2):
+        service.goal_answered(GoalStatus(stamp_ns, "failed", "rounded"))
+    assert service.goals.answer.reason != "rounded"
+    assert caplog.text.count(f"no goal has the stamp {stamp_ns} (the nearest is ") == 1
+
+
 def test_a_pose_jump_forgets_the_map():
     loop = ClosedLoop(config(), colour=False).run(2)
     assert loop.service.map.grid.known_m2 > 1.0

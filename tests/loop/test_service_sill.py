@@ -124,7 +124,7 @@ def test_the_reason_tells_of_what_was_opened_and_not_tried(tmp_path):
 
 @pytest.mark.parametrize(
     ("away_m", "stamp_by", "closes"),
-    [(0.2, 0, True), (50.0, 0, False), (0.2, -1, False)],
+    [(0.2, 0, True), (50.0, 0, False), (0.2, -5_000_000, False)],
     ids=["present goal", "another frame", "old goal"],
 )
 def test_any_controller_may_say_where_the_robot_is_held_up(tmp_path, away_m, stamp_by, closes):

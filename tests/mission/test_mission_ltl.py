@@ -81,7 +81,10 @@ def formulas(names: tuple[str, ...] = ("a", "b", "c"), max_leaves: int = 8):
         ("<> a | [] b", ltl.disj(ltl.eventually(A), ltl.always(B))),
         ("◇(a ∧ □ ¬b) ∨ ○c", parse("F (a & G !b) | X c")),
         ("a → b ↔ c", parse("a -> b <-> c")),
-        ("Fa", ltl.ap("Fa")),
+        ('"Fa"', ltl.ap("Fa")),
+        ("F(a) & G!b", ltl.conj(ltl.eventually(A), ltl.always(ltl.neg(B)))),
+        ("Fridge & Fence", ltl.conj(ltl.ap("Fridge"), ltl.ap("Fence"))),
+        ("F livingRoom | X1", ltl.disj(ltl.eventually(ltl.ap("livingRoom")), ltl.ap("X1"))),
         ("\n a\t&\r\n b", ltl.conj(A, B)),
     ],
 )
@@ -121,6 +124,21 @@ def test_parse(text, formula):
         ("a & \0", 5, r"'\x00'"),
         ("a & стол", 5, "double quotes"),
         ("a " + "b" * 100, 3, "b…"),
+        ("Fa & G!b", 1, "write 'F a', or \"Fa\" for a thing called so"),
+        ("!b & Ga", 6, "write 'G a'"),
+        ("FGa", 1, "write 'F G a'"),
+        ("WXXa", 1, "write 'WX X a'"),
+        ("GF(a)", 1, "write 'G F'"),
+        ("FChair", 1, "write 'F Chair'"),
+        ("FFridge", 1, "write 'F Fridge'"),
+        ("F_bed", 1, "write 'F _bed'"),
+        ("Ftrue", 1, "write 'F true'"),
+        ("aUb", 1, "write 'a U b'"),
+        ("FaUGb", 1, "write 'F a U G b'"),
+        ("pinkBoxUp2", 1, "write 'pinkBox U p2'"),
+        ("diningRoomUb", 1, "write 'diningRoom U b'"),
+        ("p1Rp2", 1, "write 'p1 R p2'"),
+        ("chairWtable", 1, "write 'chair W table'"),
     ],
 )
 def test_parse_error(text, column, says):
@@ -132,7 +150,7 @@ def test_parse_error(text, column, says):
     assert "\n" not in str(error.value)
 
 
-@given(formulas(("a", "potted plant", "F", 'x"\\', "true")))
+@given(formulas(("a", "potted plant", "F", "Fa", "aUb", 'x"\\', "true")))
 def test_text_is_read_back(f):
     assert parse(to_text(f)) == f
 

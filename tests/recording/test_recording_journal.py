@@ -199,13 +199,15 @@ def test_where_the_sensors_are_is_told_when_it_changes():
     read: dict = {}
     told = []
     for k, mount in enumerate((np.eye(4), np.eye(4), 2.0 * np.eye(4))):
-        seen = Observation(k, k, np.eye(4) / 3.0, camera=camera, T_base_camera=mount)
+        seen = Observation(
+            k, k, np.eye(4) / 3.0, camera=camera, T_base_camera=mount, pose_age_ns=7 * k
+        )
         page = decode_page(encode_page([], result(observation=seen), seen, written))
         told.append("rig" in page.observation)
         back = journal.observation_of(page.observation, read, None, None, None)
         assert back.T_map_base.tobytes() == seen.T_map_base.tobytes()
         assert back.T_base_camera.tobytes() == mount.tobytes()
-        assert back.camera == camera
+        assert (back.camera, back.pose_age_ns) == (camera, 7 * k)
     assert told == [True, False, True]
 
 

@@ -40,14 +40,14 @@ def test_topics_are_those_of_the_drivers(name):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_sensors_sit_where_tf_says(name):
     config, body = ready_config(name), ROBOTS[name]
-    frames = Frames(config.ros2)
-    frames.take(transforms_of(body.tree))
+    frames = Frames(config)
+    frames.take(transforms_of(body.tree), static=True)
     mounted = config.sensors.camera.T_base_camera()
-    np.testing.assert_allclose(frames.mount_of(body.camera), mounted, atol=1e-3)
+    np.testing.assert_allclose(frames.mount_at(body.camera, 0).T, mounted, atol=1e-3)
     assert (config.sensors.lidar is None) == (body.lidar == "")
     if body.lidar:
         mounted = config.sensors.lidar.T_base_mount()
-        np.testing.assert_allclose(frames.mount_of(body.lidar), mounted, atol=1e-3)
+        np.testing.assert_allclose(frames.mount_at(body.lidar, 0).T, mounted, atol=1e-3)
 
 
 @pytest.mark.parametrize("name", ROBOTS)

@@ -26,6 +26,11 @@ def test_any_stamp_is_one(stamp):
     assert parse_goal_status(payload).stamp_ns == stamp
 
 
+def test_a_stamp_may_be_written_as_a_double():
+    payload = b'{"stamp": 1.7857e18, "state": "reached"}'
+    assert parse_goal_status(payload).stamp_ns == 1_785_700_000_000_000_000
+
+
 def test_where_the_robot_was_held_up():
     payload = b'{"stamp": 1, "state": "accepted", "blocked": [1, -2.5]}'
     assert parse_goal_status(payload).blocked == (1.0, -2.5)
@@ -59,6 +64,7 @@ def test_a_reason_is_one_short_line_whatever_was_sent():
         (b'{"state": "reached"}', "stamp: expected nanoseconds, got None"),
         (b'{"stamp": true, "state": "reached"}', "stamp: expected"),
         (b'{"stamp": 1.5, "state": "reached"}', "stamp: expected"),
+        (b'{"stamp": 1e999, "state": "reached"}', "stamp: expected"),
         (b'{"stamp": 1, "state": "done"}', "unknown 'done'"),
         (b'{"stamp": 1, "state": ["reached"]}', "unknown"),
         (b'{"stamp": 1, "state": "failed", "reason": 3}', "reason: expected text"),

@@ -19,17 +19,19 @@ def states(robot: Robot) -> dict[str, str]:
     return {name: row.state for name, row in rows(robot).items()}
 
 
-def driven(robot: Robot, seconds: float, without: str = "", late_ns: int = 0) -> Robot:
-    """Frames and poses at 30 Hz, each polled for, without one input or with late odometry."""
+def driven(
+    robot: Robot, seconds: float, without: str = "", late: str = "", late_ns: int = 0
+) -> Robot:
+    """Frames and poses at 30 Hz, each polled for, without one input or with a late one."""
     for _ in range(int(seconds * 30)):
         robot.wait(FRAME_NS)
         if without != "camera/info":
             robot.info()
         for name, send in (("camera/rgb", robot.rgb), ("camera/depth", robot.depth)):
             if name != without:
-                send(robot.now_ns)
+                send(robot.now_ns - late_ns * (name == late))
         if without != "odom":
-            robot.odom(robot.now_ns - late_ns)
+            robot.odom(robot.now_ns - late_ns * (late == "odom"))
         if (seen := robot.poll()) is not None:
             seen.release()
     return robot
@@ -88,17 +90,48 @@ def test_the_one_input_that_comes_no_more_is_named_until_it_is_back(without):
     assert lacking(driven(robot, 3).synchronizer.inputs.rows()) == ""
 
 
-def test_what_is_late_is_told_with_by_how_much():
-    robot = driven(Robot(), 3, late_ns=400 * MS)
-    row = rows(robot)["camera/depth"]
-    # A frame waits 50 ms, in which two more poses come.
-    assert (row.state, row.why) == ("dropped", "no_pose (the nearest odom is 333 ms earlier)")
-    assert row.dropped["no_pose"] > 50
+@pytest.mark.parametrize(
+    ("late", "late_ms", "name", "why"),
+    [
+        # A frame waits for half a second, in which 15 more come. Then what is there is too old.
+        ("odom", 1200, "camera/depth",
+         "no_pose (the nearest odom is 667 ms earlier; odom comes 1200 ms after camera/depth of "
+         "its stamp, and source.wait_s is 0.5)"),
+        ("camera/rgb", 700, "camera/depth",
+         "unpaired (the nearest camera/rgb is 167 ms earlier; camera/rgb comes 700 ms after "
+         "camera/depth of its stamp, and source.wait_s is 0.5)"),
+        ("camera/depth", 1200, "camera/depth",
+         "unpaired (the nearest camera/rgb is 1200 ms later; camera/depth comes 1200 ms after "
+         "camera/rgb of its stamp, and source.wait_s is 0.5)"),
+        ("odom", 450, "camera/depth", ""),
+        ("camera/rgb", 450, "camera/depth", ""),
+        ("camera/depth", 450, "camera/depth", ""),
+    ],
+)  # fmt: skip
+def test_what_is_late_is_named_with_by_how_much(late, late_ms, name, why):
+    robot = driven(Robot(), 5, late=late, late_ns=late_ms * MS)
+    row = rows(robot)[name]
+    assert (row.state, row.why) == ("dropped" if why else "ok", why)
+    assert row.dropped.get(why.split(" ")[0], 0) > 50 or not why
+
+
+def test_what_never_came_is_not_late():
     robot = Robot().info()
-    for at_ns in range(S, 3 * S, FRAME_NS):  # colours that are half a second behind
-        robot.wait(FRAME_NS).odom(at_ns).depth(at_ns).rgb(at_ns - S // 2).poll()
-    why = rows(robot)["camera/depth"].why
-    assert why == "unpaired (the nearest camera/rgb is 433 ms earlier)"
+    robot.wait(10**12)
+    for _ in range(40):
+        robot.wait(FRAME_NS).frame(robot.now_ns - 10**12).poll()
+    assert rows(robot)["camera/depth"].why == "no_pose (no odom)"
+
+
+def test_poses_that_are_old_are_told_for_as_long_as_they_are_used():
+    robot = driven(Robot(), 5, late="odom", late_ns=700 * MS)
+    row = rows(robot)["odom"]
+    assert (row.state, row.why) == (
+        "ok", "mapped with poses 167 ms old; odom comes 700 ms after camera/depth of its stamp, "
+        "and source.wait_s is 0.5",
+    )  # fmt: skip
+    assert lacking(robot.synchronizer.inputs.rows()) == ""
+    assert rows(driven(robot, 3))["odom"].why == ""
 
 
 def test_pictures_that_never_fit_to_a_sweep_are_told_though_sweeps_are_enough():

@@ -35,7 +35,7 @@ def ring(*samples: tuple[int, float], capacity=64, max_gap_s=1.0, max_jump_m=1.0
     ],
 )
 def test_pose_at(samples, asked_ns, x_m, missing):
-    T, why = ring(*samples).pose_at(asked_ns)
+    T, why, _ = ring(*samples).pose_at(asked_ns)
     assert why == missing
     if x_m is None:
         assert T is None
@@ -47,7 +47,7 @@ def test_yaw_is_interpolated_over_the_short_side():
     poses = OdometryRing(64, 1.0, 1.0)
     poses.push(0, SE2(0.0, 0.0, math.pi - 0.1).matrix())
     poses.push(10, SE2(0.0, 0.0, -math.pi + 0.1).matrix())
-    T, _ = poses.pose_at(5)
+    T, *_ = poses.pose_at(5)
     assert abs(se2_of(T).yaw_rad) == pytest.approx(math.pi)
 
 
@@ -72,7 +72,7 @@ def test_a_flood_does_not_push_out_what_frames_ask_for(every_ns):
 
 def test_what_was_handed_out_is_not_written_over():
     poses = ring((0, 0.5), capacity=2)
-    T, _ = poses.pose_at(0)
+    T, *_ = poses.pose_at(0)
     for i in range(1, 5):
         poses.push(i, SE2(0.5 + 0.1 * i, 0.0, 0.0).matrix())
     assert T[0, 3] == 0.5
@@ -138,10 +138,45 @@ def test_yaw_over_the_turn_of_the_circle_is_no_jump():
 
 def test_the_newest_pose_serves_for_a_while():
     poses = ring((10**9, 0.5), max_gap_s=0.25)
-    assert poses.latest(1_250_000_000)[0, 3] == 0.5
-    assert poses.latest(1_250_000_001) is None
-    assert poses.latest(999_999_999) is None
-    assert ring().latest(5) is None
+    assert poses.extrapolated(1_250_000_000)[0][0, 3] == 0.5
+    assert poses.extrapolated(1_250_000_001) == (None, 0)
+    assert poses.extrapolated(999_999_999) == (None, 0)
+    assert ring().extrapolated(5) == (None, 0)
+
+
+@pytest.mark.parametrize(
+    ("stamps_ms", "asked_ms", "x_m"),
+    [
+        # At 1 m/s, as far as it was followed.
+        (range(0, 301, 20), 300, 0.3),
+        (range(0, 301, 20), 330, 0.33),
+        (range(0, 301, 20), 550, 0.55),
+        (range(0, 301, 200), 250, 0.25),
+        ((280, 300), 320, 0.32),
+        ((280, 300), 321, 0.3),
+        ((300,), 301, 0.3),
+    ],
+)
+def test_the_newest_pose_is_moved_on_as_it_moved(stamps_ms, asked_ms, x_m):
+    poses = ring(*((1_000_000 * ms, 1e-3 * ms) for ms in stamps_ms))
+    assert poses.extrapolated(1_000_000 * asked_ms)[0][0, 3] == pytest.approx(x_m)
+
+
+def test_a_turn_goes_on_in_what_is_extrapolated():
+    poses = OdometryRing(64, 1.0, 1.0)
+    for ms in range(0, 501, 20):
+        poses.push(1_000_000 * ms, SE2(0.0, 0.0, 8e-4 * ms).matrix())
+    T, _ = poses.extrapolated(700_000_000)
+    assert se2_of(T).yaw_rad == pytest.approx(0.56, abs=0.002)  # nlerp; it was 0.4
+
+
+def test_the_age_of_a_poses_transforms_is_kept():
+    poses = OdometryRing(64, 1.0, 1.0)
+    for stamp_ns, age_ns in ((10, 0), (20, 7), (30, 0), (40, 5)):
+        poses.push(stamp_ns, np.eye(4), age_ns)
+    ages = [poses.pose_at(at_ns)[2] for at_ns in (10, 15, 20, 25, 30)]
+    assert ages == [0, 7, 7, 7, 0]
+    assert poses.extrapolated(45)[1] == 5
 
 
 def test_a_ring_of_one_is_refused():
@@ -171,7 +206,7 @@ def test_poses_agree_with_numpy_interp(samples, asked_ns):
         poses.push(stamp_ns, SE2(x_m, 0.0, 0.0).matrix())
         xs.append(stamp_ns)
         ys.append(x_m)
-    T, why = poses.pose_at(asked_ns)
+    T, why, _ = poses.pose_at(asked_ns)
     if xs and xs[0] <= asked_ns <= xs[-1]:
         assert T[0, 3] == pytest.approx(np.interp(asked_ns, xs, ys), abs=1e-12)
     else:

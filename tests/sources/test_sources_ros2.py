@@ -235,8 +235,8 @@ def test_without_tf_nothing_is_where_it_is_thought_to_be(robot, make):
         robot.see()
         source.wait(0.2)
         assert source.poll() is None
-        dropped = "every message on /odom is dropped: no_transform (from odom and "
-        return dropped in lacking(source.input_table())
+        dropped = "every message on /odom is dropped: no_transform (no transform from 'odom' to "
+        return f"{dropped}'nowhere' in tf, which has no 'nowhere')" in lacking(source.input_table())
 
     eventually(missed)
 

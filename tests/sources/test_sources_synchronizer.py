@@ -12,9 +12,10 @@ from edge.config import ConfigError
 from edge.geometry import SE2, CameraModel
 from edge.sources import messages as typed
 from edge.sources.decoder import CdrDecoder
-from edge.sources.synchronizer import PATIENCE_NS, TimeSynchronizer
+from edge.sources.synchronizer import TimeSynchronizer
 
 MS = 1_000_000
+WAIT_NS = 500 * MS  # source.wait_s
 FRAME_NS = 33_333_333
 CAMERA = CameraModel(4, 3, 5.0, 5.0, 1.5, 1.0)
 ONNX = {"perception": {"detector": {"kind": "onnx"}}}
@@ -62,7 +63,7 @@ class Robot:
     def poll(self):
         return self.synchronizer.poll()
 
-    def wait(self, ns: int = PATIENCE_NS + 1) -> Robot:
+    def wait(self, ns: int = WAIT_NS + 1) -> Robot:
         self.now_ns += ns
         return self
 
@@ -99,15 +100,96 @@ def test_a_frame_with_its_interpolated_pose():
 def test_odometry_at_the_stamp_is_waited_for():
     robot = Robot().info().odom(1000, 0.0).frame(1500)
     assert robot.poll() is None
-    assert robot.wait(PATIENCE_NS // 2).poll() is None
+    assert robot.wait(WAIT_NS // 2).poll() is None
     assert robot.odom(2000, 0.5).poll().pose.x_m == pytest.approx(0.25)
 
 
-def test_late_odometry_is_replaced_by_the_newest():
-    robot = Robot().info().odom(1000, 0.5).frame(1500)
+def test_odometry_that_is_too_late_is_replaced_by_the_newest_and_told_once(caplog):
+    robot = Robot().info().odom(1000 * MS, 0.5).frame(1100 * MS).frame(1140 * MS)
     assert robot.poll() is None
-    assert robot.wait().poll().pose.x_m == 0.5
-    assert not robot.drops
+    observation = robot.wait().odom(1040 * MS, 0.6).poll()
+    assert (observation.pose.x_m, observation.pose_age_ns) == (0.6, 100 * MS)
+    observation = robot.frame(1180 * MS).wait().odom(1060 * MS, 0.7).poll()
+    assert (observation.pose.x_m, observation.pose_age_ns) == (0.7, 120 * MS)
+    assert robot.drops == {"old_pose": 2, "superseded": 1}
+    assert caplog.text.count("odom: mapped with poses 100 ms old") == 1
+    assert caplog.text.count("mapped with") == 1
+
+
+def test_odometry_that_is_silent_leaves_a_frame_without_a_pose():
+    robot = Robot().info().odom(1000 * MS, 0.5).wait(10 * MS).frame(1010 * MS)
+    assert robot.wait().poll() is None
+    assert robot.drops == {"no_pose": 1}
+
+
+LATE = [
+    *(("odom", ms, hz) for ms in (0, 60, 130, 300, 450) for hz in (60, 20)),
+    ("odom", 0, 5), ("odom", 150, 5),
+    ("camera/rgb", 200, 60), ("camera/rgb", 450, 60),
+    ("camera/depth", 200, 60), ("camera/depth", 900, 60),
+    ("frames", 200, 60), ("frames", 900, 250),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("late", "late_ms", "odometry_hz"), LATE)
+def test_what_is_late_is_waited_for_and_joined_at_its_stamp(late, late_ms, odometry_hz):
+    """A robot at 1 m/s for 4 s, with frames at 30 Hz."""
+    robot, begin_ns, late_ns = Robot().info(), 10**12, late_ms * MS
+    arrivals = []
+    for k in range(120):
+        stamp_ns = k * FRAME_NS
+        for name, send in (("camera/rgb", robot.rgb), ("camera/depth", robot.depth)):
+            arrivals.append((stamp_ns + late_ns * (late in (name, "frames")), 1, send, stamp_ns))
+    for k in range(5 * odometry_hz):
+        stamp_ns = k * 10**9 // odometry_hz
+        arrivals.append((stamp_ns + late_ns * (late == "odom"), 0, robot.odom, stamp_ns))
+    seen = []
+    for at_ns, _, send, stamp_ns in sorted(arrivals, key=lambda arrival: arrival[:2]):
+        robot.now_ns = at_ns
+        send(begin_ns + stamp_ns, *([1e-9 * stamp_ns] if send == robot.odom else []))
+        if (observation := robot.poll()) is not None:
+            observation.release()
+            seen.append(observation)
+            assert observation.pose.x_m == pytest.approx(1e-9 * (observation.stamp_ns - begin_ns))
+            assert observation.pose_age_ns == 0
+            took_ms = (robot.now_ns + begin_ns - observation.stamp_ns) / MS
+            assert took_ms <= late_ms + 1e3 / odometry_hz + 1
+    # One pose may free several frames, of which the newest wins.
+    assert len(seen) > 3.3 * min(odometry_hz, 30)
+    assert not robot.drops.keys() - {"superseded"}
+
+
+@pytest.mark.parametrize(("without", "ms"), [("", 0), ("rgb", 51), ("late rgb", 251)])
+def test_a_sweep_waits_for_a_picture_no_longer_than_pictures_are_late(without, ms):
+    robot = Robot(CLOUD).info()
+    if without == "late rgb":
+        robot.wait(300 * MS).cloud(300 * MS).wait(200 * MS).rgb(300 * MS).poll()
+    begin_ns = robot.now_ns = 1000 * MS
+    robot.odom(900 * MS).odom(1100 * MS).cloud(1000 * MS)
+    if not without:
+        robot.rgb(1000 * MS)
+    while (seen := robot.poll()) is None:
+        robot.wait(MS)
+    assert robot.now_ns - begin_ns == ms * MS
+    assert (seen.rgb is None) == bool(without)
+
+
+def test_frames_that_were_joined_are_let_go():
+    robot = Robot().info().odom(0)
+    for k in range(1, 10):
+        robot.odom(k * FRAME_NS).frame(k * FRAME_NS).poll().release()
+        kept = [stream.newest_first() for stream in robot.synchronizer.streams.values()]
+        assert [len(frames) for frames in kept] == [0, 1]  # the newest, to say how far it is
+
+
+def test_frames_that_wait_take_no_more_than_their_room():
+    limits = {"source": {"max_message_mb": 0.001, "odometry_ring": 64}}
+    robot = Robot({**ONNX, **limits}).info().odom(0)
+    for k in range(500):
+        robot.wait(MS).depth(k * MS, shape=(10, 10)).rgb(k * MS, shape=(10, 10, 3)).odom(0)
+    for stream in robot.synchronizer.streams.values():
+        assert 4 <= len(stream.newest_first()) <= 64
+        assert sum(frame.size for frame in stream.newest_first()) <= 4000
 
 
 @pytest.mark.parametrize(

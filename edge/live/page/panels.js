@@ -154,7 +154,8 @@ function inputOf({ name, where, needed, state, why, hz, age_s, dropped }) {
   }[state];
   const drops = Object.entries(dropped).filter(([reason]) => reason !== "superseded" && state !== "dropped");
   const lost = drops.map(([reason, n]) => `, ${n} ${reason}`).join("");
-  return [said + lost, state === "ok" ? "ok" : needed && state !== "unused" ? "warn" : ""];
+  const doubt = state === "ok" && why ? `, ${why}` : "";
+  return [said + lost + doubt, state === "ok" && !why ? "ok" : needed && state !== "unused" ? "warn" : ""];
 }
 
 const level = (state) => (state === "ok" ? "ok" : "warn");
