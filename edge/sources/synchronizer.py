@@ -48,6 +48,13 @@ REASONS = (
     "clock_reset", "overrun",
 )  # fmt: skip
 
+_LIMITS = {
+    "oversized": "source.max_message_mb",
+    "pool_exhausted": "source.pool_slots",
+    "pose_jump": "source.max_pose_jump_m",
+}
+"""The setting that a message was dropped by."""
+
 
 def streams_of(config: Config) -> dict[str, Stream]:
     """The sensors that this configuration listens to, by field, the leading one first.
@@ -122,7 +129,8 @@ class TimeSynchronizer:
     def count(self, topic: str, reason: str, detail: object = "") -> None:
         """Count a drop; the first of its kind is also told."""
         self.counters[reason] += 1
-        detail = one_line(detail)
+        limit = f"the limit is {_LIMITS[reason]}" if reason in _LIMITS else ""
+        detail = ", ".join(filter(None, (one_line(detail), limit)))
         self.inputs.dropped(topic, reason, detail)
         if reason != "superseded" and (topic, reason) not in self._told:
             self._told.add((topic, reason))

@@ -325,6 +325,29 @@ def test_an_empty_cloud_and_one_too_large():
     assert robot.drops == {"empty": 1, "malformed": 1}
 
 
+SCAN = messages.encode_laser_scan(2000, "lidar", 0.0, 0.1, 10.0, np.ones(17, np.float32))
+WIDE = CameraModel(100, 80, 90.0, 90.0, 50.0, 40.0)
+
+
+@pytest.mark.parametrize(
+    ("key", "limit", "send"),
+    [
+        ("max_cloud_points", 16, lambda robot: robot.cloud(2000, n=17)),
+        ("max_cloud_points", 16, lambda robot: robot.send(topics.SCAN, SCAN)),
+        ("max_message_mb", 0.02, lambda robot: robot.info(WIDE)),
+        ("max_pose_jump_m", 1.0, lambda robot: robot.odom(2 * FRAME_NS, x_m=50.0)),
+        ("pool_slots", 3, lambda robot: [robot.cloud(k).wait().poll() for k in range(2, 6)]),
+    ],
+)
+def test_what_a_limit_drops_is_told_with_its_setting(caplog, key, limit, send):
+    robot = Robot({**CLOUD, "source": {key: limit}}).odom(0).odom(FRAME_NS).cloud(1)
+    robot.wait().poll()
+    assert not caplog.messages
+    send(robot)
+    robot.wait().poll()
+    assert f"source.{key}" in caplog.text
+
+
 def test_cloud_without_a_lidar_is_a_configuration_error():
     with pytest.raises(ConfigError, match=r"mapping\.input: cloud needs sensors\.lidar"):
         TimeSynchronizer(simulated({"mapping": {"input": "cloud"}}))

@@ -36,6 +36,10 @@ def cloud_parts(
     return writer.bytes(), memoryview(points.reshape(-1).view(np.uint8)), is_dense
 
 
+def _at_most(n: int) -> str:
+    return f"at most {n} are taken: raise source.max_cloud_points"
+
+
 def _xyz_offsets(reader: Reader) -> tuple[int, int, int]:
     """Where x, y and z lie in a point, from the message's list of fields."""
     (count,) = reader.read(U32, 4)
@@ -76,12 +80,14 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray) -> int:
     if n == 0:
         return 0
     if n > len(out_m):
-        raise DecodeError(f"cloud of {n} points, at most {len(out_m)} are taken")
-    if height == 1:
+        raise DecodeError(f"cloud of {n} points, {_at_most(len(out_m))}")
+    # Drivers of organized clouds set row_step to 0, to all of the data or to a number of points.
+    if height == 1 or size == n * point_step:
         row_step = width * point_step
     if max(offsets) + 4 > point_step or row_step < width * point_step or height * row_step > size:
         raise DecodeError(
-            f"cloud {width}x{height}, steps {point_step}, {row_step}, in {size} bytes"
+            f"cloud {width}x{height}: point_step {point_step} and row_step {row_step} do not fit "
+            f"{size} bytes of data: row_step must be width * point_step or more"
         )
     return kernels.cloud_points(
         np.frombuffer(payload, np.uint8), begin, height, width, row_step, point_step, offsets,
@@ -148,7 +154,7 @@ def decode_scan_points_into(payload: bytes, out_m: np.ndarray) -> int:
     """
     scan = decode_laser_scan(payload)
     if len(scan.ranges_m) > len(out_m):
-        raise DecodeError(f"scan of {len(scan.ranges_m)} beams, at most {len(out_m)} are taken")
+        raise DecodeError(f"scan of {len(scan.ranges_m)} beams, {_at_most(len(out_m))}")
     return kernels.scan_points(
         scan.ranges_m,
         scan.angle_min_rad,

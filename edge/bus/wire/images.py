@@ -76,8 +76,14 @@ def decode_image_header(payload: bytes) -> ImageHeader:
     layout = _LAYOUTS.get(encoding)
     if layout is None:
         raise DecodeError(f"image encoding {encoding[:20]!r} (known: {', '.join(_LAYOUTS)})")
-    if step < width * layout[0] or height * step > size:
-        raise DecodeError(f"image {width}x{height} {encoding}, step {step}, in {size} bytes")
+    row = width * layout[0]
+    if height * row == size:  # whatever step says
+        step = row
+    if step < row or height * step > size:
+        raise DecodeError(
+            f"image {width}x{height} {encoding}: step {step} does not fit {size} bytes of data: "
+            f"step must be {row} or more"
+        )
     return ImageHeader(stamp_ns, frame_id, height, width, encoding, step, offset, bool(big_endian))
 
 

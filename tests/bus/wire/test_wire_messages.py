@@ -18,6 +18,7 @@ from edge.bus.wire import DecodeError, messages
 from edge.geometry import SE2, CameraModel, Grid, se3
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
+HUGE = 2**32 - 1
 CAMERA = CameraModel(320, 256, 208.5, 208.25, 159.5, 127.5)
 STAMP_NS = 1_790_000_000_123_456_789
 POSE = se3(1.0, -2.0, 0.5, 0.1, -0.2, 3.0)
@@ -180,6 +181,44 @@ def ros_cloud(names: str, step: int, points: np.ndarray, big_endian=False, heigh
     )
 
 
+STEPS = 0, 1, 8, 96, HUGE
+"""Those that drivers send, such as the number of points, or the size of all data."""
+
+
+def with_steps(payload: bytes, point_step: int, row_step: int, size: int = 128) -> bytes:
+    """A cloud of 2 rows of 4 points of 16 bytes, whose header says something else."""
+    said = struct.pack("<III", 16, 64, 128)
+    assert payload.count(said) == 1
+    return payload.replace(said, struct.pack("<III", point_step, row_step, size))
+
+
+@pytest.mark.parametrize("row_step", STEPS)
+def test_an_organized_cloud_without_padding_needs_no_row_step(row_step):
+    points = np.arange(24, dtype=np.float32).reshape(8, 3)
+    payload = with_steps(ros_cloud("xyz", 16, points, height=2), 16, row_step)
+    out = np.zeros((8, 3), np.float32)
+    assert messages.decode_point_cloud_into(payload, out) == 8
+    np.testing.assert_array_equal(out, points)
+
+
+@pytest.mark.parametrize("said", [(16, 0, 112), (16, 65, 127), (24, 64, 128)])
+def test_a_cloud_whose_steps_do_not_fit_its_data_is_refused(said):
+    payload = with_steps(ros_cloud("xyz", 16, np.zeros((8, 3)), height=2), *said)
+    with pytest.raises(DecodeError, match=rf"row_step {said[1]} do not fit {said[2]} bytes"):
+        messages.decode_point_cloud_into(payload, np.zeros((8, 3), np.float32))
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_an_image_without_padding_needs_no_step(step):
+    image = np.arange(18, dtype=np.uint8).reshape(2, 3, 3)
+    payload = ros_image("rgb8", 2, 3, step, image.tobytes())
+    out = np.zeros_like(image)
+    messages.decode_image_into(payload, messages.decode_image_header(payload), out)
+    np.testing.assert_array_equal(out, image)
+    with pytest.raises(DecodeError, match=f"step {step} does not fit 17 bytes"):
+        messages.decode_image_header(ros_image("rgb8", 2, 3, step, bytes(17)))
+
+
 @pytest.mark.parametrize(
     ("names", "step", "big_endian", "height"),
     [
@@ -321,9 +360,6 @@ def test_a_changed_image_header_never_reaches_outside(data):
         messages.decode_image_into(payload, messages.decode_image_header(payload), out)
 
 
-HUGE = 2**32 - 1
-
-
 @pytest.mark.parametrize(
     "payload",
     [
@@ -341,7 +377,7 @@ def test_a_cloud_that_claims_more_points_than_it_has():
     payload = bytearray(PAYLOADS["sensor_msgs/msg/PointCloud2"])
     at = payload.index(struct.pack("<II", 1, 4))  # height, width
     payload[at : at + 8] = struct.pack("<II", 1, 60)
-    with pytest.raises(DecodeError, match="in 48 bytes"):
+    with pytest.raises(DecodeError, match="do not fit 48 bytes"):
         messages.decode_point_cloud_into(bytes(payload), np.zeros((64, 3), np.float32))
     payload[at : at + 8] = struct.pack("<II", HUGE, HUGE)
     with pytest.raises(DecodeError, match="at most 64 are taken"):
