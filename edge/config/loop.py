@@ -76,6 +76,9 @@ class Source(Section):
     `kind` is a short name (`edge/sources/__init__.py`), or `module:Class` of one's own; `options`
     are given to the class. Everything outside the limits is dropped and counted.
 
+    `depth_unit_m`: metres of one step of a depth image; by default 0.001 in 16-bit images and 1 in
+    32-bit ones. Depth in steps of 1/5000 m has 0.0002, millimetres as 32FC1 have 0.001.
+
     `localised`: poses are those of a localisation in a map that lasts, as AMCL's in tf. What
     `mission.checkpoint` keeps of places is then good wherever the robot is after a restart, and
     after one of the computer, too; else only where odometry went on.
@@ -89,6 +92,7 @@ class Source(Section):
     max_cloud_points: Annotated[int, Field(ge=16)] = 131072
     pool_slots: Annotated[int, Field(ge=3, le=32)] = 6
     odometry_ring: Annotated[int, Field(ge=64)] = 256
+    depth_unit_m: Positive | None = None
     localised: bool = False
 
 

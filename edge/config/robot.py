@@ -45,7 +45,11 @@ class Mount(Section):
 
 
 class Camera(Mount):
-    """A camera on the robot; intrinsics serve the simulator, a real one sends its own."""
+    """A camera on the robot; intrinsics serve the simulator, a real one sends its own.
+
+    Depth beyond `depth_max_m` is no return, but for what `mapping.range_m` and
+    `perception.lift_max_range_m` still use.
+    """
 
     x_m: float = 0.1
     z_m: Positive = 0.6

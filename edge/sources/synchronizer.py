@@ -16,6 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from edge.bus.wire.images import drop_beyond
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
 from edge.sources.inputs import InputTable
@@ -117,6 +118,7 @@ class TimeSynchronizer:
         self._pool: FramePool | None = None
         self._seq = 0
         self._told: set[tuple[str, str]] = set()
+        self._farthest_m = config.farthest_depth_m
         camera, lidar = config.sensors.camera, config.sensors.lidar
         self._T_base_camera = camera.T_base_camera()
         self._T_base_lidar = np.eye(4) if lidar is None else lidar.T_base_mount()
@@ -316,4 +318,6 @@ class TimeSynchronizer:
         if n == 0:
             self.count(frame.topic, "empty")
             return None
+        if isinstance(frame, DepthImage):
+            drop_beyond(out, self._farthest_m)
         return out[:n] if isinstance(frame, Cloud) else out

@@ -96,6 +96,31 @@ def test_a_frame_with_its_interpolated_pose():
     assert not robot.drops
 
 
+@pytest.mark.parametrize(
+    ("settings", "farthest_m"),
+    [
+        ({}, 8.0),
+        ({"sensors": {"camera": {"depth_max_m": 20.0}}}, 20.0),
+        ({"mapping": {"range_m": 12.0}}, 12.0),
+        ({"perception": {"detector": {"kind": "onnx"}, "lift_max_range_m": 15.0}}, 15.0),
+    ],
+)
+def test_depth_beyond_what_the_camera_sees_is_no_return(settings, farthest_m):
+    near = [0.3, 2.0, 0.99 * farthest_m]
+    beyond = [1.01 * farthest_m, 65.535, 65.504e3, 1e6, np.inf]
+    depth = np.array([[*near, *beyond, np.nan, -1.0, 0.0, 0.0]], np.float32).reshape(3, 4)
+    robot = Robot({**ONNX, **settings}).info().odom(0).odom(2000).rgb(1000)
+    robot.send(topics.DEPTH, messages.encode_image(1000, "camera", depth))
+    seen = robot.poll().depth_m
+    assert seen.ravel()[:8].tolist() == [*np.float32(near), 0, 0, 0, 0, 0]
+    np.testing.assert_array_equal(seen[2], depth[2])
+
+
+def test_the_unit_of_depth_is_a_setting():
+    robot = Robot({**ONNX, "source": {"depth_unit_m": 0.0002}}).info().odom(0).odom(2000)
+    np.testing.assert_allclose(robot.frame(1000).poll().depth_m, 1500 * 0.0002)
+
+
 def test_odometry_at_the_stamp_is_waited_for():
     robot = Robot().info().odom(1000, 0.0).frame(1500)
     assert robot.poll() is None

@@ -143,7 +143,7 @@ def test_depth_in_millimetres_and_in_metres(big_endian, padding):
     order = ">" if big_endian else "<"
     out = np.zeros((2, 3), np.float32)
     for encoding, code, values in (
-        ("16UC1", "3H", (0, 1500, 65535)),
+        ("16UC1", "3H", (0, 1500, 63999)),
         ("32FC1", "3f", (0.0, 1.5, math.nan)),
     ):
         row = struct.pack(order + code, *values) + b"\xee" * padding
@@ -159,6 +159,26 @@ def test_ids_stay_whole_numbers():
     out = np.zeros((2, 2), np.uint16)
     messages.decode_image_into(payload, messages.decode_image_header(payload), out)
     assert out.tolist() == ids.tolist()
+
+
+@pytest.mark.parametrize("encoding", ["16UC1", "mono16"])
+@pytest.mark.parametrize(("unit_m", "metres"), [(None, 0.001), (0.0002, 0.0002), (0.01, 0.01)])
+@pytest.mark.parametrize("big_endian", [False, True])
+def test_integers_that_measure_nothing_are_no_return(encoding, unit_m, metres, big_endian):
+    steps = np.array([[0, 1, 500], [63_999, 64_001, 65_535]], ">u2" if big_endian else "<u2")
+    payload = ros_image(encoding, 2, 3, 6, steps.tobytes(), big_endian)
+    out = np.full((2, 3), 9.0, np.float32)
+    messages.decode_image_into(payload, messages.decode_image_header(payload), out, unit_m)
+    expected = np.array([[0, 1, 500], [63_999, 0, 0]]) * metres
+    np.testing.assert_allclose(out, expected, rtol=1e-6)
+
+
+def test_depth_of_floats_has_a_unit_too():
+    depth = np.array([[np.nan, np.inf, 700.0, 65_535.0]], np.float32)
+    payload = messages.encode_image(1, "camera", depth)
+    out = np.zeros_like(depth)
+    messages.decode_image_into(payload, messages.decode_image_header(payload), out, 0.001)
+    np.testing.assert_allclose(out, 0.001 * depth, rtol=1e-6)
 
 
 def ros_cloud(names: str, step: int, points: np.ndarray, big_endian=False, height=1) -> bytes:
