@@ -33,7 +33,8 @@ class Observation:
         depth_m: (h, w) float32 registered to `rgb`; NaN or 0 = no return; or None.
         camera: intrinsics of `rgb` and `depth_m`; None when there is no image.
         T_base_camera: (4, 4) float64, base from optical frame.
-        cloud_m: (n, 3) float32 in the LiDAR's frame, or None.
+        cloud_m: (n, 3) float32 in the LiDAR's frame, or None. A row (x, y, inf) is no point but a
+            beam of a planar scan that met nothing up to (x, y, 0).
         T_base_lidar: (4, 4) float64.
         slot: the pool slot that owns the arrays; None when nothing is pooled.
     """

@@ -237,7 +237,7 @@ def _cloud(beside: dict[str, Recorded]) -> np.ndarray | None:
     if (m := beside.get(channels.CLOUD.topic)) is None:
         return None
     out = np.empty((len(m.payload) // 12, 3), np.float32)
-    return out[: messages.decode_point_cloud_into(m.payload, out)].copy()
+    return out[: messages.decode_point_cloud_into(m.payload, out, whole=True)].copy()
 
 
 def _picture(beside: dict[str, Recorded]) -> np.ndarray | None:

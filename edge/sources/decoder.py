@@ -59,7 +59,7 @@ def _cloud_into(settings: Source, payload: bytes, out: np.ndarray) -> int:
 
 
 def _scan_into(settings: Source, payload: bytes, out: np.ndarray) -> int:
-    return messages.decode_scan_points_into(payload, out)
+    return messages.decode_scan_points_into(payload, out, settings.scan_inf == "free")
 
 
 KINDS: dict[Topic, type[Frame]] = {

@@ -76,7 +76,8 @@ class Cloud(Frame):
 
 
 class Scan(Cloud):
-    """The hits of a 2D LiDAR in its own plane, as a cloud."""
+    """The hits of a 2D LiDAR in its own plane, as a cloud; a row (x, y, inf) is a beam that met
+    nothing up to (x, y, 0)."""
 
     topic = "lidar/scan"
 

@@ -343,6 +343,23 @@ def test_a_scan_is_a_cloud_too():
     np.testing.assert_allclose(robot.poll().cloud_m, [[1, 0, 0], [0, 2, 0]], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("scan_inf", "value", "rows"),
+    [
+        ("free", np.inf, [[10.0, 0.0, np.inf]]),
+        ("ignore", np.inf, None),
+        ("free", np.nan, None),
+        ("free", -np.inf, None),
+    ],
+)
+def test_a_scan_in_a_hall_wider_than_its_range_is_no_empty_one(scan_inf, value, rows):
+    scan = messages.encode_laser_scan(1000, "l", 0.0, 0.0, 10.0, np.full(1, value, np.float32))
+    robot = Robot({**CLOUD, "source": {"scan_inf": scan_inf}}).odom(0).odom(2000)
+    seen = robot.send(topics.SCAN, scan).wait().poll()
+    assert (None if seen is None else seen.cloud_m.tolist()) == rows
+    assert robot.drops == ({"empty": 1} if rows is None else {})
+
+
 def test_an_empty_cloud_and_one_too_large():
     robot = Robot({**CLOUD, "source": {"max_cloud_points": 16}}).odom(0).odom(FRAME_NS)
     robot.cloud(1000, n=0).cloud(2000, n=17).wait()

@@ -9,11 +9,13 @@ import numpy as np
 
 from edge.bus.wire import kernels
 from edge.bus.wire.cdr import U8, U32, DecodeError, Reader, Writer
+from edge.geometry import FARTHEST_M
 
 _HEIGHT_WIDTH = struct.Struct("<II")
 _SCAN = struct.Struct("<7f")
 _FLOAT32 = 7
 _MAX_FIELDS = 64
+_FARTHEST_M = 0.5 * FARTHEST_M  # where the map still takes the end of a beam
 
 
 def encode_point_cloud(stamp_ns: int, frame_id: str, points_m: np.ndarray) -> bytes:
@@ -32,7 +34,7 @@ def cloud_parts(
     for i, name in enumerate("xyz"):
         writer.string(name).write(U32, 4, 4 * i).write(U8, 1, _FLOAT32).write(U32, 4, 1)
     writer.write(U8, 1, 0).write(U32, 4, 12).write(U32, 4, 12 * n).write(U32, 4, 12 * n)
-    is_dense = b"\x01"
+    is_dense = U8.pack(bool(np.isfinite(points).all()))
     return writer.bytes(), memoryview(points.reshape(-1).view(np.uint8)), is_dense
 
 
@@ -58,10 +60,13 @@ def _xyz_offsets(reader: Reader) -> tuple[int, int, int]:
     return offsets["x"], offsets["y"], offsets["z"]
 
 
-def decode_point_cloud_into(payload: bytes, out_m: np.ndarray) -> int:
+def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, whole: bool = False) -> int:
     """Write the points of a sensor_msgs/PointCloud2 into `out_m` (cap, 3) float32.
 
-    Any layout of fields with float32 x, y, z is taken; points with NaN or inf are left out.
+    Any layout of fields with float32 x, y, z is taken.
+
+    Args:
+        whole: take points with NaN or inf, too.
 
     Returns:
         How many points were written.
@@ -91,7 +96,7 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray) -> int:
         )
     return kernels.cloud_points(
         np.frombuffer(payload, np.uint8), begin, height, width, row_step, point_step, offsets,
-        bool(big_endian), out_m.view(np.uint32),
+        bool(big_endian), out_m.view(np.uint32), whole,
     )  # fmt: skip
 
 
@@ -99,8 +104,9 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray) -> int:
 class LaserScan:
     """sensor_msgs/LaserScan; beam i points at angle_min + i * angle_increment, left positive.
 
-    `ranges_m` (n,) float32 is a read-only view of the payload; a hit lies in
-    [range_min, range_max), anything else is no return.
+    `ranges_m` (n,) float32 is a read-only view of the payload. A hit lies in
+    [range_min, range_max). +inf, and what is range_max or more, met nothing within range_max; -inf,
+    NaN and what is below range_min measured nothing (REP 117).
     """
 
     stamp_ns: int
@@ -143,11 +149,14 @@ def decode_laser_scan(payload: bytes) -> LaserScan:
     return LaserScan(stamp_ns, frame_id, first, increment, range_min, range_max, ranges)
 
 
-def decode_scan_points_into(payload: bytes, out_m: np.ndarray) -> int:
+def decode_scan_points_into(payload: bytes, out_m: np.ndarray, free: bool = False) -> int:
     """Write the hits of a sensor_msgs/LaserScan into `out_m` (cap, 3) float32, in its own plane.
 
+    Args:
+        free: write beams that met nothing, too, as (x, y, inf): see `kernels.scan_points`.
+
     Returns:
-        How many points were written.
+        How many rows were written.
 
     Raises:
         DecodeError: malformed, or more beams than `cap`.
@@ -161,5 +170,6 @@ def decode_scan_points_into(payload: bytes, out_m: np.ndarray) -> int:
         scan.angle_increment_rad,
         scan.range_min_m,
         scan.range_max_m,
+        min(scan.range_max_m, _FARTHEST_M) if free else 0.0,
         out_m,
     )

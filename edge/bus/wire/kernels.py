@@ -50,10 +50,12 @@ def cloud_points(
     offsets: tuple[int, int, int],
     big_endian: bool,
     out: np.ndarray,
+    whole: bool,
 ) -> int:
     """The points without NaN or inf of a cloud in `data` (n,) uint8, which may lie at any byte.
 
     Args:
+        whole: take the others too.
         out: (cap, 3) float32 points as uint32; `cap` is at least height * width, and all of the
             cloud lies inside `data`.
 
@@ -74,7 +76,7 @@ def cloud_points(
             out[kept, U1] = y
             out[kept, U2] = z
             finite = ((x & INF) != INF) & ((y & INF) != INF) & ((z & INF) != INF)
-            kept += np.uintp(finite)
+            kept += np.uintp(finite | whole)
             at += step
     return int(kept)
 
@@ -86,22 +88,33 @@ def scan_points(
     angle_increment_rad: float,
     range_min_m: float,
     range_max_m: float,
+    free_m: float,
     out_m: np.ndarray,
 ) -> int:
-    """The beams of a planar scan that hit something, as points (x, y, 0) in `out_m` (cap, 3).
+    """Write the beams of a planar scan that hit something as points (x, y, 0).
+
+    Args:
+        free_m: a beam that read `range_max_m` or more, or +inf, met nothing so far: it is written
+            as (x, y, inf), its end being (x, y, 0). 0: such beams are left out.
+        out_m: (cap, 3) float32.
 
     Returns:
-        How many there are; `cap` must be at least the number of beams.
+        How many rows were written; `cap` must be at least the number of beams.
     """
     n = 0
     for i in range(ranges_m.shape[0]):
-        r = ranges_m[i]
-        if r >= range_min_m and r < range_max_m:
-            angle = angle_min_rad + i * angle_increment_rad
-            out_m[n, 0] = r * math.cos(angle)
-            out_m[n, 1] = r * math.sin(angle)
-            out_m[n, 2] = 0.0
-            n += 1
+        r, z = ranges_m[i], np.float32(0.0)
+        if not r >= range_min_m:
+            continue
+        if r >= range_max_m:
+            if free_m <= 0.0:
+                continue
+            r, z = np.float32(free_m), np.float32(np.inf)
+        angle = angle_min_rad + i * angle_increment_rad
+        out_m[n, 0] = r * math.cos(angle)
+        out_m[n, 1] = r * math.sin(angle)
+        out_m[n, 2] = z
+        n += 1
     return n
 
 
@@ -127,5 +140,5 @@ def warmup() -> None:
     points_m = np.zeros((2, 3), np.float32)
     ranges_m = np.frombuffer(bytes(8), np.float32)
     cloud = np.frombuffer(bytes(24), np.uint8)
-    cloud_points(cloud, 0, 1, 2, 24, 12, (0, 4, 8), False, points_m.view(np.uint32))
-    scan_points(ranges_m, 0.0, 0.1, 0.1, 1.0, points_m)
+    cloud_points(cloud, 0, 1, 2, 24, 12, (0, 4, 8), False, points_m.view(np.uint32), False)
+    scan_points(ranges_m, 0.0, 0.1, 0.1, 1.0, 1.0, points_m)

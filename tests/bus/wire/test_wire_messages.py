@@ -272,6 +272,17 @@ def test_a_scan_becomes_points_where_it_hit():
     np.testing.assert_allclose(out[:2], [[1, 0, 0], [0, 2, 0]], atol=1e-6)
 
 
+@pytest.mark.parametrize("range_max_m", [10.0, math.inf])
+def test_a_beam_that_met_nothing_is_free_to_the_longest_range(range_max_m):
+    nothing, no_measurement = [math.inf, range_max_m, 2 * range_max_m], [math.nan, -math.inf, -1.0]
+    ranges = np.array([*nothing, *no_measurement, 2.0], np.float32)
+    payload = messages.encode_laser_scan(1, "lidar", 0.0, 0.0, range_max_m, ranges)
+    out = np.zeros((7, 3), np.float32)
+    assert messages.decode_scan_points_into(payload, out, free=True) == 4
+    end_m = min(range_max_m, 5e5)
+    assert out[:4].tolist() == [[end_m, 0, math.inf]] * 3 + [[2, 0, 0]]
+
+
 def test_camera_info_of_a_rectified_image_and_without_projection():
     name = "sensor_msgs/msg/CameraInfo"
     info = from_ros(PAYLOADS[name], name)
