@@ -7,6 +7,7 @@ expected, before a decoder allocates anything for it.
 from __future__ import annotations
 
 import struct
+import sys
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,7 +15,7 @@ import cv2
 import numpy as np
 
 from edge.bus.wire.cdr import U32, DecodeError, Reader, Writer
-from edge.bus.wire.images import DEPTH_UNIT_M, to_metres
+from edge.bus.wire.images import DEPTH_UNIT_M, ImageHeader, depth_into
 from edge.host.c_stderr import silenced
 
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -184,9 +185,17 @@ def decode_compressed_into(
         else:
             cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=out)
     elif header.content == "16UC1":
-        to_metres(picture, unit_m or DEPTH_UNIT_M["16UC1"], out)
+        depth_into(picture, _pixels_of(header), out, unit_m)
     else:
         np.subtract(picture, np.float32(header.b), out=out, dtype=np.float32)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             np.divide(np.float32(header.a * (unit_m or DEPTH_UNIT_M["32FC1"])), out, out=out)
         out[picture == 0] = 0.0
+
+
+def _pixels_of(header: CompressedHeader) -> ImageHeader:
+    """The header of the picture as it lies in memory."""
+    h, w = header.height, header.width
+    return ImageHeader(
+        header.stamp_ns, header.frame_id, h, w, "16UC1", 2 * w, 0, sys.byteorder == "big"
+    )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from edge.bus.wire import kernels
 from edge.bus.wire.cdr import U8, U32, DecodeError, Reader, Writer
 
 _HEIGHT_WIDTH = struct.Struct("<II")
@@ -26,7 +27,7 @@ _TO_RGB = {
 _ENCODING_OF = {("uint8", 3): "rgb8", ("uint16", 2): "16UC1", ("float32", 2): "32FC1"}
 DEPTH_UNIT_M = {"16UC1": 0.001, "mono16": 0.001, "32FC1": 1.0}
 """Metres of one step of depth, as REP 118 has it."""
-_NO_DEPTH = 64_000
+_NO_DEPTH = np.uint16(64_000)
 """16-bit numbers from here on measure nothing, in any unit: many drivers send 65535 for no return,
 and time-of-flight sensors number their faults from 64001 on."""
 
@@ -116,24 +117,26 @@ def decode_image_into(
         elif out.size:
             cv2.cvtColor(pixels, _TO_RGB[encoding], dst=out)
     elif out.dtype == np.float32 and encoding in DEPTH_UNIT_M:
-        code = "f4" if encoding == "32FC1" else "u2"
-        to_metres(_pixels(payload, header, code), unit_m or DEPTH_UNIT_M[encoding], out)
+        depth_into(payload, header, out, unit_m)
     elif out.dtype == np.uint16 and encoding in ("16UC1", "mono16"):
         np.copyto(out, _pixels(payload, header, "u2"))
     else:
         raise DecodeError(f"image encoding {encoding} where {out.dtype} pixels are expected")
 
 
-def to_metres(steps: np.ndarray, unit_m: float, out: np.ndarray) -> None:
-    """Write depth in steps of `unit_m` into `out`, (h, w) float32; integers that measure nothing
-    become 0."""
-    if steps.dtype.kind == "f" and unit_m == 1.0:
-        np.copyto(out, steps)
-        return
-    with np.errstate(over="ignore", invalid="ignore"):
-        np.multiply(steps, np.float32(unit_m), out=out)
-    if steps.dtype.kind == "u":
-        drop_beyond(out, (_NO_DEPTH - 0.5) * unit_m)
+def depth_into(
+    payload: bytes | np.ndarray, header: ImageHeader, out: np.ndarray, unit_m: float | None
+) -> None:
+    """Write the depth that a header tells of into `out`, (h, w) float32 metres; integers that
+    measure nothing become 0."""
+    data = np.frombuffer(payload, np.uint8)
+    data.flags.writeable = False  # the kernels are compiled for what is
+    place = header.data_offset, header.step, header.big_endian
+    unit = np.float32(unit_m or DEPTH_UNIT_M[header.encoding])
+    if header.encoding == "32FC1":
+        kernels.depth_of_floats(data, *place, unit, out)
+    else:
+        kernels.depth_of_integers(data, *place, unit, _NO_DEPTH, out)
 
 
 def drop_beyond(depth_m: np.ndarray, farthest_m: float) -> None:
