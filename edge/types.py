@@ -32,6 +32,8 @@ class Observation:
         rgb: (h, w, 3) uint8, or None.
         depth_m: (h, w) float32 registered to `rgb`; NaN or 0 = no return; or None.
         camera: intrinsics of `rgb` and `depth_m`; None when there is no image.
+        distortion: of the lens: `none`; `rectified`: by the source; `ignored`: the images are taken
+            for rectified.
         T_base_camera: (4, 4) float64, base from optical frame.
         cloud_m: (n, 3) float32 in the LiDAR's frame, or None. A row (x, y, inf) is no point but a
             beam of a planar scan that met nothing up to (x, y, 0).
@@ -49,6 +51,7 @@ class Observation:
     cloud_m: np.ndarray | None = None
     T_base_lidar: np.ndarray = field(default_factory=lambda: np.eye(4))
     slot: Slot | None = None
+    distortion: Literal["none", "rectified", "ignored"] = "none"
 
     @property
     def pose(self) -> SE2:

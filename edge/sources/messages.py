@@ -12,7 +12,7 @@ from typing import ClassVar, Union
 
 import numpy as np
 
-from edge.geometry import CameraModel
+from edge.geometry import CameraModel, Lens
 
 
 class WrongSizeError(ValueError):
@@ -30,9 +30,17 @@ class Odometry:
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """Intrinsics of the images that follow."""
+    """Intrinsics of the images that follow.
+
+    Attributes:
+        camera: of the images once they are rectified.
+        lens: how they are distorted before that; None: not at all.
+        cut: see `edge.bus.wire.messages.Calibration`.
+    """
 
     camera: CameraModel
+    lens: Lens | None = None
+    cut: str = ""
     topic: ClassVar[str] = "camera/info"
 
 

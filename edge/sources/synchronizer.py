@@ -33,6 +33,7 @@ from edge.sources.messages import (
 )
 from edge.sources.odometry import OdometryRing
 from edge.sources.pool import FramePool, PoolSlot
+from edge.sources.rectify import LensPlan, plan_for
 from edge.sources.streams import Stream
 from edge.text import one_line
 from edge.types import Observation
@@ -46,7 +47,7 @@ _NAMES = {kind.field: kind.topic for kind in (Image, DepthImage, Cloud)}
 REASONS = (
     "malformed", "oversized", "empty", "wrong_size", "repeated", "backward", "stale", "superseded",
     "unpaired", "no_pose", "no_camera_info", "no_transform", "pool_exhausted", "pose_jump",
-    "clock_reset", "overrun",
+    "clock_reset", "overrun", "distorted",
 )  # fmt: skip
 
 _LIMITS = {
@@ -114,7 +115,9 @@ class TimeSynchronizer:
         self._clock = clock
         self.inputs = InputTable(config, self.streams, clock)
         self._patience_ns = math.inf if config.loop.lockstep else PATIENCE_NS
+        self._info: CameraInfo | None = None
         self._camera: CameraModel | None = None
+        self._lens = LensPlan()
         self._pool: FramePool | None = None
         self._seq = 0
         self._told: set[tuple[str, str]] = set()
@@ -169,16 +172,38 @@ class TimeSynchronizer:
 
     def _describe(self, message: CameraInfo) -> None:
         camera = message.camera
-        if camera == self._camera:
-            self.inputs.used(message.topic)
+        if message == self._info:
+            if self._camera is not None:
+                self.inputs.used(message.topic)
             return
         size = camera.width_px * camera.height_px * 3
         if size > self.config.source.max_message_mb * 1e6:
             detail = f"{camera.width_px}x{camera.height_px} px"
             self.count(message.topic, "oversized", detail)
             return
-        self._camera, self._pool = camera, None
+        self._info, self._camera, self._pool = message, None, None
+        if message.cut:
+            self._tell(message, f"{message.cut}: images of {camera.width_px}x{camera.height_px}")
+        where, listens = self.inputs.where, DepthImage.field in self.streams
+        try:
+            self._lens = plan_for(
+                message.lens, camera, self.config.source.distortion, where(Image.topic),
+                where(DepthImage.topic) if listens else None,
+            )  # fmt: skip
+        except ValueError as error:
+            self.count(message.topic, "distorted", error)
+            return
+        if message.lens is not None:
+            guess = self._lens.distortion == "rectified"
+            self._tell(message, self._lens.text, logging.WARNING if guess else logging.INFO)
+        self._camera = camera
         self.inputs.used(message.topic)
+
+    def _tell(self, message: CameraInfo, text: str, level: int = logging.WARNING) -> None:
+        """Log what is made of a camera's description, once."""
+        if (message.topic, text) not in self._told:
+            self._told.add((message.topic, text))
+            log.log(level, "%s: %s", message.topic, text)
 
     # -- observations out ---------------------------------------------------------------------
 
@@ -275,6 +300,7 @@ class TimeSynchronizer:
             T_base_camera=self._T_base_camera,
             T_base_lidar=self._T_base_lidar,
             slot=slot,
+            distortion=self._lens.distortion,
             **fields,
         )
 
@@ -310,7 +336,7 @@ class TimeSynchronizer:
         """A frame's array, in its place in the slot; None (and counted) where that fails."""
         out = getattr(slot, frame.field)
         try:
-            n = frame.into(out)
+            n = self._lens.decode(frame, out)
         except ValueError as error:
             reason = "wrong_size" if isinstance(error, WrongSizeError) else "malformed"
             self.count(frame.topic, reason, error)

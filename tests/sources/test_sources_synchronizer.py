@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated import simulated
@@ -9,7 +12,7 @@ from simulated import simulated
 from edge.bus import topics
 from edge.bus.wire import messages
 from edge.config import ConfigError
-from edge.geometry import SE2, CameraModel
+from edge.geometry import SE2, CameraModel, Lens
 from edge.sources import messages as typed
 from edge.sources.decoder import CdrDecoder
 from edge.sources.synchronizer import PATIENCE_NS, TimeSynchronizer
@@ -301,6 +304,96 @@ def test_another_camera_brings_another_pool():
     assert robot.poll().rgb.shape == (6, 8, 3)
     assert (first.rgb == 1).all()
     first.release()
+
+
+LENS = Lens("plumb_bob", (-0.3, 0.1, 0.0, 0.0), CameraModel(40, 30, 30.0, 30.0, 20.0, 15.0))
+STRAIGHT = CameraModel(40, 30, 24.0, 24.0, 19.5, 14.5)
+RECT, RAW = "/front/image_rect", "/front/image_raw"
+STEPS_MM = np.broadcast_to(1000 + 100 * np.arange(40, dtype=np.uint16), (30, 40))
+STRIPES = np.dstack([STEPS_MM // 20] * 3).astype(np.uint8)
+
+
+def through_a_lens(settings: dict, lens: Lens = LENS, rgb: str = RAW, depth: str = RAW) -> Robot:
+    """A robot that has sent one picture and depth of vertical stripes."""
+    robot = Robot({**ONNX, "source": settings}).odom(0).odom(FRAME_NS)
+    robot.synchronizer.inputs.listen("camera/rgb", rgb)
+    robot.synchronizer.inputs.listen("camera/depth", depth)
+    robot.synchronizer.received("camera/info")
+    robot.synchronizer.offer(typed.CameraInfo(STRAIGHT, lens))
+    robot.send(topics.RGB, messages.encode_image(1000, "camera", STRIPES))
+    return robot.send(topics.DEPTH, messages.encode_image(1000, "camera", STEPS_MM))
+
+
+@pytest.mark.parametrize(
+    ("distortion", "rgb", "depth", "made", "straight", "says"),
+    [
+        (
+            "rectify",
+            RAW,
+            RAW,
+            "rectified",
+            (True, True),
+            "images and depth are rectified",
+        ),
+        ("rectify", RAW, RECT, "rectified", (True, False), "images are rectified; if"),
+        (
+            "rectify",
+            RECT,
+            RAW,
+            "ignored",
+            (False, False),
+            f"images are taken for rectified: {RECT} says so",
+        ),
+        (
+            "ignore",
+            RAW,
+            RAW,
+            "ignored",
+            (False, False),
+            "images are taken for rectified: source.distortion is ignore",
+        ),
+    ],
+)
+def test_a_lens_with_distortion_is_told_and_its_images_rectified(
+    caplog, distortion, rgb, depth, made, straight, says
+):
+    caplog.set_level("INFO")
+    robot = through_a_lens({"distortion": distortion}, rgb=rgb, depth=depth)
+    seen = robot.poll()
+    assert (seen.distortion, seen.camera) == (made, STRAIGHT)
+    as_sent = [(seen.rgb == STRIPES).all(), (seen.depth_m == STEPS_MM * np.float32(0.001)).all()]
+    assert as_sent == [not bent for bent in straight]
+    (line,) = caplog.messages
+    assert re.match(f"camera/info: plumb_bob distortion, k1 = -0.3: {says}", line)
+
+
+@pytest.mark.parametrize(
+    ("distortion", "lens", "says"),
+    [
+        ("refuse", LENS, "k1 = -0.3: source.distortion is refuse"),
+        (
+            "rectify",
+            replace(LENS, model="odd"),
+            "known: plumb_bob, .*distortion: ignore",
+        ),
+    ],
+)
+def test_a_lens_that_is_refused_leaves_no_images(caplog, distortion, lens, says):
+    robot = through_a_lens({"distortion": distortion}, lens)
+    assert robot.poll() is None
+    assert robot.drops == {"distorted": 1, "no_camera_info": 1}
+    (row,) = (row for row in robot.synchronizer.inputs.rows() if row.name == "camera/info")
+    assert row.state == "dropped"
+    assert re.search(says, row.why)
+    robot.info().odom(2 * FRAME_NS).frame(2 * FRAME_NS)
+    assert robot.poll().distortion == "none"
+
+
+def test_a_lens_without_distortion_is_not_told(caplog):
+    caplog.set_level("INFO")
+    robot = Robot().info().odom(0).odom(2000).frame(1000)
+    assert robot.poll().distortion == "none"
+    assert not caplog.messages
 
 
 def test_a_camera_too_large_for_any_message_is_refused():

@@ -15,7 +15,7 @@ from hypothesis.extra import numpy as hnp
 from rosbags.typesys import Stores, get_typestore
 
 from edge.bus.wire import DecodeError, messages
-from edge.geometry import SE2, CameraModel, Grid, se3
+from edge.geometry import SE2, CameraModel, Grid, Lens, se3
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 HUGE = 2**32 - 1
@@ -287,9 +287,80 @@ def test_camera_info_of_a_rectified_image_and_without_projection():
     name = "sensor_msgs/msg/CameraInfo"
     info = from_ros(PAYLOADS[name], name)
     info.p = np.array([300.0, *info.p[1:]])
-    assert messages.decode_camera_info(to_ros(info))[1].fx_px == 300.0
+    assert messages.decode_camera_info(to_ros(info)).camera.fx_px == 300.0
     info.p = np.zeros(12)
-    assert messages.decode_camera_info(to_ros(info))[1] == CAMERA
+    assert messages.decode_camera_info(to_ros(info)).camera == CAMERA
+
+
+INFO = "sensor_msgs/msg/CameraInfo"
+BENT = (-0.35, 0.14, 0.0007, -0.0003, 0.0)
+
+
+def camera_info(**fields: object) -> messages.Calibration:
+    """`CAMERA` as decoded, with other fields; numbers of binning and roi as tuples."""
+    info = from_ros(PAYLOADS[INFO], INFO)
+    for name, value in fields.items():
+        if name == "binning":
+            info.binning_x, info.binning_y = value
+        elif name == "roi":
+            roi = info.roi
+            roi.x_offset, roi.y_offset, roi.width, roi.height = value
+        else:
+            old = getattr(info, name)
+            setattr(info, name, value if isinstance(old, str) else np.array(value, np.float64))
+    return messages.decode_camera_info(to_ros(info))
+
+
+@pytest.mark.parametrize("d", [(), (0.0,) * 5, (0.0, -0.0)])
+def test_no_coefficients_and_zeros_are_no_distortion(d):
+    info = camera_info(d=d, distortion_model="whatever")
+    assert (info.camera, info.lens, info.cut) == (CAMERA, None, "")
+
+
+@pytest.mark.parametrize("rectified", [True, False], ids=["P", "no P"])
+def test_a_lens_is_told_with_the_camera_behind_it(rectified):
+    p = [240.0, 0, 50.0, 0, 0, 241.0, 40.0, 0, 0, 0, 1, 0] if rectified else [0.0] * 12
+    info = camera_info(d=BENT, p=p)
+    assert info.lens == Lens("plumb_bob", BENT, CAMERA)
+    size = CAMERA.width_px, CAMERA.height_px
+    assert info.camera == (CameraModel(*size, 240.0, 241.0, 50.0, 40.0) if rectified else CAMERA)
+
+
+@pytest.mark.parametrize(
+    ("binning", "roi", "expected"),
+    [
+        ((1, 1), (0, 0, 64, 48), (64, 48, 60.0, 62.0, 32.0, 23.0)),
+        ((2, 2), (0, 0, 0, 0), (32, 24, 30.0, 31.0, 16.0, 11.5)),
+        ((2, 1), (0, 0, 0, 0), (32, 48, 30.0, 62.0, 16.0, 23.0)),
+        ((0, 0), (8, 4, 40, 30), (40, 30, 60.0, 62.0, 24.0, 19.0)),
+        ((2, 2), (8, 4, 40, 30), (20, 15, 30.0, 31.0, 12.0, 9.5)),
+    ],
+)
+def test_binning_and_roi_are_those_of_the_image_that_is_sent(binning, roi, expected):
+    k = [60.0, 0, 32.0, 0, 62.0, 23.0, 0, 0, 1]
+    info = from_ros(PAYLOADS[INFO], INFO)
+    info.width, info.height = 64, 48
+    info.k, info.p, info.d = np.array(k), np.zeros(12), np.array(BENT)
+    info.binning_x, info.binning_y = binning
+    info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = roi
+    told = messages.decode_camera_info(to_ros(info))
+    assert told.camera == told.lens.camera == CameraModel(*expected)
+    assert bool(told.cut) == (expected[:2] != (64, 48))
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"d": (math.nan,)}, "distortion holds NaN"),
+        ({"d": (0.1,) * 65}, "65 coefficients"),
+        ({"d": BENT, "k": (0.0,) * 9}, "focal lengths 0, 0"),
+        ({"roi": (1, 0, CAMERA.width_px, 1)}, "outside the image"),
+        ({"binning": (HUGE, 1)}, "not a camera: 0x"),
+    ],
+)
+def test_a_calibration_that_cannot_be_is_refused(fields, says):
+    with pytest.raises(DecodeError, match=says):
+        camera_info(**fields)
 
 
 # -- round trips --------------------------------------------------------------------------------
