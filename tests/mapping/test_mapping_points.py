@@ -241,3 +241,23 @@ def test_beams_that_met_nothing_free_nothing_behind_what_others_met():
     assert all(grid.state_at(1.52, y) == 100 for y in np.arange(-0.45, 0.5, 0.05))
     assert {grid.state_at(x, x * math.tan(a)) for x in (1.7, 3.0) for a in wall[3:-3]} == {-1}
     assert {grid.state_at(-x, x * math.tan(a)) for x in (1.7, 3.0) for a in wall} == {0}
+
+
+@pytest.mark.parametrize("z_m", [0.1701, 0.2, 0.25, 0.3])
+@pytest.mark.parametrize("behind_m", [2.5, math.inf])
+def test_what_a_planar_lidar_saw_is_cleared_by_beams_at_that_very_height(z_m, behind_m):
+    """Someone who stood there and went on; behind is a wall, or nothing."""
+    angles = np.radians(np.arange(360.0))
+
+    def sweep(grid: RollingMap, r: np.ndarray) -> None:
+        free = np.isinf(r)
+        r = np.where(free, 3.0, r)
+        rows = [r * np.cos(angles), r * np.sin(angles), np.where(free, np.inf, 0.0)]
+        grid.update_cloud(np.stack(rows, axis=1).astype(F), se3(z_m=z_m), SE2(0, 0, 0))
+
+    grid = RollingMap(config.Mapping(input="cloud", range_m=4.0, inflation_m=0.0))
+    sweep(grid, np.where(np.cos(angles) > 0.9, 1.52, behind_m))
+    assert [grid.state_at(x, 0.0) for x in (1.0, 1.54, -2.0)] == [0, 100, 0]
+    for _ in range(grid.config.clear_after):
+        sweep(grid, np.full(360, behind_m))
+    assert [grid.state_at(x, 0.0) for x in (1.0, 1.54, -2.0)] == [0, 0, 0]
