@@ -47,7 +47,7 @@ class Mount(Section):
 class Camera(Mount):
     """A camera on the robot; intrinsics serve the simulator, a real one sends its own.
 
-    Depth beyond `depth_max_m` is no return, but for what `mapping.range_m` and
+    Depth of `depth_max_m` or more is no return, but for what `mapping.range_m` and
     `perception.lift_max_range_m` still use.
     """
 

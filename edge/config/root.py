@@ -102,7 +102,7 @@ class Config(Section):
 
     @property
     def farthest_depth_m(self) -> float:
-        """Depth beyond it is no return: the camera sees no farther, and nothing is used there."""
+        """Depth from here on is no return: neither seen by the camera, nor used."""
         camera, perception = self.sensors.camera, self.perception
         return max(camera.depth_max_m, self.mapping.range_m, perception.lift_max_range_m)
 

@@ -29,6 +29,7 @@ from edge.sources.messages import (
     Message,
     Mount,
     Odometry,
+    Scan,
     WrongSizeError,
 )
 from edge.sources.odometry import OdometryRing
@@ -50,6 +51,7 @@ REASONS = (
     "clock_reset", "overrun", "distorted",
 )  # fmt: skip
 
+_NO_BEAM = "no beam measured anything: NaN, 0 and -inf are no readings, +inf is one (REP 117)"
 _LIMITS = {
     "oversized": "source.max_message_mb",
     "pool_exhausted": "source.pool_slots",
@@ -121,7 +123,8 @@ class TimeSynchronizer:
         self._pool: FramePool | None = None
         self._seq = 0
         self._told: set[tuple[str, str]] = set()
-        self._farthest_m = config.farthest_depth_m
+        # The far end itself is what drivers fill gaps with.
+        self._beyond_m = float(np.nextafter(np.float32(config.farthest_depth_m), np.float32(0)))
         camera, lidar = config.sensors.camera, config.sensors.lidar
         self._T_base_camera = camera.T_base_camera()
         self._T_base_lidar = np.eye(4) if lidar is None else lidar.T_base_mount()
@@ -342,8 +345,8 @@ class TimeSynchronizer:
             self.count(frame.topic, reason, error)
             return None
         if n == 0:
-            self.count(frame.topic, "empty")
+            self.count(frame.topic, "empty", _NO_BEAM if isinstance(frame, Scan) else "")
             return None
         if isinstance(frame, DepthImage):
-            drop_beyond(out, self._farthest_m)
+            drop_beyond(out, self._beyond_m)
         return out[:n] if isinstance(frame, Cloud) else out

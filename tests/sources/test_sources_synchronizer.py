@@ -110,7 +110,7 @@ def test_a_frame_with_its_interpolated_pose():
 )
 def test_depth_beyond_what_the_camera_sees_is_no_return(settings, farthest_m):
     near = [0.3, 2.0, 0.99 * farthest_m]
-    beyond = [1.01 * farthest_m, 65.535, 65.504e3, 1e6, np.inf]
+    beyond = [farthest_m, 1.01 * farthest_m, 65.535, 1e6, np.inf]
     depth = np.array([[*near, *beyond, np.nan, -1.0, 0.0, 0.0]], np.float32).reshape(3, 4)
     robot = Robot({**ONNX, **settings}).info().odom(0).odom(2000).rgb(1000)
     robot.send(topics.DEPTH, messages.encode_image(1000, "camera", depth))
@@ -445,12 +445,13 @@ def test_a_scan_is_a_cloud_too():
         ("free", -np.inf, None),
     ],
 )
-def test_a_scan_in_a_hall_wider_than_its_range_is_no_empty_one(scan_inf, value, rows):
+def test_a_scan_in_a_hall_wider_than_its_range_is_no_empty_one(caplog, scan_inf, value, rows):
     scan = messages.encode_laser_scan(1000, "l", 0.0, 0.0, 10.0, np.full(1, value, np.float32))
     robot = Robot({**CLOUD, "source": {"scan_inf": scan_inf}}).odom(0).odom(2000)
     seen = robot.send(topics.SCAN, scan).wait().poll()
     assert (None if seen is None else seen.cloud_m.tolist()) == rows
     assert robot.drops == ({"empty": 1} if rows is None else {})
+    assert ("no beam measured anything" in caplog.text) == (rows is None)
 
 
 def test_an_empty_cloud_and_one_too_large():
