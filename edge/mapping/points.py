@@ -223,29 +223,32 @@ def bin_points(n_points, hits, sensor_z, range_m, inv_res, fx, fy, polar, scan):
     lowest[:] = np.inf
     far_slope[:] = np.inf
     n = 0
-    for i in range(n_points):
+    for i in range(hits):
         x, y, z = xs[i], ys[i], zs[i]
         d2 = x * x + y * y
         if d2 <= range_m * range_m:
             cell = int(y * inv_res + fy) * side + int(x * inv_res + fx)
             at = bins[cell]
             lowest[at] = min(lowest[at], z)
-            if i < hits:
-                cells[n] = cell
-                heights[n] = z
-                n += 1
-                continue
-            sector, ring = at // polar.rings, at % polar.rings
-            for k in (sector - 1, sector + 1):
-                at = (k % polar.sectors) * polar.rings + ring
-                lowest[at] = min(lowest[at], z)
+            cells[n] = cell
+            heights[n] = z
+            n += 1
             continue
         scale = range_m / np.sqrt(d2)
         cell = int(y * scale * inv_res + fy) * side + int(x * scale * inv_res + fx)
-        sector, wide = int(sector_of[cell]), int(i >= hits)
-        for k in range(sector - wide, sector + wide + 1):
-            at = k % polar.sectors
-            far_slope[at] = min(far_slope[at], (z - sensor_z) * scale / range_m)
+        sector = sector_of[cell]
+        far_slope[sector] = min(far_slope[sector], (z - sensor_z) * scale / range_m)
+    for i in range(hits, n_points):
+        x, y, z = xs[i], ys[i], zs[i]
+        scale = np.float32(min(range_m / np.sqrt(x * x + y * y), np.float32(1.0)))
+        at = bins[int(y * scale * inv_res + fy) * side + int(x * scale * inv_res + fx)]
+        for aside in (-1, 0, 1):
+            sector = (at // polar.rings + aside) % polar.sectors
+            if scale < 1.0:
+                far_slope[sector] = min(far_slope[sector], (z - sensor_z) * scale / range_m)
+            else:
+                k = sector * polar.rings + at % polar.rings
+                lowest[k] = min(lowest[k], z)
     return n
 
 
