@@ -246,12 +246,12 @@ class CameraModel:
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """The distortion of an image as its lens makes it.
+    """A lens with distortion.
 
     Attributes:
-        model: `plumb_bob`, `rational_polynomial`, `equidistant`, or one that nobody knows.
-        coefficients: of this model, in the order of sensor_msgs/CameraInfo.
-        camera: what the image would be without them (K).
+        model: `plumb_bob`, `rational_polynomial`, `equidistant`, or an unknown one.
+        coefficients: of this model, in the order of sensor_msgs/CameraInfo; not all zero.
+        camera: the pinhole camera behind the lens (K).
     """
 
     model: str

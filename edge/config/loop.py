@@ -79,10 +79,10 @@ class Source(Section):
     `depth_unit_m`: metres of one step of a depth image; by default 0.001 in 16-bit images and 1 in
     32-bit ones. Depth in steps of 1/5000 m has 0.0002, millimetres as 32FC1 have 0.001.
 
-    `distortion`: images of a lens with distortion, as camera_info tells it (`plumb_bob`,
-    `rational_polynomial`, `equidistant`), and depth registered to them: `rectify` bends them
-    straight, unless the topic's name has `rect`, since its images are so already; `ignore` takes
-    them for rectified, whatever the name; `refuse` takes none.
+    `distortion`: of a lens, as camera_info has it (`plumb_bob`, `rational_polynomial`,
+    `equidistant`). `rectify` rectifies images, and depth registered to them, unless the topic's
+    name has the word `rect`: these are rectified already. `ignore` takes all images as rectified;
+    `refuse` drops them.
 
     `scan_inf`: a beam of a LaserScan that reads +inf, or range_max or more, met nothing within
     range_max (REP 117). `free` maps that; `ignore` takes such beams for no measurement, for drivers

@@ -47,8 +47,8 @@ class Mount(Section):
 class Camera(Mount):
     """A camera on the robot; intrinsics serve the simulator, a real one sends its own.
 
-    Depth of `depth_max_m` or more is no return, but for what `mapping.range_m` and
-    `perception.lift_max_range_m` still use.
+    Depth of `depth_max_m` or more is no return, unless `mapping.range_m` or
+    `perception.lift_max_range_m` is larger: then depth from there on is none.
     """
 
     x_m: float = 0.1

@@ -168,7 +168,7 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
 
 @njit(nogil=True, cache=True)
 def from_cloud(cloud_m, T, min_range_m, xyz):
-    """Points of a cloud, like `from_depth`; what is not finite or too near gives none.
+    """Points of a cloud, like `from_depth`; points that are not finite or too near give none.
 
     A row (x, y, inf) is a ray that met nothing up to (x, y, 0). Their ends follow the points.
 

@@ -44,7 +44,7 @@ class Detector(Protocol):
         name: the model's card, or what it is when it is no model.
         prompts: what is looked for, `Detections.class_id` counts in them.
         invalid_boxes: boxes of the model that were not sound, since the start; dropped.
-        sees: the array of an observation that it looks at, where that is not `rgb`.
+        looks_at: the array of an observation that it needs; optional, `rgb` by default.
     """
 
     name: str

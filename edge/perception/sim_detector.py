@@ -68,7 +68,7 @@ class SimDetector:
 
     name = "sim (ground-truth ids + noise, no neural network)"
     invalid_boxes = 0
-    sees = "depth_m"
+    looks_at = "depth_m"
 
     def __init__(
         self, detector: config.DetectorSim, prompts: Sequence[str], truth: TruthAt | None = None

@@ -59,7 +59,7 @@ class DetectorWorker(Worker[Observation, Detections]):
 
         An observation without a picture, as a LiDAR's sweeps between two of them, is left out.
         """
-        if getattr(observation, getattr(self.detector, "sees", "rgb")) is not None:
+        if getattr(observation, getattr(self.detector, "looks_at", "rgb")) is not None:
             observation.hold()
             super().submit(observation)
 

@@ -146,6 +146,6 @@ class CdrDecoder:
     def _describe(self, payload: bytes) -> None:
         """Cameras describe themselves with every frame, and hardly ever anew."""
         if payload[_INFO_BODY:] != self._info:
-            told = messages.decode_camera_info(payload)
-            self._synchronizer.offer(CameraInfo(told.camera, told.lens, told.cut))
+            info = messages.decode_camera_info(payload)
+            self._synchronizer.offer(CameraInfo(info.camera, info.lens, info.cut))
             self._info = payload[_INFO_BODY:]

@@ -71,8 +71,8 @@ class Image(Frame):
 
 
 class DepthImage(Frame):
-    """Into (h, w) float32 metres, registered to the colour image; NaN or 0 = no return, as is what
-    is farther than the camera sees."""
+    """Into (h, w) float32 metres, registered to the colour image; NaN or 0 = no return. The
+    synchronizer drops returns beyond the camera's range."""
 
     topic, field = "camera/depth", "depth_m"
 

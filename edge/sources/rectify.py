@@ -1,4 +1,4 @@
-"""Rectified images: what a pinhole camera would see, from what a lens with distortion shows."""
+"""Images of a lens with distortion, rectified to those of a pinhole camera."""
 
 from __future__ import annotations
 
@@ -79,10 +79,10 @@ class Rectifier:
         return rows
 
     def _folded(self, camera: CameraModel) -> np.ndarray:
-        """(h, w) bool: pixels so far out that the model bends their rays back into the image.
+        """Return (h, w) bool: pixels so far out that the model folds their rays back.
 
-        Polynomials are fitted to what the image shows; farther out they turn, and would show it
-        once more.
+        Polynomials are fitted inside the image. Farther out they turn, and the image would appear
+        there a second time.
         """
         u, v = np.arange(camera.width_px), np.arange(camera.height_px)
         x = ((u - camera.cx_px) / camera.fx_px)[None, :]
@@ -121,7 +121,7 @@ class LensPlan(NamedTuple):
         distortion: see `edge.types.Observation`.
         rectifier: None: no field is rectified.
         fields: those that are.
-        text: of the log; empty where there is no distortion.
+        text: a line for the log; empty without distortion.
     """
 
     distortion: Literal["none", "rectified", "ignored"] = "none"
@@ -143,10 +143,10 @@ def plan_for(
     rgb_topic: str,
     depth_topic: str | None,
 ) -> LensPlan:
-    """Choose what is done about a lens.
+    """Choose how the images of a camera are taken.
 
-    Depth is registered to the colours: it is distorted as they are, unless its name says that it is
-    registered to rectified ones.
+    Depth is registered to the colours, so it is distorted as they are, unless its own name says
+    that it is registered to rectified ones.
 
     Args:
         setting: `source.distortion`.

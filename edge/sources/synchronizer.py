@@ -123,7 +123,7 @@ class TimeSynchronizer:
         self._pool: FramePool | None = None
         self._seq = 0
         self._told: set[tuple[str, str]] = set()
-        # The far end itself is what drivers fill gaps with.
+        # Drivers fill gaps with the far end itself.
         self._beyond_m = float(np.nextafter(np.float32(config.farthest_depth_m), np.float32(0)))
         camera, lidar = config.sensors.camera, config.sensors.lidar
         self._T_base_camera = camera.T_base_camera()
@@ -203,7 +203,7 @@ class TimeSynchronizer:
         self.inputs.used(message.topic)
 
     def _tell(self, message: CameraInfo, text: str, level: int = logging.WARNING) -> None:
-        """Log what is made of a camera's description, once."""
+        """Log how a camera's description is used, once."""
         if (message.topic, text) not in self._told:
             self._told.add((message.topic, text))
             log.log(level, "%s: %s", message.topic, text)

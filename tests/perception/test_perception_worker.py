@@ -97,15 +97,15 @@ def test_a_row_of_failures_ends_with_a_result_and_counts_none_of_a_detector_that
     worker.close()
 
 
-@pytest.mark.parametrize("sees", ["rgb", "depth_m"])
+@pytest.mark.parametrize("looks_at", ["rgb", "depth_m"])
 @pytest.mark.parametrize("inline", [False, True])
-def test_what_has_no_picture_is_no_failure(make_observation, sees, inline):
+def test_what_has_no_picture_is_no_failure(make_observation, looks_at, inline):
     """Of a LiDAR that maps at 10 Hz, beside a camera of 5 Hz."""
     fake = Fake(bad=(0, 2))
-    fake.sees = sees
+    fake.looks_at = looks_at
     worker = DetectorWorker(fake, inline)
     sweeps = [make_observation(seq=i, slot=Slot(), cloud_m=np.ones((1, 3))) for i in (0, 1, 2)]
-    pictured = make_observation(seq=3, slot=Slot(), **{sees: np.zeros((1, 1, 3))})
+    pictured = make_observation(seq=3, slot=Slot(), **{looks_at: np.zeros((1, 1, 3))})
     fake.gate.release(4)
     for frame in (*sweeps, pictured):
         worker.submit(frame)

@@ -15,7 +15,7 @@ _HEIGHT_WIDTH = struct.Struct("<II")
 _SCAN = struct.Struct("<7f")
 _FLOAT32 = 7
 _MAX_FIELDS = 64
-_FARTHEST_M = 0.5 * FARTHEST_M  # where the map still takes the end of a beam
+_FARTHEST_M = 0.5 * FARTHEST_M  # the map takes no end of a beam beyond FARTHEST_M
 
 
 def encode_point_cloud(stamp_ns: int, frame_id: str, points_m: np.ndarray) -> bytes:
@@ -105,8 +105,8 @@ class LaserScan:
     """sensor_msgs/LaserScan; beam i points at angle_min + i * angle_increment, left positive.
 
     `ranges_m` (n,) float32 is a read-only view of the payload. A hit lies in
-    [range_min, range_max). +inf, and what is range_max or more, met nothing within range_max; -inf,
-    NaN and what is below range_min measured nothing (REP 117).
+    [range_min, range_max). +inf, range_max and more mean that nothing is within range_max. -inf,
+    NaN and less than range_min are no measurement (REP 117).
     """
 
     stamp_ns: int

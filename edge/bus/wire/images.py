@@ -82,7 +82,7 @@ def decode_image_header(payload: bytes) -> ImageHeader:
     if layout is None:
         raise DecodeError(f"image encoding {encoding[:20]!r} (known: {', '.join(_LAYOUTS)})")
     row = width * layout[0]
-    if height * row == size:  # whatever step says
+    if height * row == size:  # no padding: the step must be right, or does not matter
         step = row
     if step < row or height * step > size:
         raise DecodeError(
@@ -127,10 +127,13 @@ def decode_image_into(
 def depth_into(
     payload: bytes | np.ndarray, header: ImageHeader, out: np.ndarray, unit_m: float | None
 ) -> None:
-    """Write the depth that a header tells of into `out`, (h, w) float32 metres; integers that
-    measure nothing become 0."""
+    """Write 16-bit or float depth into `out`, (h, w) float32 metres; `_NO_DEPTH` and above is 0.
+
+    Args:
+        payload: the bytes that the header describes.
+    """
     data = np.frombuffer(payload, np.uint8)
-    data.flags.writeable = False  # the kernels are compiled for what is
+    data.flags.writeable = False  # the kernels are compiled for read-only bytes
     place = header.data_offset, header.step, header.big_endian
     unit = np.float32(unit_m or DEPTH_UNIT_M[header.encoding])
     if header.encoding == "32FC1":
@@ -140,7 +143,7 @@ def depth_into(
 
 
 def drop_beyond(depth_m: np.ndarray, farthest_m: float) -> None:
-    """Set what is farther to 0, no return, in place; NaN stays."""
+    """Set depth beyond `farthest_m` to 0, no return, in place; NaN stays."""
     if depth_m.size:
         cv2.threshold(depth_m, farthest_m, 0.0, cv2.THRESH_TOZERO_INV, dst=depth_m)
 

@@ -203,7 +203,7 @@ class Calibration:
     """sensor_msgs/CameraInfo, of images as they are sent: binning and roi are applied.
 
     Attributes:
-        camera: the rectified image: its projection matrix P; K where P is zero.
+        camera: of the rectified image: the projection matrix P, or K if P is zero.
         lens: distortion of the raw image; None: all coefficients are zero.
         cut: binning and roi as text; empty: whole images are sent.
     """
