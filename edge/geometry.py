@@ -244,6 +244,24 @@ class CameraModel:
         return np.arctan2(np.subtract(self.cx_px, u_px, dtype=np.float64), self.fx_px)
 
 
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """A lens with distortion.
+
+    Attributes:
+        model: `plumb_bob`, `rational_polynomial`, `equidistant`, or an unknown one.
+        coefficients: of this model, in the order of sensor_msgs/CameraInfo; not all zero.
+        camera: the pinhole camera behind the lens (K).
+    """
+
+    model: str
+    coefficients: tuple[float, ...]
+    camera: CameraModel
+
+    def __str__(self) -> str:
+        return f"{self.model} distortion, k1 = {self.coefficients[0]:g}"
+
+
 def optical(T: np.ndarray) -> np.ndarray:
     """The same (4, 4) pose with a camera's optical axes in place of a body's."""
     T = T.copy()

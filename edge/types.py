@@ -32,8 +32,11 @@ class Observation:
         rgb: (h, w, 3) uint8, or None.
         depth_m: (h, w) float32 registered to `rgb`; NaN or 0 = no return; or None.
         camera: intrinsics of `rgb` and `depth_m`; None when there is no image.
+        distortion: of the lens: `none`; `rectified`: by the source; `ignored`: the images are taken
+            for rectified.
         T_base_camera: (4, 4) float64, base from optical frame.
-        cloud_m: (n, 3) float32 in the LiDAR's frame, or None.
+        cloud_m: (n, 3) float32 in the LiDAR's frame, or None. A row (x, y, inf) is no point but a
+            beam of a planar scan that met nothing up to (x, y, 0).
         T_base_lidar: (4, 4) float64.
         slot: the pool slot that owns the arrays; None when nothing is pooled.
         pose_age_ns: how much older than `stamp_ns` the pose is, or a transform that it or a mount
@@ -51,6 +54,7 @@ class Observation:
     T_base_lidar: np.ndarray = field(default_factory=lambda: np.eye(4))
     slot: Slot | None = None
     pose_age_ns: int = 0
+    distortion: Literal["none", "rectified", "ignored"] = "none"
 
     @property
     def pose(self) -> SE2:

@@ -9,8 +9,10 @@ import pytest
 from edge.bus import topics
 from edge.bus.wire import messages
 from edge.config import parse
-from edge.geometry import SE2, CameraModel, Grid
+from edge.geometry import SE2, CameraModel, Grid, Lens
 from edge.sources.decoder import CdrDecoder
+from edge.sources.messages import DepthImage, Image
+from edge.sources.rectify import Rectifier
 from edge.sources.synchronizer import TimeSynchronizer
 
 CAMERA = CameraModel.from_hfov(320, 256, 1.3)
@@ -37,6 +39,27 @@ def test_decode_rgb_and_depth(benchmark, against):
     against(lambda: (np.copyto(out[0], rgb), cv2.multiply(depth, 0.001, out[1], dtype=cv2.CV_32F)))
     benchmark(decode)
     assert (out[0] == rgb).all()
+
+
+def test_rectify_rgb_and_depth(benchmark):
+    """Decode and rectify: its budget is a ratio to decoding alone."""
+    rgb, depth = images()
+    lens = Lens("rational_polynomial", (0.46, -2.65, 7e-4, -3e-4, 1.54, 0.34, -2.47, 1.47), CAMERA)
+    rectifier = Rectifier(lens, CAMERA)
+    out = np.zeros_like(rgb), np.zeros(depth.shape, np.float32)
+    payloads = [messages.encode_image(1, "camera", array) for array in (rgb, depth)]
+
+    def frame(kind, payload: bytes):
+        def into(array: np.ndarray) -> int:
+            messages.decode_image_into(payload, messages.decode_image_header(payload), array)
+            return len(array)
+
+        return kind(1, 1, into)
+
+    frames = [frame(kind, data) for kind, data in zip((Image, DepthImage), payloads, strict=True)]
+    benchmark.extra_info["budget"] = "rectify_images_320x256"
+    benchmark(lambda: [rectifier.into(f, array) for f, array in zip(frames, out, strict=True)])
+    assert out[1].any()
 
 
 def test_ingest_a_frame(benchmark):

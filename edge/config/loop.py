@@ -81,6 +81,18 @@ class Source(Section):
     serve, which is counted and reported. `max_pose_gap_s`: how far apart two poses may be between
     which a frame's is interpolated, and how old one may be from which it is extrapolated.
 
+    `depth_unit_m`: metres of one step of a depth image; by default 0.001 in 16-bit images and 1 in
+    32-bit ones. Depth in steps of 1/5000 m has 0.0002, millimetres as 32FC1 have 0.001.
+
+    `distortion`: of a lens, as camera_info has it (`plumb_bob`, `rational_polynomial`,
+    `equidistant`). `rectify` rectifies images, and depth registered to them, unless the topic's
+    name has the word `rect`: these are rectified already. `ignore` takes all images as rectified;
+    `refuse` drops them.
+
+    `scan_inf`: a beam of a LaserScan that reads +inf, or range_max or more, met nothing within
+    range_max (REP 117). `free` maps that; `ignore` takes such beams for no measurement, for drivers
+    that write +inf for glass or black things.
+
     `localised`: poses are those of a localisation in a map that lasts, as AMCL's in tf. What
     `mission.checkpoint` keeps of places is then good wherever the robot is after a restart, and
     after one of the computer, too; else only where odometry went on.
@@ -95,6 +107,9 @@ class Source(Section):
     max_cloud_points: Annotated[int, Field(ge=16)] = 131072
     pool_slots: Annotated[int, Field(ge=3, le=32)] = 6
     odometry_ring: Annotated[int, Field(ge=64)] = 256
+    depth_unit_m: Positive | None = None
+    distortion: Literal["rectify", "ignore", "refuse"] = "rectify"
+    scan_inf: Literal["free", "ignore"] = "free"
     localised: bool = False
 
 

@@ -45,7 +45,11 @@ class Mount(Section):
 
 
 class Camera(Mount):
-    """A camera on the robot; intrinsics serve the simulator, a real one sends its own."""
+    """A camera on the robot; intrinsics serve the simulator, a real one sends its own.
+
+    Depth of `depth_max_m` or more is no return, unless `mapping.range_m` or
+    `perception.lift_max_range_m` is larger: then depth from there on is none.
+    """
 
     x_m: float = 0.1
     z_m: Positive = 0.6

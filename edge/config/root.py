@@ -101,6 +101,12 @@ class Config(Section):
         return lidar.rate_hz if by_lidar else camera.rate_hz
 
     @property
+    def farthest_depth_m(self) -> float:
+        """Depth from here on is no return: neither seen by the camera, nor used."""
+        camera, perception = self.sensors.camera, self.perception
+        return max(camera.depth_max_m, self.mapping.range_m, perception.lift_max_range_m)
+
+    @property
     def goals_unanswered(self) -> bool:
         """Whether goals go to a ROS 2 topic, which nobody answers."""
         return self.ros2.goals == "topic" and any(sink.kind == "ros2" for sink in self.sinks)

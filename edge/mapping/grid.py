@@ -119,13 +119,14 @@ class RollingMap:
             ly.plain(depth_m), *self._strides, self._column, self._row, T,
             np.float32(self.config.min_range_m), self._scan.xyz,
         )  # fmt: skip
-        return self._finish(n_points, T, cell, fraction, pose, rolled)
+        return self._finish(n_points, n_points, T, cell, fraction, pose, rolled)
 
     def update_cloud(self, cloud_m: np.ndarray, T_map_lidar: np.ndarray, pose: SE2) -> MapUpdate:
         """Bring a point cloud into the map; like `update_depth`.
 
         Args:
-            cloud_m: (n, 3) float32 in the LiDAR's frame; points that are not finite are dropped.
+            cloud_m: (n, 3) float32 in the LiDAR's frame; points that are not finite are dropped. A
+                row (x, y, inf) is a ray that met nothing up to (x, y, 0): it frees only.
             T_map_lidar: (4, 4), `map` from the LiDAR's frame.
 
         Raises:
@@ -136,10 +137,10 @@ class RollingMap:
         self._reserve(len(cloud_m))
         T, cell, fraction = self._locate(T_map_lidar, pose)
         rolled = self._follow(*cell)
-        n_points = points.from_cloud(
+        hits, n_points = points.from_cloud(
             ly.plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
         )
-        return self._finish(n_points, T, cell, fraction, pose, rolled)
+        return self._finish(n_points, hits, T, cell, fraction, pose, rolled)
 
     def state_at(self, x_m: float, y_m: float) -> int:
         """-1 unknown or outside the window, 0 free, 100 occupied or inflated."""
@@ -331,18 +332,19 @@ class RollingMap:
     def _finish(
         self,
         n_points: int,
+        hits: int,
         T: np.ndarray,
         cell: tuple[int, int],
         fraction: tuple[np.float32, np.float32],
         pose: SE2,
         rolled: bool,
     ) -> MapUpdate:
-        """Everything that follows once scan.xyz holds the points."""
+        """Everything that follows once scan.xyz holds the points: `hits`, then free rays' ends."""
         c, polar, scan, layers = self.config, self._polar, self._scan, self._layers
         sensor_z = float(T[2, 3])
         n = points.bin_points(
-            n_points, T[2, 3], np.float32(c.range_m), np.float32(1.0 / self.resolution_m),
-            *fraction, polar, scan,
+            n_points, hits, T[2, 3], np.float32(c.range_m),
+            np.float32(1.0 / self.resolution_m), *fraction, polar, scan,
         )  # fmt: skip
         total, count = points.sweep_ground(
             scan,

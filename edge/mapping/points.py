@@ -168,27 +168,49 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
 
 @njit(nogil=True, cache=True)
 def from_cloud(cloud_m, T, min_range_m, xyz):
-    """Points of a cloud, like `from_depth`; what is not finite or too near gives none."""
-    n = 0
+    """Points of a cloud, like `from_depth`; points that are not finite or too near give none.
+
+    A row (x, y, inf) is a ray that met nothing up to (x, y, 0). Their ends follow the points.
+
+    Returns:
+        (the number of points, the number of points and ends).
+    """
+    n = ends = 0
     for i in range(cloud_m.shape[0]):
         a, b, c = cloud_m[i, 0], cloud_m[i, 1], cloud_m[i, 2]
         squared = a * a + b * b + c * c
         if not (squared > min_range_m * min_range_m and squared < _FARTHEST_M * _FARTHEST_M):
+            ends += c == np.inf
             continue
         xyz[0, n] = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c
         xyz[1, n] = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c
         xyz[2, n] = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
         n += 1
-    return n
+    hits = n
+    for i in range(cloud_m.shape[0] if ends else 0):
+        a, b = cloud_m[i, 0], cloud_m[i, 1]
+        squared = a * a + b * b
+        if (
+            cloud_m[i, 2] == np.inf
+            and squared > min_range_m * min_range_m
+            and squared < _FARTHEST_M * _FARTHEST_M
+        ):
+            xyz[0, n] = T[0, 0] * a + T[0, 1] * b
+            xyz[1, n] = T[1, 0] * a + T[1, 1] * b
+            xyz[2, n] = T[2, 0] * a + T[2, 1] * b + T[2, 3]
+            n += 1
+    return hits, n
 
 
 @njit(nogil=True, cache=True)
-def bin_points(n_points, sensor_z, range_m, inv_res, fx, fy, polar, scan):
+def bin_points(n_points, hits, sensor_z, range_m, inv_res, fx, fy, polar, scan):
     """Bin scan.xyz: the lowest point of each bin, and the cell of each point within range.
 
     A point beyond range says only that its ray passed: it is pulled in to the circle of range.
 
     Args:
+        hits: the points from this one on are ends of rays that met nothing. They have no cell, and
+            reach into the sectors on both sides: beams of a planar LiDAR are as far apart.
         fx, fy: place of the sensor in the scratch, in cells from its lower-left corner.
 
     Returns:
@@ -201,7 +223,7 @@ def bin_points(n_points, sensor_z, range_m, inv_res, fx, fy, polar, scan):
     lowest[:] = np.inf
     far_slope[:] = np.inf
     n = 0
-    for i in range(n_points):
+    for i in range(hits):
         x, y, z = xs[i], ys[i], zs[i]
         d2 = x * x + y * y
         if d2 <= range_m * range_m:
@@ -216,6 +238,17 @@ def bin_points(n_points, sensor_z, range_m, inv_res, fx, fy, polar, scan):
         cell = int(y * scale * inv_res + fy) * side + int(x * scale * inv_res + fx)
         sector = sector_of[cell]
         far_slope[sector] = min(far_slope[sector], (z - sensor_z) * scale / range_m)
+    for i in range(hits, n_points):
+        x, y, z = xs[i], ys[i], zs[i]
+        scale = np.float32(min(range_m / np.sqrt(x * x + y * y), np.float32(1.0)))
+        at = bins[int(y * scale * inv_res + fy) * side + int(x * scale * inv_res + fx)]
+        for aside in (-1, 0, 1):
+            sector = (at // polar.rings + aside) % polar.sectors
+            if scale < 1.0:
+                far_slope[sector] = min(far_slope[sector], (z - sensor_z) * scale / range_m)
+            else:
+                k = sector * polar.rings + at % polar.rings
+                lowest[k] = min(lowest[k], z)
     return n
 
 

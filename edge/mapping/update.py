@@ -93,7 +93,8 @@ def _update_obstacle(
         layers.raw[sy, sx] = OCCUPIED
         bit_set(layers.known, sy, sx, True)
         return state < OCCUPIED
-    if below_m >= (top - LOWEST_OBSTACLE) * metres:
+    # A code is rounded down, and the beams of a planar LiDAR are as high as their hits.
+    if below_m >= (top - LOWEST_OBSTACLE + 1) * metres:
         return False
     if state - OCCUPIED + 1 < clear_after:
         layers.raw[sy, sx] = state + 1

@@ -44,6 +44,7 @@ class Detector(Protocol):
         name: the model's card, or what it is when it is no model.
         prompts: what is looked for, `Detections.class_id` counts in them.
         invalid_boxes: boxes of the model that were not sound, since the start; dropped.
+        looks_at: the array of an observation that it needs; optional, `rgb` by default.
     """
 
     name: str

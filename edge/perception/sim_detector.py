@@ -69,6 +69,7 @@ class SimDetector:
 
     name = "sim (ground-truth ids + noise, no neural network)"
     invalid_boxes = 0
+    looks_at = "depth_m"
 
     def __init__(
         self, detector: config.DetectorSim, prompts: Sequence[str], truth: TruthAt | None = None

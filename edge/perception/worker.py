@@ -55,9 +55,13 @@ class DetectorWorker(Worker[Observation, Detections]):
         )  # fmt: skip
 
     def submit(self, observation: Observation) -> None:
-        """Detect in this next. Never blocks, unless inline."""
-        observation.hold()
-        super().submit(observation)
+        """Detect in this next. Never blocks, unless inline.
+
+        An observation without a picture, as a LiDAR's sweeps between two of them, is left out.
+        """
+        if getattr(observation, getattr(self.detector, "looks_at", "rgb")) is not None:
+            observation.hold()
+            super().submit(observation)
 
     def close(self) -> None:
         """Finish the image at hand, release every observation still held."""

@@ -226,16 +226,18 @@ def _depth(beside: dict[str, Recorded]) -> np.ndarray | None:
     if (m := beside.get(channels.DEPTH.topic)) is None:
         return None
     header = messages.decode_image_header(m.payload)
-    out = np.empty((header.height, header.width), np.float32)
+    # Millimetres as the sink wrote them: all of them are depths.
+    exact = header.encoding == "16UC1"
+    out = np.empty((header.height, header.width), np.uint16 if exact else np.float32)
     messages.decode_image_into(m.payload, header, out)
-    return out
+    return out * np.float32(0.001) if exact else out
 
 
 def _cloud(beside: dict[str, Recorded]) -> np.ndarray | None:
     if (m := beside.get(channels.CLOUD.topic)) is None:
         return None
     out = np.empty((len(m.payload) // 12, 3), np.float32)
-    return out[: messages.decode_point_cloud_into(m.payload, out)].copy()
+    return out[: messages.decode_point_cloud_into(m.payload, out, whole=True)].copy()
 
 
 def _picture(beside: dict[str, Recorded]) -> np.ndarray | None:

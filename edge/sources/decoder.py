@@ -13,6 +13,7 @@ import numpy as np
 from edge.bus import topics
 from edge.bus.topics import Topic
 from edge.bus.wire import DecodeError, compressed, messages
+from edge.config import Source
 from edge.sources.messages import (
     CameraInfo,
     Cloud,
@@ -41,18 +42,26 @@ def _check_size(header: messages.ImageHeader | compressed.CompressedHeader, out:
     return header.height
 
 
-def _image_into(payload: bytes, out: np.ndarray) -> int:
+def _image_into(settings: Source, payload: bytes, out: np.ndarray) -> int:
     header = messages.decode_image_header(payload)
     if (height := _check_size(header, out)) > 0:
-        messages.decode_image_into(payload, header, out)
+        messages.decode_image_into(payload, header, out, settings.depth_unit_m)
     return height
 
 
-def _compressed_into(payload: bytes, out: np.ndarray) -> int:
+def _compressed_into(settings: Source, payload: bytes, out: np.ndarray) -> int:
     header = compressed.decode_compressed_header(payload)
     if (height := _check_size(header, out)) > 0:
-        compressed.decode_compressed_into(payload, header, out)
+        compressed.decode_compressed_into(payload, header, out, settings.depth_unit_m)
     return height
+
+
+def _cloud_into(settings: Source, payload: bytes, out: np.ndarray) -> int:
+    return messages.decode_point_cloud_into(payload, out)
+
+
+def _scan_into(settings: Source, payload: bytes, out: np.ndarray) -> int:
+    return messages.decode_scan_points_into(payload, out, settings.scan_inf == "free")
 
 
 KINDS: dict[Topic, type[Frame]] = {
@@ -63,9 +72,9 @@ KINDS: dict[Topic, type[Frame]] = {
 }
 """What the messages of each topic are."""
 
-_INTO: dict[str, Callable[[bytes, np.ndarray], int]] = {
-    "sensor_msgs/PointCloud2": messages.decode_point_cloud_into,
-    "sensor_msgs/LaserScan": messages.decode_scan_points_into,
+_INTO: dict[str, Callable[[Source, bytes, np.ndarray], int]] = {
+    "sensor_msgs/PointCloud2": _cloud_into,
+    "sensor_msgs/LaserScan": _scan_into,
     "sensor_msgs/Image": _image_into,
     "sensor_msgs/CompressedImage": _compressed_into,
 }
@@ -86,6 +95,7 @@ class CdrDecoder:
         frames: Frames | None = None,
     ) -> None:
         self._synchronizer = synchronizer
+        self._settings = synchronizer.config.source
         self._clock = clock
         self._frames = frames
         self._info = b""
@@ -145,11 +155,12 @@ class CdrDecoder:
         if by_tf and (why := self._frames.why_unplaced(frame_id)):
             self._synchronizer.count(topic.key, "no_transform", why)
             return
-        into = partial(into, payload)
-        self._synchronizer.offer(kind(stamp_ns, self._clock(), into, frame_id, len(payload)))
+        opened = partial(into, self._settings, payload)
+        self._synchronizer.offer(kind(stamp_ns, self._clock(), opened, frame_id, len(payload)))
 
     def _describe(self, payload: bytes) -> None:
         """Cameras describe themselves with every frame, and hardly ever anew."""
         if payload[_INFO_BODY:] != self._info:
-            self._synchronizer.offer(CameraInfo(messages.decode_camera_info(payload)[1]))
+            info = messages.decode_camera_info(payload)
+            self._synchronizer.offer(CameraInfo(info.camera, info.lens, info.cut))
             self._info = payload[_INFO_BODY:]

@@ -115,6 +115,10 @@ class InputTable:
             row.where = where
             self._called.setdefault(where, []).append(row)
 
+    def where(self, name: str) -> str:
+        """Return where an input comes from; its name if that is not known."""
+        return next((row.where for row in self._called.get(name, ())), name)
+
     # -- what happens, by name or by place; what is not listened to is left out ------------------
 
     def came(self, name: str) -> None:

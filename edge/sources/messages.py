@@ -12,7 +12,7 @@ from typing import ClassVar, NamedTuple, Union
 
 import numpy as np
 
-from edge.geometry import CameraModel
+from edge.geometry import CameraModel, Lens
 
 
 class WrongSizeError(ValueError):
@@ -35,9 +35,17 @@ class Odometry:
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """Intrinsics of the images that follow."""
+    """Intrinsics of the images that follow.
+
+    Attributes:
+        camera: of the images once they are rectified.
+        lens: how they are distorted before that; None: not at all.
+        cut: see `edge.bus.wire.messages.Calibration`.
+    """
 
     camera: CameraModel
+    lens: Lens | None = None
+    cut: str = ""
     topic: ClassVar[str] = "camera/info"
 
 
@@ -72,7 +80,8 @@ class Image(Frame):
 
 
 class DepthImage(Frame):
-    """Into (h, w) float32 metres, registered to the colour image; NaN or 0 = no return."""
+    """Into (h, w) float32 metres, registered to the colour image; NaN or 0 = no return. The
+    synchronizer drops returns beyond the camera's range."""
 
     topic, field = "camera/depth", "depth_m"
 
@@ -84,7 +93,8 @@ class Cloud(Frame):
 
 
 class Scan(Cloud):
-    """The hits of a 2D LiDAR in its own plane, as a cloud."""
+    """The hits of a 2D LiDAR in its own plane, as a cloud; a row (x, y, inf) is a beam that met
+    nothing up to (x, y, 0)."""
 
     topic = "lidar/scan"
 

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from edge.bus.wire.images import drop_beyond
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
 from edge.sources.inputs import InputTable
@@ -30,10 +31,12 @@ from edge.sources.messages import (
     Message,
     MountAt,
     Odometry,
+    Scan,
     WrongSizeError,
 )
 from edge.sources.odometry import Missing, OdometryRing
 from edge.sources.pool import FramePool, PoolSlot
+from edge.sources.rectify import LensPlan, plan_for
 from edge.sources.streams import Stream
 from edge.text import one_line
 from edge.types import Observation
@@ -49,8 +52,16 @@ _NAMES = {kind.field: kind.topic for kind in (Image, DepthImage, Cloud)}
 REASONS = (
     "malformed", "oversized", "empty", "wrong_size", "repeated", "backward", "stale", "superseded",
     "unpaired", "no_pose", "no_camera_info", "no_transform", "pool_exhausted", "pose_jump",
-    "clock_reset", "overrun",
+    "clock_reset", "overrun", "distorted",
 )  # fmt: skip
+
+_NO_BEAM = "no beam measured anything: NaN, 0 and -inf are no readings, +inf is one (REP 117)"
+_LIMITS = {
+    "oversized": "source.max_message_mb",
+    "pool_exhausted": "source.pool_slots",
+    "pose_jump": "source.max_pose_jump_m",
+}
+"""The setting that a message was dropped by."""
 
 
 def streams_of(config: Config) -> dict[str, Stream]:
@@ -151,10 +162,14 @@ class TimeSynchronizer:
         self._camera_frame = ""
         self._pose_came_ns = -1
         self._pose_delay_ns: int | None = None
+        self._info: CameraInfo | None = None
         self._camera: CameraModel | None = None
+        self._lens = LensPlan()
         self._pool: FramePool | None = None
         self._seq = 0
         self._told: set[tuple[str, str]] = set()
+        # Drivers fill gaps with the far end itself.
+        self._beyond_m = float(np.nextafter(np.float32(config.farthest_depth_m), np.float32(0)))
         camera, lidar = config.sensors.camera, config.sensors.lidar
         self._T_base_camera = camera.T_base_camera()
         self._T_base_lidar = np.eye(4) if lidar is None else lidar.T_base_mount()
@@ -167,7 +182,8 @@ class TimeSynchronizer:
     def count(self, topic: str, reason: str, detail: object = "") -> None:
         """Count a drop; the first of its kind is also told."""
         self.counters[reason] += 1
-        detail = one_line(detail)
+        limit = f"the limit is {_LIMITS[reason]}" if reason in _LIMITS else ""
+        detail = ", ".join(filter(None, (one_line(detail), limit)))
         self.inputs.dropped(topic, reason, detail)
         if reason != "superseded" and (topic, reason) not in self._told:
             self._told.add((topic, reason))
@@ -216,16 +232,38 @@ class TimeSynchronizer:
 
     def _describe(self, message: CameraInfo) -> None:
         camera = message.camera
-        if camera == self._camera:
-            self.inputs.used(message.topic)
+        if message == self._info:
+            if self._camera is not None:
+                self.inputs.used(message.topic)
             return
         size = camera.width_px * camera.height_px * 3
         if size > self.config.source.max_message_mb * 1e6:
             detail = f"{camera.width_px}x{camera.height_px} px"
             self.count(message.topic, "oversized", detail)
             return
-        self._camera, self._pool = camera, None
+        self._info, self._camera, self._pool = message, None, None
+        if message.cut:
+            self._tell(message, f"{message.cut}: images of {camera.width_px}x{camera.height_px}")
+        where, listens = self.inputs.where, DepthImage.field in self.streams
+        try:
+            self._lens = plan_for(
+                message.lens, camera, self.config.source.distortion, where(Image.topic),
+                where(DepthImage.topic) if listens else None,
+            )  # fmt: skip
+        except ValueError as error:
+            self.count(message.topic, "distorted", error)
+            return
+        if message.lens is not None:
+            guess = self._lens.distortion == "rectified"
+            self._tell(message, self._lens.text, logging.WARNING if guess else logging.INFO)
+        self._camera = camera
         self.inputs.used(message.topic)
+
+    def _tell(self, message: CameraInfo, text: str, level: int = logging.WARNING) -> None:
+        """Log how a camera's description is used, once."""
+        if (message.topic, text) not in self._told:
+            self._told.add((message.topic, text))
+            log.log(level, "%s: %s", message.topic, text)
 
     # -- observations out ---------------------------------------------------------------------
 
@@ -374,6 +412,7 @@ class TimeSynchronizer:
             slot=slot,
             pose_age_ns=max(joined.pose_age_ns, joined.tf_age_ns),
             **joined.mounts,
+            distortion=self._lens.distortion,
             **fields,
         )
 
@@ -409,12 +448,14 @@ class TimeSynchronizer:
         """A frame's array, in its place in the slot; None (and counted) where that fails."""
         out = getattr(slot, frame.field)
         try:
-            n = frame.into(out)
+            n = self._lens.decode(frame, out)
         except ValueError as error:
             reason = "wrong_size" if isinstance(error, WrongSizeError) else "malformed"
             self.count(frame.topic, reason, error)
             return None
         if n == 0:
-            self.count(frame.topic, "empty")
+            self.count(frame.topic, "empty", _NO_BEAM if isinstance(frame, Scan) else "")
             return None
+        if isinstance(frame, DepthImage):
+            drop_beyond(out, self._beyond_m)
         return out[:n] if isinstance(frame, Cloud) else out

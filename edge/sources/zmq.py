@@ -6,8 +6,9 @@ Each message has two parts. The header, at most 4 KB of JSON:
      "intrinsics": [fx, fy, cx, cy]}
 
 and the pixels, row by row without padding. `topic` is `camera/rgb` or `camera/depth`; `encoding`
-one of sensor_msgs/Image's (rgb8, bgr8, rgba8, bgra8, mono8; 16UC1 in mm, 32FC1 in m,
-little-endian); `intrinsics`, in pixels, are needed once, and again when they change.
+one of sensor_msgs/Image's (rgb8, bgr8, rgba8, bgra8, mono8; 16UC1 in mm, 32FC1 in m, or both in
+`source.depth_unit_m`; little-endian); `intrinsics`, in pixels, are needed once, and again when they
+change.
 """
 
 from __future__ import annotations
@@ -110,12 +111,14 @@ def _camera(intrinsics: object, width: int, height: int) -> CameraModel | None:
     return CameraModel(width, height, *map(float, intrinsics))
 
 
-def _into(buffer: memoryview, header: images.ImageHeader, out: np.ndarray) -> int:
+def _into(
+    unit_m: float | None, buffer: memoryview, header: images.ImageHeader, out: np.ndarray
+) -> int:
     if (header.height, header.width) != out.shape[:2]:
         height, width = out.shape[:2]
         says = f"the intrinsics are of {width}x{height}"
         raise WrongSizeError(f"{header.width}x{header.height}, {says}")
-    images.decode_image_into(buffer, header, out)
+    images.decode_image_into(buffer, header, out, unit_m)
     return header.height
 
 
@@ -141,6 +144,7 @@ class ZmqSource(ZenohSource):
     ) -> None:
         self._clock = clock
         self._address = address
+        self._depth_unit_m = config.source.depth_unit_m
         super().__init__(config, session)
         self._look_s = 0.0
         self.check_options(config, address)
@@ -202,7 +206,7 @@ class ZmqSource(ZenohSource):
         if header.camera is not None:
             self._synchronizer.inputs.came(CameraInfo.topic)
             self._synchronizer.offer(CameraInfo(header.camera))
-        into = partial(_into, parts[1].buffer, header.image)
+        into = partial(_into, self._depth_unit_m, parts[1].buffer, header.image)
         frame = _FRAMES[header.topic](
             header.image.stamp_ns, self._clock(), into, size=len(parts[1])
         )

@@ -132,7 +132,7 @@ DECODERS = {
         ("decode_point_cloud_into",),
     ),
     "scan": Decoder(
-        lambda payload: messages.decode_scan_points_into(payload, _OUT["points"]),
+        lambda payload: messages.decode_scan_points_into(payload, _OUT["points"], free=True),
         (messages.encode_laser_scan(NS, "l", -1.0, 0.5, 9.0, np.ones(5, np.float32)),),
         ("decode_scan_points_into", "decode_laser_scan"),
     ),

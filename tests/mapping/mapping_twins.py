@@ -156,7 +156,7 @@ def geodesic(state: np.ndarray, x: int, y: int, straight: int, diagonal: int) ->
     return distance
 
 
-def scan_twin(xyz, sensor_z, range_m, inv_res, fx, fy, polar):
+def scan_twin(xyz, hits, sensor_z, range_m, inv_res, fx, fy, polar):
     """Twin of `bin_points`: (lowest_m, far_slope, cell, z_m)."""
     x, y, z = xyz
     d2 = x * x + y * y
@@ -165,10 +165,15 @@ def scan_twin(xyz, sensor_z, range_m, inv_res, fx, fy, polar):
     cx = (x * scale * inv_res + fx).astype(np.int64)
     cy = (y * scale * inv_res + fy).astype(np.int64)
     lowest = np.full((polar.sectors, polar.rings), np.inf, np.float32)
-    np.minimum.at(lowest.ravel(), polar.bin_of[cy, cx][near], z[near])
     far_slope = np.full(polar.sectors, np.inf, np.float32)
     slope = (z - sensor_z) * scale / range_m
-    np.minimum.at(far_slope, polar.sector_of[cy, cx][~near], slope[~near])
+    hit = np.arange(len(x)) < hits
+    for aside in (-1, 0, 1):
+        sector, ring = (polar.sector_of[cy, cx] + aside) % polar.sectors, polar.ring_of[cy, cx]
+        told = ~hit if aside else np.ones_like(hit)
+        np.minimum.at(lowest, (sector[told & near], ring[told & near]), z[told & near])
+        np.minimum.at(far_slope, sector[told & ~near], slope[told & ~near])
+    near &= hit
     return lowest, far_slope, (cy * polar.bin_of.shape[1] + cx)[near], z[near]
 
 

@@ -34,11 +34,12 @@ def random_scan(seed: int, n: int):
 
 
 @settings(max_examples=25)
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 400))
-def test_point_kernels_agree_with_their_twins(seed, n):
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 400), share=st.sampled_from([1.0, 0.7]))
+def test_point_kernels_agree_with_their_twins(seed, n, share):
     scan, args = random_scan(seed, n)
-    within = points.bin_points(n, *args, POLAR, scan)
-    lowest, far_slope, cell, z_m = twins.scan_twin(scan.xyz[:, :n], *args, POLAR)
+    hits = int(share * n)
+    within = points.bin_points(n, hits, *args, POLAR, scan)
+    lowest, far_slope, cell, z_m = twins.scan_twin(scan.xyz[:, :n], hits, *args, POLAR)
     np.testing.assert_array_equal(scan.cell[:within], cell)
     np.testing.assert_array_equal(scan.z_m[:within], z_m)
     np.testing.assert_array_equal(scan.lowest_m, lowest)
@@ -90,16 +91,21 @@ def test_cloud_points_agree_with_numpy_and_drop_what_is_not_finite():
     cloud = rng.uniform(-5, 5, (200, 3)).astype(F)
     cloud[::7, 1] = np.inf
     cloud[3::11, 2] = np.nan
-    cloud[5] = 1e6
-    cloud[6] = 0.0
+    cloud[4::13, 2] = np.inf
+    cloud[8::17, 2] = -np.inf
+    cloud[5], cloud[6] = 1e6, 0.0
+    cloud[15], cloud[16] = (2e6, 0.0, np.inf), (0.0, 0.0, np.inf)
     T = se3(1, 2, 0.5, 0.1, 0.4, 1.0)[:3].astype(F)
     xyz = np.zeros((3, 200), F)
-    n = points.from_cloud(cloud, T, F(0.1), xyz)
+    hits, n = points.from_cloud(cloud, T, F(0.1), xyz)
     keep = np.isfinite(cloud).all(axis=1)
-    keep[[5, 6]] = False
-    expected = T[:, :3] @ cloud[keep].T
+    ends = np.isfinite(cloud[:, :2]).all(axis=1) & (cloud[:, 2] == np.inf)
+    keep[[5, 6]] = ends[[15, 16]] = False
+    expected = T[:, :3] @ np.concatenate(
+        [cloud[keep], np.where([1, 1, 0], cloud[ends], 0)]
+    ).T.astype(F)
     expected[2] += T[2, 3]
-    assert n == keep.sum()
+    assert (hits, n) == (keep.sum(), keep.sum() + ends.sum())
     np.testing.assert_allclose(xyz[:, :n], expected, atol=1e-5)
 
 
@@ -202,3 +208,56 @@ def test_rays_stop_where_the_floor_drops():
     grid.update_cloud(np.stack([xx, yy, zz], axis=1).astype(F), se3(z_m=0.5), SE2(0, 0, 0))
     assert grid.state_at(1.5, 0.0) == 0
     assert grid.state_at(3.0, 0.0) == -1
+
+
+@pytest.mark.parametrize("beams", [180, 360, 720])
+@pytest.mark.parametrize(("range_m", "end_m"), [(4.0, 2.0), (5.0, 2.0), (5.0, 12.0)])
+def test_a_beam_that_met_nothing_frees_to_its_end_and_marks_nothing(beams, range_m, end_m):
+    """Also between beams that are two degrees apart."""
+    angles = 2 * np.pi / beams * np.arange(beams)
+    x, y = end_m * np.cos(angles), end_m * np.sin(angles)
+    cloud = np.stack([x, y, np.full(beams, np.inf)], axis=1).astype(F)
+    grid = RollingMap(config.Mapping(input="cloud", range_m=range_m, inflation_m=0.0))
+    grid.update_cloud(cloud, se3(z_m=0.2), SE2(0, 0, 0))
+    for angle in np.radians(np.arange(0, 360, 0.5)):
+        c, s = math.cos(angle), math.sin(angle)
+        states = [
+            grid.state_at(r * c, r * s) for r in np.arange(0.2, min(end_m, range_m) - 0.2, 0.1)
+        ]
+        assert set(states) == {0}
+        assert grid.state_at((end_m + 0.2) * c, (end_m + 0.2) * s) == -1
+    assert not (twins.states(grid) == 100).any()
+
+
+def test_beams_that_met_nothing_free_nothing_behind_what_others_met():
+    wall = np.radians(np.arange(-20.0, 21.0))
+    cloud = np.zeros((360, 3), F)
+    angles = np.radians(np.arange(360.0))
+    near = np.abs((angles + np.pi) % (2 * np.pi) - np.pi) <= wall.max() + 1e-6
+    r = np.where(near, 1.52 / np.cos(angles), 12.0)
+    cloud[:, 0], cloud[:, 1], cloud[~near, 2] = r * np.cos(angles), r * np.sin(angles), np.inf
+    grid = RollingMap(config.Mapping(input="cloud", range_m=4.0, inflation_m=0.0))
+    grid.update_cloud(cloud, se3(z_m=0.2), SE2(0, 0, 0))
+    assert all(grid.state_at(1.52, y) == 100 for y in np.arange(-0.45, 0.5, 0.05))
+    assert {grid.state_at(x, x * math.tan(a)) for x in (1.7, 3.0) for a in wall[3:-3]} == {-1}
+    assert {grid.state_at(-x, x * math.tan(a)) for x in (1.7, 3.0) for a in wall} == {0}
+
+
+@pytest.mark.parametrize("z_m", [0.1701, 0.2, 0.25, 0.3])
+@pytest.mark.parametrize("behind_m", [2.5, math.inf])
+def test_what_a_planar_lidar_saw_is_cleared_by_beams_at_that_very_height(z_m, behind_m):
+    """Someone who stood there and went on; behind is a wall, or nothing."""
+    angles = np.radians(np.arange(360.0))
+
+    def sweep(grid: RollingMap, r: np.ndarray) -> None:
+        free = np.isinf(r)
+        r = np.where(free, 3.0, r)
+        rows = [r * np.cos(angles), r * np.sin(angles), np.where(free, np.inf, 0.0)]
+        grid.update_cloud(np.stack(rows, axis=1).astype(F), se3(z_m=z_m), SE2(0, 0, 0))
+
+    grid = RollingMap(config.Mapping(input="cloud", range_m=4.0, inflation_m=0.0))
+    sweep(grid, np.where(np.cos(angles) > 0.9, 1.52, behind_m))
+    assert [grid.state_at(x, 0.0) for x in (1.0, 1.54, -2.0)] == [0, 100, 0]
+    for _ in range(grid.config.clear_after):
+        sweep(grid, np.full(360, behind_m))
+    assert [grid.state_at(x, 0.0) for x in (1.0, 1.54, -2.0)] == [0, 0, 0]

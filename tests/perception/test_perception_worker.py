@@ -52,7 +52,8 @@ def found_in(observation):
 
 @pytest.fixture
 def frames(make_observation):
-    return [make_observation(seq=i, slot=Slot()) for i in range(5)]
+    rgb = np.zeros((1, 1, 3), np.uint8)
+    return [make_observation(seq=i, slot=Slot(), rgb=rgb) for i in range(5)]
 
 
 def holds(frames):
@@ -94,6 +95,25 @@ def test_a_row_of_failures_ends_with_a_result_and_counts_none_of_a_detector_that
     ]
     assert worker.poll().observation is frames[4]
     worker.close()
+
+
+@pytest.mark.parametrize("looks_at", ["rgb", "depth_m"])
+@pytest.mark.parametrize("inline", [False, True])
+def test_what_has_no_picture_is_no_failure(make_observation, looks_at, inline):
+    """Of a LiDAR that maps at 10 Hz, beside a camera of 5 Hz."""
+    fake = Fake(bad=(0, 2))
+    fake.looks_at = looks_at
+    worker = DetectorWorker(fake, inline)
+    sweeps = [make_observation(seq=i, slot=Slot(), cloud_m=np.ones((1, 3))) for i in (0, 1, 2)]
+    pictured = make_observation(seq=3, slot=Slot(), **{looks_at: np.zeros((1, 1, 3))})
+    fake.gate.release(4)
+    for frame in (*sweeps, pictured):
+        worker.submit(frame)
+        eventually(lambda: worker.idle)
+    assert (worker.stats.submitted, worker.stats.failed) == (1, 0)
+    assert worker.poll().observation is pictured
+    worker.close()
+    assert holds(sweeps) == [0] * 3
 
 
 @pytest.mark.parametrize("inline", [False, True])

@@ -82,8 +82,9 @@ def test_depth_noise_grows_with_the_square_of_the_distance(world):
 def test_labels_follow_the_ids(world):
     sent = dict(CameraRig(config(), world).description(5))
     assert json.loads(sent[topics.LABELS]) == [item.label for item in world.objects]
-    stamp_ns, model = messages.decode_camera_info(sent[topics.CAMERA_INFO])
-    assert (stamp_ns, model.width_px, model.height_px) == (5, 64, 48)
+    info = messages.decode_camera_info(sent[topics.CAMERA_INFO])
+    assert (info.stamp_ns, info.camera.width_px, info.camera.height_px) == (5, 64, 48)
+    assert (info.lens, info.cut) == (None, "")
 
 
 def test_several_rings_make_a_cloud_of_the_returns(world):

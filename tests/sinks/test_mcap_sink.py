@@ -153,6 +153,18 @@ def test_depth_comes_back_to_the_last_bit(make, tmp_path, depth_m, encoding):
     assert moment.observation.camera == CAMERA
 
 
+def test_a_cloud_comes_back_with_its_beams_that_met_nothing(make, tmp_path):
+    cloud_m = np.array([[1.0, 2.0, 3.0], [4.0, 0.0, np.inf]], np.float32)
+    sink = make()
+    sink.tick(tick(seen(1, cloud_m=cloud_m)))
+    sink.close()
+    path = files_of(tmp_path)[0]
+    (payload,) = [m.payload for m in McapReading(path) if m.topic == "/lidar/points"]
+    assert not from_ros(payload, "sensor_msgs/msg/PointCloud2").is_dense
+    (moment,) = Session(path).moments()
+    np.testing.assert_array_equal(moment.observation.cloud_m, cloud_m)
+
+
 def test_what_the_source_writes_over_was_copied(make, tmp_path):
     sink, depth_m = make(lockstep=False), np.ones((30, 40), np.float32)
     for k in range(1, 4):

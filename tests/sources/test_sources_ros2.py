@@ -186,7 +186,8 @@ def test_a_lidar_sits_where_tf_says(robot, make, kind):
         return seen
 
     seen = eventually(look)
-    np.testing.assert_allclose(seen.cloud_m, expected, atol=1e-6)
+    hits = np.isfinite(seen.cloud_m).all(axis=1)
+    np.testing.assert_allclose(seen.cloud_m[hits], expected, atol=1e-6)
     np.testing.assert_allclose(seen.T_base_lidar[:3, 3], [0.2, 0.0, 0.3])
     seen.release()
 

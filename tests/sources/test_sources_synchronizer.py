@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated import simulated
@@ -9,7 +12,7 @@ from simulated import simulated
 from edge.bus import topics
 from edge.bus.wire import messages
 from edge.config import ConfigError
-from edge.geometry import SE2, CameraModel
+from edge.geometry import SE2, CameraModel, Lens
 from edge.sources import messages as typed
 from edge.sources.decoder import CdrDecoder
 from edge.sources.synchronizer import TimeSynchronizer
@@ -95,6 +98,31 @@ def test_a_frame_with_its_interpolated_pose():
     assert robot.synchronizer.counters["observations"] == 1
     assert robot.synchronizer.counters["received"] == 5
     assert not robot.drops
+
+
+@pytest.mark.parametrize(
+    ("settings", "farthest_m"),
+    [
+        ({}, 8.0),
+        ({"sensors": {"camera": {"depth_max_m": 20.0}}}, 20.0),
+        ({"mapping": {"range_m": 12.0}}, 12.0),
+        ({"perception": {"detector": {"kind": "onnx"}, "lift_max_range_m": 15.0}}, 15.0),
+    ],
+)
+def test_depth_beyond_what_the_camera_sees_is_no_return(settings, farthest_m):
+    near = [0.3, 2.0, 0.99 * farthest_m]
+    beyond = [farthest_m, 1.01 * farthest_m, 65.535, 1e6, np.inf]
+    depth = np.array([[*near, *beyond, np.nan, -1.0, 0.0, 0.0]], np.float32).reshape(3, 4)
+    robot = Robot({**ONNX, **settings}).info().odom(0).odom(2000).rgb(1000)
+    robot.send(topics.DEPTH, messages.encode_image(1000, "camera", depth))
+    seen = robot.poll().depth_m
+    assert seen.ravel()[:8].tolist() == [*np.float32(near), 0, 0, 0, 0, 0]
+    np.testing.assert_array_equal(seen[2], depth[2])
+
+
+def test_the_unit_of_depth_is_a_setting():
+    robot = Robot({**ONNX, "source": {"depth_unit_m": 0.0002}}).info().odom(0).odom(2000)
+    np.testing.assert_allclose(robot.frame(1000).poll().depth_m, 1500 * 0.0002)
 
 
 def test_odometry_at_the_stamp_is_waited_for():
@@ -360,6 +388,96 @@ def test_another_camera_brings_another_pool():
     first.release()
 
 
+LENS = Lens("plumb_bob", (-0.3, 0.1, 0.0, 0.0), CameraModel(40, 30, 30.0, 30.0, 20.0, 15.0))
+STRAIGHT = CameraModel(40, 30, 24.0, 24.0, 19.5, 14.5)
+RECT, RAW = "/front/image_rect", "/front/image_raw"
+STEPS_MM = np.broadcast_to(1000 + 100 * np.arange(40, dtype=np.uint16), (30, 40))
+STRIPES = np.dstack([STEPS_MM // 20] * 3).astype(np.uint8)
+
+
+def through_a_lens(settings: dict, lens: Lens = LENS, rgb: str = RAW, depth: str = RAW) -> Robot:
+    """A robot that has sent one picture and depth of vertical stripes."""
+    robot = Robot({**ONNX, "source": settings}).odom(0).odom(FRAME_NS)
+    robot.synchronizer.inputs.listen("camera/rgb", rgb)
+    robot.synchronizer.inputs.listen("camera/depth", depth)
+    robot.synchronizer.received("camera/info")
+    robot.synchronizer.offer(typed.CameraInfo(STRAIGHT, lens))
+    robot.send(topics.RGB, messages.encode_image(1000, "camera", STRIPES))
+    return robot.send(topics.DEPTH, messages.encode_image(1000, "camera", STEPS_MM))
+
+
+@pytest.mark.parametrize(
+    ("distortion", "rgb", "depth", "made", "straight", "says"),
+    [
+        (
+            "rectify",
+            RAW,
+            RAW,
+            "rectified",
+            (True, True),
+            "images and depth are rectified",
+        ),
+        ("rectify", RAW, RECT, "rectified", (True, False), "images are rectified; if"),
+        (
+            "rectify",
+            RECT,
+            RAW,
+            "ignored",
+            (False, False),
+            f"images are taken for rectified: {RECT} says so",
+        ),
+        (
+            "ignore",
+            RAW,
+            RAW,
+            "ignored",
+            (False, False),
+            "images are taken for rectified: source.distortion is ignore",
+        ),
+    ],
+)
+def test_a_lens_with_distortion_is_told_and_its_images_rectified(
+    caplog, distortion, rgb, depth, made, straight, says
+):
+    caplog.set_level("INFO")
+    robot = through_a_lens({"distortion": distortion}, rgb=rgb, depth=depth)
+    seen = robot.poll()
+    assert (seen.distortion, seen.camera) == (made, STRAIGHT)
+    as_sent = [(seen.rgb == STRIPES).all(), (seen.depth_m == STEPS_MM * np.float32(0.001)).all()]
+    assert as_sent == [not bent for bent in straight]
+    (line,) = caplog.messages
+    assert re.match(f"camera/info: plumb_bob distortion, k1 = -0.3: {says}", line)
+
+
+@pytest.mark.parametrize(
+    ("distortion", "lens", "says"),
+    [
+        ("refuse", LENS, "k1 = -0.3: source.distortion is refuse"),
+        (
+            "rectify",
+            replace(LENS, model="odd"),
+            "known: plumb_bob, .*distortion: ignore",
+        ),
+    ],
+)
+def test_a_lens_that_is_refused_leaves_no_images(caplog, distortion, lens, says):
+    robot = through_a_lens({"distortion": distortion}, lens)
+    assert robot.poll() is None
+    assert robot.drops == {"distorted": 1, "no_camera_info": 1}
+    (row,) = (row for row in robot.synchronizer.inputs.rows() if row.name == "camera/info")
+    assert row.state == "dropped"
+    assert re.search(says, row.why)
+    robot.info().odom(2 * FRAME_NS).frame(2 * FRAME_NS)
+    assert robot.poll().distortion == "none"
+
+
+def test_a_lens_without_distortion_is_not_told(caplog):
+    caplog.set_level("INFO")
+    robot = Robot().info().odom(0).odom(2000).frame(1000)
+    assert robot.poll().distortion == "none"
+    assert not caplog.messages
+
+
 def test_a_camera_too_large_for_any_message_is_refused():
     robot = Robot().info(CameraModel(30_000, 30_000, 2e4, 2e4, 1.5e4, 1.5e4))
     assert robot.drops == {"oversized": 1}
@@ -400,11 +518,52 @@ def test_a_scan_is_a_cloud_too():
     np.testing.assert_allclose(robot.poll().cloud_m, [[1, 0, 0], [0, 2, 0]], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("scan_inf", "value", "rows"),
+    [
+        ("free", np.inf, [[10.0, 0.0, np.inf]]),
+        ("ignore", np.inf, None),
+        ("free", np.nan, None),
+        ("free", -np.inf, None),
+    ],
+)
+def test_a_scan_in_a_hall_wider_than_its_range_is_no_empty_one(caplog, scan_inf, value, rows):
+    scan = messages.encode_laser_scan(1000, "l", 0.0, 0.0, 10.0, np.full(1, value, np.float32))
+    robot = Robot({**CLOUD, "source": {"scan_inf": scan_inf}}).odom(0).odom(2000)
+    seen = robot.send(topics.SCAN, scan).wait().poll()
+    assert (None if seen is None else seen.cloud_m.tolist()) == rows
+    assert robot.drops == ({"empty": 1} if rows is None else {})
+    assert ("no beam measured anything" in caplog.text) == (rows is None)
+
+
 def test_an_empty_cloud_and_one_too_large():
     robot = Robot({**CLOUD, "source": {"max_cloud_points": 16}}).odom(0).odom(FRAME_NS)
     robot.cloud(1000, n=0).cloud(2000, n=17).wait()
     assert robot.poll() is None
     assert robot.drops == {"empty": 1, "malformed": 1}
+
+
+SCAN = messages.encode_laser_scan(2000, "lidar", 0.0, 0.1, 10.0, np.ones(17, np.float32))
+WIDE = CameraModel(100, 80, 90.0, 90.0, 50.0, 40.0)
+
+
+@pytest.mark.parametrize(
+    ("key", "limit", "send"),
+    [
+        ("max_cloud_points", 16, lambda robot: robot.cloud(2000, n=17)),
+        ("max_cloud_points", 16, lambda robot: robot.send(topics.SCAN, SCAN)),
+        ("max_message_mb", 0.02, lambda robot: robot.info(WIDE)),
+        ("max_pose_jump_m", 1.0, lambda robot: robot.odom(2 * FRAME_NS, x_m=50.0)),
+        ("pool_slots", 3, lambda robot: [robot.cloud(k).wait().poll() for k in range(2, 6)]),
+    ],
+)
+def test_what_a_limit_drops_is_told_with_its_setting(caplog, key, limit, send):
+    robot = Robot({**CLOUD, "source": {key: limit}}).odom(0).odom(FRAME_NS).cloud(1)
+    robot.wait().poll()
+    assert not caplog.messages
+    send(robot)
+    robot.wait().poll()
+    assert f"source.{key}" in caplog.text
 
 
 def test_cloud_without_a_lidar_is_a_configuration_error():

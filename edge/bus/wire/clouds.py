@@ -9,11 +9,13 @@ import numpy as np
 
 from edge.bus.wire import kernels
 from edge.bus.wire.cdr import U8, U32, DecodeError, Reader, Writer
+from edge.geometry import FARTHEST_M
 
 _HEIGHT_WIDTH = struct.Struct("<II")
 _SCAN = struct.Struct("<7f")
 _FLOAT32 = 7
 _MAX_FIELDS = 64
+_FARTHEST_M = 0.5 * FARTHEST_M  # the map takes no end of a beam beyond FARTHEST_M
 
 
 def encode_point_cloud(stamp_ns: int, frame_id: str, points_m: np.ndarray) -> bytes:
@@ -32,8 +34,12 @@ def cloud_parts(
     for i, name in enumerate("xyz"):
         writer.string(name).write(U32, 4, 4 * i).write(U8, 1, _FLOAT32).write(U32, 4, 1)
     writer.write(U8, 1, 0).write(U32, 4, 12).write(U32, 4, 12 * n).write(U32, 4, 12 * n)
-    is_dense = b"\x01"
+    is_dense = U8.pack(bool(np.isfinite(points).all()))
     return writer.bytes(), memoryview(points.reshape(-1).view(np.uint8)), is_dense
+
+
+def _at_most(n: int) -> str:
+    return f"at most {n} are taken: raise source.max_cloud_points"
 
 
 def _xyz_offsets(reader: Reader) -> tuple[int, int, int]:
@@ -54,10 +60,13 @@ def _xyz_offsets(reader: Reader) -> tuple[int, int, int]:
     return offsets["x"], offsets["y"], offsets["z"]
 
 
-def decode_point_cloud_into(payload: bytes, out_m: np.ndarray) -> int:
+def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, whole: bool = False) -> int:
     """Write the points of a sensor_msgs/PointCloud2 into `out_m` (cap, 3) float32.
 
-    Any layout of fields with float32 x, y, z is taken; points with NaN or inf are left out.
+    Any layout of fields with float32 x, y, z is taken.
+
+    Args:
+        whole: take points with NaN or inf, too.
 
     Returns:
         How many points were written.
@@ -76,16 +85,18 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray) -> int:
     if n == 0:
         return 0
     if n > len(out_m):
-        raise DecodeError(f"cloud of {n} points, at most {len(out_m)} are taken")
-    if height == 1:
+        raise DecodeError(f"cloud of {n} points, {_at_most(len(out_m))}")
+    # Drivers of organized clouds set row_step to 0, to all of the data or to a number of points.
+    if height == 1 or size == n * point_step:
         row_step = width * point_step
     if max(offsets) + 4 > point_step or row_step < width * point_step or height * row_step > size:
         raise DecodeError(
-            f"cloud {width}x{height}, steps {point_step}, {row_step}, in {size} bytes"
+            f"cloud {width}x{height}: point_step {point_step} and row_step {row_step} do not fit "
+            f"{size} bytes of data: row_step must be width * point_step or more"
         )
     return kernels.cloud_points(
         np.frombuffer(payload, np.uint8), begin, height, width, row_step, point_step, offsets,
-        bool(big_endian), out_m.view(np.uint32),
+        bool(big_endian), out_m.view(np.uint32), whole,
     )  # fmt: skip
 
 
@@ -93,8 +104,9 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray) -> int:
 class LaserScan:
     """sensor_msgs/LaserScan; beam i points at angle_min + i * angle_increment, left positive.
 
-    `ranges_m` (n,) float32 is a read-only view of the payload; a hit lies in
-    [range_min, range_max), anything else is no return.
+    `ranges_m` (n,) float32 is a read-only view of the payload. A hit lies in
+    [range_min, range_max). +inf, range_max and more mean that nothing is within range_max. -inf,
+    NaN and less than range_min are no measurement (REP 117).
     """
 
     stamp_ns: int
@@ -137,23 +149,27 @@ def decode_laser_scan(payload: bytes) -> LaserScan:
     return LaserScan(stamp_ns, frame_id, first, increment, range_min, range_max, ranges)
 
 
-def decode_scan_points_into(payload: bytes, out_m: np.ndarray) -> int:
+def decode_scan_points_into(payload: bytes, out_m: np.ndarray, free: bool = False) -> int:
     """Write the hits of a sensor_msgs/LaserScan into `out_m` (cap, 3) float32, in its own plane.
 
+    Args:
+        free: write beams that met nothing, too, as (x, y, inf): see `kernels.scan_points`.
+
     Returns:
-        How many points were written.
+        How many rows were written.
 
     Raises:
         DecodeError: malformed, or more beams than `cap`.
     """
     scan = decode_laser_scan(payload)
     if len(scan.ranges_m) > len(out_m):
-        raise DecodeError(f"scan of {len(scan.ranges_m)} beams, at most {len(out_m)} are taken")
+        raise DecodeError(f"scan of {len(scan.ranges_m)} beams, {_at_most(len(out_m))}")
     return kernels.scan_points(
         scan.ranges_m,
         scan.angle_min_rad,
         scan.angle_increment_rad,
         scan.range_min_m,
         scan.range_max_m,
+        min(scan.range_max_m, _FARTHEST_M) if free else 0.0,
         out_m,
     )

@@ -7,6 +7,7 @@ expected, before a decoder allocates anything for it.
 from __future__ import annotations
 
 import struct
+import sys
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,7 +15,7 @@ import cv2
 import numpy as np
 
 from edge.bus.wire.cdr import U32, DecodeError, Reader, Writer
-from edge.bus.wire.images import M_PER_MM
+from edge.bus.wire.images import DEPTH_UNIT_M, ImageHeader, depth_into
 from edge.host.c_stderr import silenced
 
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -32,7 +33,7 @@ _MOST_SCANS = 100
 _DEPTH_HEADER = struct.Struct("<iff")
 _AS_IT_IS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
-Content = Literal["colour", "millimetres", "inverse"]
+Content = Literal["colour", "16UC1", "inverse"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +42,8 @@ class CompressedHeader:
 
     Attributes:
         begin: where the JPEG or PNG begins in the payload; `end` likewise.
-        content: `millimetres`: depth as 16UC1; `inverse`: 32FC1, quantized: a value v > 0 stands
-            for `a / (v - b)` metres (compressed_depth_image_transport).
+        content: `16UC1`: depth as such; `inverse`: 32FC1, quantized: a value v > 0 stands for
+            `a / (v - b)` metres (compressed_depth_image_transport).
         is_rgb: the encoder was handed RGB where BGR is meant (`…; jpeg compressed rgb8`).
     """
 
@@ -73,13 +74,13 @@ def decode_compressed_header(payload: bytes) -> CompressedHeader:
     size, begin = reader.sequence(1)
     end, a, b = begin + size, 0.0, 0.0
     encoding = words.partition(";")[0].strip()
-    content: Content = "millimetres" if encoding in ("16UC1", "mono16") else "colour"
+    content: Content = "16UC1" if encoding in ("16UC1", "mono16") else "colour"
     if "compressedDepth" in words:
         if size < _DEPTH_HEADER.size:
             raise DecodeError(f"compressed depth of {size} bytes")
         _, a, b = _DEPTH_HEADER.unpack_from(payload, begin)
         begin += _DEPTH_HEADER.size
-        content = "inverse" if encoding == "32FC1" else "millimetres"
+        content = "inverse" if encoding == "32FC1" else "16UC1"
         if not (np.isfinite(a) and np.isfinite(b)):
             raise DecodeError("compressed depth whose quantization is NaN or inf")
     height, width, bits = _size_of(payload, begin, end, words)
@@ -150,9 +151,14 @@ def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:
     raise DecodeError("JPEG without a size, or cut off")
 
 
-def decode_compressed_into(payload: bytes, header: CompressedHeader, out: np.ndarray) -> None:
+def decode_compressed_into(
+    payload: bytes, header: CompressedHeader, out: np.ndarray, unit_m: float | None = None
+) -> None:
     """Write the picture into `out`: (h, w, 3) uint8 as RGB, or (h, w) float32 metres, 0 or NaN
     where there was no return.
+
+    Args:
+        unit_m: metres of one step of depth; None: `DEPTH_UNIT_M`.
 
     The decoder allocates a picture of its own, which is as large as `out`: OpenCV offers no other.
 
@@ -178,10 +184,18 @@ def decode_compressed_into(payload: bytes, header: CompressedHeader, out: np.nda
             np.copyto(out, picture)
         else:
             cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=out)
-    elif header.content == "millimetres":
-        np.multiply(picture, M_PER_MM, out=out)
+    elif header.content == "16UC1":
+        depth_into(picture, _pixels_of(header), out, unit_m)
     else:
         np.subtract(picture, np.float32(header.b), out=out, dtype=np.float32)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            np.divide(np.float32(header.a), out, out=out)
+            np.divide(np.float32(header.a * (unit_m or DEPTH_UNIT_M["32FC1"])), out, out=out)
         out[picture == 0] = 0.0
+
+
+def _pixels_of(header: CompressedHeader) -> ImageHeader:
+    """The header of the picture as it lies in memory."""
+    h, w = header.height, header.width
+    return ImageHeader(
+        header.stamp_ns, header.frame_id, h, w, "16UC1", 2 * w, 0, sys.byteorder == "big"
+    )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from edge.bus.wire import kernels
 from edge.bus.wire.cdr import U8, U32, DecodeError, Reader, Writer
 
 _HEIGHT_WIDTH = struct.Struct("<II")
@@ -24,7 +25,11 @@ _TO_RGB = {
     "mono8": cv2.COLOR_GRAY2RGB,
 }
 _ENCODING_OF = {("uint8", 3): "rgb8", ("uint16", 2): "16UC1", ("float32", 2): "32FC1"}
-M_PER_MM = np.float32(0.001)
+DEPTH_UNIT_M = {"16UC1": 0.001, "mono16": 0.001, "32FC1": 1.0}
+"""Metres of one step of depth, as REP 118 has it."""
+_NO_DEPTH = np.uint16(64_000)
+"""16-bit numbers from here on measure nothing, in any unit: many drivers send 65535 for no return,
+and time-of-flight sensors number their faults from 64001 on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,18 +81,27 @@ def decode_image_header(payload: bytes) -> ImageHeader:
     layout = _LAYOUTS.get(encoding)
     if layout is None:
         raise DecodeError(f"image encoding {encoding[:20]!r} (known: {', '.join(_LAYOUTS)})")
-    if step < width * layout[0] or height * step > size:
-        raise DecodeError(f"image {width}x{height} {encoding}, step {step}, in {size} bytes")
+    row = width * layout[0]
+    if height * row == size:  # no padding: the step must be right, or does not matter
+        step = row
+    if step < row or height * step > size:
+        raise DecodeError(
+            f"image {width}x{height} {encoding}: step {step} does not fit {size} bytes of data: "
+            f"step must be {row} or more"
+        )
     return ImageHeader(stamp_ns, frame_id, height, width, encoding, step, offset, bool(big_endian))
 
 
-def decode_image_into(payload: bytes, header: ImageHeader, out: np.ndarray) -> None:
+def decode_image_into(
+    payload: bytes, header: ImageHeader, out: np.ndarray, unit_m: float | None = None
+) -> None:
     """Write the pixels into `out`, converted; nothing as large as an image is allocated.
 
     Args:
         payload: what `decode_image_header` was given.
         out: (h, w, 3) uint8 takes rgb8, bgr8, rgba8, bgra8, mono8 as RGB; (h, w) float32 takes
-            16UC1 (millimetres) and 32FC1 (metres) as metres; (h, w) uint16 takes 16UC1 as it is.
+            16UC1 and 32FC1 as metres, 0 = no return; (h, w) uint16 takes 16UC1 as it is.
+        unit_m: metres of one step of depth; None: `DEPTH_UNIT_M`.
 
     Raises:
         DecodeError: the encoding or the size does not fit `out`.
@@ -102,14 +116,36 @@ def decode_image_into(payload: bytes, header: ImageHeader, out: np.ndarray) -> N
             np.copyto(out, pixels)
         elif out.size:
             cv2.cvtColor(pixels, _TO_RGB[encoding], dst=out)
-    elif out.dtype == np.float32 and encoding in ("16UC1", "mono16"):
-        np.multiply(_pixels(payload, header, "u2"), M_PER_MM, out=out)
-    elif out.dtype == np.float32 and encoding == "32FC1":
-        np.copyto(out, _pixels(payload, header, "f4"))
+    elif out.dtype == np.float32 and encoding in DEPTH_UNIT_M:
+        depth_into(payload, header, out, unit_m)
     elif out.dtype == np.uint16 and encoding in ("16UC1", "mono16"):
         np.copyto(out, _pixels(payload, header, "u2"))
     else:
         raise DecodeError(f"image encoding {encoding} where {out.dtype} pixels are expected")
+
+
+def depth_into(
+    payload: bytes | np.ndarray, header: ImageHeader, out: np.ndarray, unit_m: float | None
+) -> None:
+    """Write 16-bit or float depth into `out`, (h, w) float32 metres; `_NO_DEPTH` and above is 0.
+
+    Args:
+        payload: the bytes that the header describes.
+    """
+    data = np.frombuffer(payload, np.uint8)
+    data.flags.writeable = False  # the kernels are compiled for read-only bytes
+    place = header.data_offset, header.step, header.big_endian
+    unit = np.float32(unit_m or DEPTH_UNIT_M[header.encoding])
+    if header.encoding == "32FC1":
+        kernels.depth_of_floats(data, *place, unit, out)
+    else:
+        kernels.depth_of_integers(data, *place, unit, _NO_DEPTH, out)
+
+
+def drop_beyond(depth_m: np.ndarray, farthest_m: float) -> None:
+    """Set depth beyond `farthest_m` to 0, no return, in place; NaN stays."""
+    if depth_m.size:
+        cv2.threshold(depth_m, farthest_m, 0.0, cv2.THRESH_TOZERO_INV, dst=depth_m)
 
 
 def _pixels(payload: bytes, header: ImageHeader, code: str) -> np.ndarray:

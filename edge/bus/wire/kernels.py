@@ -10,8 +10,17 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-U0, U1, U2 = np.uintp(0), np.uintp(1), np.uintp(2)
+U0, U1, U2, U4 = np.uintp(0), np.uintp(1), np.uintp(2), np.uintp(4)
 INF = np.uint32(0x7F800000)  # a float32's exponent of NaN and inf
+
+
+def _loaded(typing: Any, data: Any, at: Any, word: Any, bits: int) -> Any:
+    def load(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, args[0])
+        place = builder.gep(array.data, [args[1]])
+        return builder.load(builder.bitcast(place, ir.IntType(bits).as_pointer()), align=1)
+
+    return word(data, at), load
 
 
 @intrinsic
@@ -20,13 +29,23 @@ def _word(typing: Any, data: Any, at: Any) -> Any:
 
     Put together from four loads it would cost three times as much.
     """
+    return _loaded(typing, data, at, types.uint32, 32)
 
-    def load(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        array = context.make_array(signature.args[0])(context, builder, args[0])
-        place = builder.gep(array.data, [args[1]])
-        return builder.load(builder.bitcast(place, ir.IntType(32).as_pointer()), align=1)
 
-    return types.uint32(data, at), load
+@intrinsic
+def _half(typing: Any, data: Any, at: Any) -> Any:
+    """Two bytes of a uint8 array as a uint16, like `_word`."""
+    return _loaded(typing, data, at, types.uint16, 16)
+
+
+@intrinsic
+def _as_float(typing: Any, word: Any) -> Any:
+    """The float32 of the same bits as a uint32."""
+
+    def cast(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.bitcast(args[0], ir.FloatType())
+
+    return types.float32(types.uint32), cast
 
 
 @njit(nogil=True, cache=True, inline="always")
@@ -50,10 +69,12 @@ def cloud_points(
     offsets: tuple[int, int, int],
     big_endian: bool,
     out: np.ndarray,
+    whole: bool,
 ) -> int:
     """The points without NaN or inf of a cloud in `data` (n,) uint8, which may lie at any byte.
 
     Args:
+        whole: take the others too.
         out: (cap, 3) float32 points as uint32; `cap` is at least height * width, and all of the
             cloud lies inside `data`.
 
@@ -74,7 +95,7 @@ def cloud_points(
             out[kept, U1] = y
             out[kept, U2] = z
             finite = ((x & INF) != INF) & ((y & INF) != INF) & ((z & INF) != INF)
-            kept += np.uintp(finite)
+            kept += np.uintp(finite | whole)
             at += step
     return int(kept)
 
@@ -86,23 +107,80 @@ def scan_points(
     angle_increment_rad: float,
     range_min_m: float,
     range_max_m: float,
+    free_m: float,
     out_m: np.ndarray,
 ) -> int:
-    """The beams of a planar scan that hit something, as points (x, y, 0) in `out_m` (cap, 3).
+    """Write the beams of a planar scan that hit something as points (x, y, 0).
+
+    Args:
+        free_m: a beam that read `range_max_m` or more, or +inf, met nothing so far: it is written
+            as (x, y, inf), its end being (x, y, 0). 0: such beams are left out.
+        out_m: (cap, 3) float32.
 
     Returns:
-        How many there are; `cap` must be at least the number of beams.
+        How many rows were written; `cap` must be at least the number of beams.
     """
     n = 0
     for i in range(ranges_m.shape[0]):
-        r = ranges_m[i]
-        if r >= range_min_m and r < range_max_m:
-            angle = angle_min_rad + i * angle_increment_rad
-            out_m[n, 0] = r * math.cos(angle)
-            out_m[n, 1] = r * math.sin(angle)
-            out_m[n, 2] = 0.0
-            n += 1
+        r, z = ranges_m[i], np.float32(0.0)
+        if not r >= range_min_m:
+            continue
+        if r >= range_max_m:
+            if free_m <= 0.0:
+                continue
+            r, z = np.float32(free_m), np.float32(np.inf)
+        angle = angle_min_rad + i * angle_increment_rad
+        out_m[n, 0] = r * math.cos(angle)
+        out_m[n, 1] = r * math.sin(angle)
+        out_m[n, 2] = z
+        n += 1
     return n
+
+
+@njit(nogil=True, cache=True)
+def depth_of_integers(
+    data: np.ndarray,
+    begin: int,
+    row_step: int,
+    big_endian: bool,
+    unit_m: float,
+    least_invalid: int,
+    out_m: np.ndarray,
+) -> None:
+    """Write 16-bit depth, which may lie at any byte of `data` (n,) uint8, as metres.
+
+    Args:
+        unit_m: float32, metres of one step.
+        least_invalid: uint16; from here on numbers measure nothing and become 0.
+        out_m: (h, w) float32.
+    """
+    for v in range(out_m.shape[0]):
+        at = np.uintp(begin + v * row_step)
+        for u in range(out_m.shape[1]):
+            steps = _half(data, at + U2 * np.uintp(u))
+            if big_endian:
+                steps = np.uint16((steps >> np.uint16(8)) | (steps << np.uint16(8)))
+            metres = np.float32(steps) * unit_m
+            out_m[v, u] = metres if steps < least_invalid else np.float32(0.0)
+
+
+@njit(nogil=True, cache=True)
+def depth_of_floats(
+    data: np.ndarray,
+    begin: int,
+    row_step: int,
+    big_endian: bool,
+    unit_m: float,
+    out_m: np.ndarray,
+) -> None:
+    """Write float32 depth as metres; see `depth_of_integers`."""
+    for v in range(out_m.shape[0]):
+        at = np.uintp(begin + v * row_step)
+        for u in range(out_m.shape[1]):
+            word = _word(data, at + U4 * np.uintp(u))
+            if big_endian:
+                word = _swapped(word)
+            out_m[v, u] = _as_float(word) * unit_m
 
 
 @njit(nogil=True, cache=True)
@@ -127,5 +205,8 @@ def warmup() -> None:
     points_m = np.zeros((2, 3), np.float32)
     ranges_m = np.frombuffer(bytes(8), np.float32)
     cloud = np.frombuffer(bytes(24), np.uint8)
-    cloud_points(cloud, 0, 1, 2, 24, 12, (0, 4, 8), False, points_m.view(np.uint32))
-    scan_points(ranges_m, 0.0, 0.1, 0.1, 1.0, points_m)
+    depth_m, unit_m = np.zeros((1, 1), np.float32), np.float32(1.0)
+    depth_of_integers(cloud, 0, 2, False, unit_m, np.uint16(1), depth_m)
+    depth_of_floats(cloud, 0, 4, False, unit_m, depth_m)
+    cloud_points(cloud, 0, 1, 2, 24, 12, (0, 4, 8), False, points_m.view(np.uint32), False)
+    scan_points(ranges_m, 0.0, 0.1, 0.1, 1.0, 1.0, points_m)

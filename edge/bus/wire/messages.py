@@ -35,14 +35,17 @@ from edge.geometry import (
     SE2,
     CameraModel,
     Grid,
+    Lens,
     quaternion_of,
     se2_of,
     se3_from_quaternion,
 )
+from edge.text import one_line
 
 __all__ = [
     "BASE_FRAME",
     "MAP_FRAME",
+    "Calibration",
     "DecodeError",
     "ImageHeader",
     "LaserScan",
@@ -82,6 +85,7 @@ _COVARIANCE = struct.Struct("<36d")
 _K = struct.Struct("<9d")
 _P = struct.Struct("<12d")
 _HEIGHT_WIDTH = struct.Struct("<II")
+_MOST_COEFFICIENTS = 64
 _ROI = struct.Struct("<IIIIIIB")
 _GRID_INFO = struct.Struct("<fII")
 _IDENTITY_3 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -194,25 +198,62 @@ def encode_camera_info(stamp_ns: int, frame_id: str, camera: CameraModel) -> byt
     return writer.write(_ROI, 4, 0, 0, 0, 0, 0, 0, 0).bytes()
 
 
-def decode_camera_info(payload: bytes) -> tuple[int, CameraModel]:
-    """(stamp_ns, intrinsics) of a sensor_msgs/CameraInfo.
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """sensor_msgs/CameraInfo, of images as they are sent: binning and roi are applied.
 
-    The projection matrix P counts, since it holds for the rectified image; K where P is zero.
+    Attributes:
+        camera: of the rectified image: the projection matrix P, or K if P is zero.
+        lens: distortion of the raw image; None: all coefficients are zero.
+        cut: binning and roi as text; empty: whole images are sent.
     """
+
+    stamp_ns: int
+    camera: CameraModel
+    lens: Lens | None
+    cut: str
+
+
+def decode_camera_info(payload: bytes) -> Calibration:
+    """Decode a sensor_msgs/CameraInfo."""
     reader = Reader(payload)
     stamp_ns, _ = reader.header()
     height, width = reader.read(_HEIGHT_WIDTH, 4)
-    reader.string()
-    reader.sequence(8)
+    model = reader.string()
+    count, begin = reader.sequence(8)
+    if count > _MOST_COEFFICIENTS:
+        raise DecodeError(
+            f"distortion of {count} coefficients, expected {_MOST_COEFFICIENTS} or less"
+        )
+    d = struct.unpack_from(f"<{count}d", payload, begin)
     k = reader.read(_K, 8)
     reader.skip(_K.size, 8)
     p = reader.read(_P, 8)
-    reader.skip(_ROI.size, 4)
-    fx, fy, cx, cy = (p[0], p[5], p[2], p[6]) if p[0] != 0.0 else (k[0], k[4], k[2], k[5])
-    try:
-        return stamp_ns, CameraModel(width, height, fx, fy, cx, cy)
-    except ValueError as error:
-        raise DecodeError(str(error)) from None
+    binning_x, binning_y, x, y, roi_height, roi_width, _ = reader.read(_ROI, 4)
+    step_x, step_y = max(binning_x, 1), max(binning_y, 1)
+    if roi_height == 0 or roi_width == 0:
+        x, y, roi_height, roi_width = 0, 0, height, width
+    if x + roi_width > width or y + roi_height > height:
+        raise DecodeError(
+            f"roi {roi_width}x{roi_height} at ({x}, {y}) lies outside the image of {width}x{height}"
+        )
+
+    def pinhole(fx: float, fy: float, cx: float, cy: float) -> CameraModel:
+        try:
+            return CameraModel(
+                roi_width // step_x, roi_height // step_y,
+                fx / step_x, fy / step_y, (cx - x) / step_x, (cy - y) / step_y,
+            )  # fmt: skip
+        except ValueError as error:
+            raise DecodeError(str(error)) from None
+
+    raw = k[0], k[4], k[2], k[5]
+    camera = pinhole(*((p[0], p[5], p[2], p[6]) if p[0] != 0.0 else raw))
+    bent = any(_finite(d, "distortion"))
+    lens = Lens(one_line(model, 40), d, pinhole(*raw)) if bent else None
+    whole = (step_x, step_y, roi_width, roi_height) == (1, 1, width, height)
+    cut = f"binning {step_x}x{step_y}, roi {roi_width}x{roi_height} at ({x}, {y})"
+    return Calibration(stamp_ns, camera, lens, "" if whole else cut)
 
 
 def encode_occupancy_grid(stamp_ns: int, grid: Grid, frame_id: str = MAP_FRAME) -> bytes:

@@ -42,11 +42,11 @@ def inverse(depth_m: np.ndarray, a: float, b: float) -> bytes:
     return struct.pack("<iff", 1, a, b) + picture(".png", values)
 
 
-def decoded(payload: bytes, out: np.ndarray) -> np.ndarray:
+def decoded(payload: bytes, out: np.ndarray, unit_m: float | None = None) -> np.ndarray:
     header = decode_compressed_header(payload)
     assert (header.stamp_ns, header.frame_id) == (5_000_000_006, "camera")
     assert (header.height, header.width) == out.shape[:2]
-    decode_compressed_into(payload, header, out)
+    decode_compressed_into(payload, header, out, unit_m)
     return out
 
 
@@ -89,6 +89,23 @@ def test_a_turned_camera_turns_no_picture():
 def test_depth_in_millimetres_becomes_metres(words, before):
     out = decoded(ros(words, before + picture(".png", DEPTH_MM)), np.zeros((30, 20), np.float32))
     np.testing.assert_allclose(out, 0.001 * DEPTH_MM, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("unit_m", "metres"), [(None, 0.001), (0.0002, 0.0002)])
+def test_integers_that_measure_nothing_are_no_return(unit_m, metres):
+    steps = DEPTH_MM.copy()
+    steps[0, :4] = 63_999, 64_001, 65_300, 65_535
+    payload = ros("16UC1; png compressed", picture(".png", steps))
+    out = decoded(payload, np.zeros((30, 20), np.float32), unit_m)
+    steps[0, 1:4] = 0
+    np.testing.assert_allclose(out, metres * steps, rtol=1e-6)
+
+
+def test_the_unit_holds_for_quantized_depth():
+    depth_mm = np.linspace(500.0, 8000.0, 600, dtype=np.float32).reshape(30, 20)
+    payload = ros("32FC1; compressedDepth png", inverse(depth_mm, 10001.0 * 1000, -1000.0))
+    out = decoded(payload, np.zeros((30, 20), np.float32), unit_m=0.001)
+    np.testing.assert_allclose(out, 0.001 * depth_mm, rtol=1e-3)
 
 
 def test_depth_in_metres_is_what_its_quantization_says():

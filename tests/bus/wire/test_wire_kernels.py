@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from edge.bus.wire import kernels
 
 
+@pytest.mark.parametrize("whole", [False, True])
 @pytest.mark.parametrize("big_endian", [False, True])
 @pytest.mark.parametrize(("height", "width"), [(1, 0), (1, 1), (1, 500), (7, 31)])
-def test_cloud_points(height, width, big_endian):
+def test_cloud_points(height, width, big_endian, whole):
     rng = np.random.default_rng(width)
     points = rng.normal(size=(height, width, 3)).astype(np.float32)
     points[rng.random(points.shape) < 0.1] = np.nan
@@ -26,27 +27,58 @@ def test_cloud_points(height, width, big_endian):
         )  # fmt: skip
         column[...] = points[..., axis]
     flat = points.reshape(-1, 3)
-    expected = flat[np.isfinite(flat).all(axis=1)]
+    expected = flat[np.isfinite(flat).all(axis=1) | whole]
     out = np.zeros((height * width + 2, 3), np.float32)
     kept = kernels.cloud_points(
         data, begin, height, width, row_step, point_step, offsets, big_endian,
-        out.view(np.uint32),
+        out.view(np.uint32), whole,
     )  # fmt: skip
     np.testing.assert_array_equal(out[:kept], expected)
 
 
+@pytest.mark.parametrize("free_m", [0.0, 10.0])
 @pytest.mark.parametrize("n", [0, 1, 720])
-def test_scan_points(n):
+def test_scan_points(n, free_m):
     rng = np.random.default_rng(n)
     ranges = rng.uniform(-1, 12, n).astype(np.float32)
-    ranges[rng.random(n) < 0.1] = np.nan
+    for odd in (np.nan, np.inf, -np.inf, 10.0):
+        ranges[rng.random(n) < 0.1] = odd
     angles = -3.0 + 0.01 * np.arange(n)
-    hit = (ranges >= 0.2) & (ranges < 10.0)
-    r, a = ranges[hit], angles[hit]
-    expected = np.stack([r * np.cos(a), r * np.sin(a), np.zeros_like(r)], axis=1)
+    past = (ranges >= 10.0) & (free_m > 0.0)
+    kept = ((ranges >= 0.2) & (ranges < 10.0)) | past
+    r, z = np.where(past, free_m, ranges)[kept], np.where(past, np.inf, 0.0)[kept]
+    expected = np.stack([r * np.cos(angles[kept]), r * np.sin(angles[kept]), z], axis=1)
     out = np.zeros((max(n, 1), 3), np.float32)
-    kept = kernels.scan_points(ranges, -3.0, 0.01, 0.2, 10.0, out)
-    np.testing.assert_allclose(out[:kept], expected, atol=1e-5)
+    rows = kernels.scan_points(ranges, -3.0, 0.01, 0.2, 10.0, free_m, out)
+    np.testing.assert_allclose(out[:rows], expected, atol=1e-5)
+
+
+@given(
+    shape=st.tuples(st.integers(0, 5), st.integers(0, 9)),
+    code=st.sampled_from(["<u2", ">u2", "<f4", ">f4"]),
+    begin=st.integers(0, 5),
+    padding=st.integers(0, 3),
+    unit_m=st.sampled_from([0.001, 0.0002, 1.0]),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_depth_at_any_byte(shape, code, begin, padding, unit_m, seed):
+    rng, (h, w) = np.random.default_rng(seed), shape
+    row_step = w * int(code[2]) + padding
+    data = rng.integers(0, 256, begin + h * row_step, dtype=np.uint8)
+    steps = np.ndarray(shape, code, data, begin, (row_step, int(code[2])))
+    if code[1] == "u":
+        steps[rng.random(shape) < 0.3] = rng.choice([0, 63_999, 64_000, 65_535])
+    data.flags.writeable = False
+    out, unit = np.full(shape, 9.0, np.float32), np.float32(unit_m)
+    place, big = (data, begin, row_step), code[0] == ">"
+    with np.errstate(all="ignore"):
+        expected = steps.astype(np.float32) * unit
+    if code[1] == "u":
+        kernels.depth_of_integers(*place, big, unit, np.uint16(64_000), out)
+        expected[steps >= 64_000] = 0.0
+    else:
+        kernels.depth_of_floats(*place, big, unit, out)
+    np.testing.assert_array_equal(out, expected)
 
 
 def plain_millimetres(depth_m):

@@ -15,9 +15,10 @@ from hypothesis.extra import numpy as hnp
 from rosbags.typesys import Stores, get_typestore
 
 from edge.bus.wire import DecodeError, messages
-from edge.geometry import SE2, CameraModel, Grid, se3
+from edge.geometry import SE2, CameraModel, Grid, Lens, se3
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
+HUGE = 2**32 - 1
 CAMERA = CameraModel(320, 256, 208.5, 208.25, 159.5, 127.5)
 STAMP_NS = 1_790_000_000_123_456_789
 POSE = se3(1.0, -2.0, 0.5, 0.1, -0.2, 3.0)
@@ -142,7 +143,7 @@ def test_depth_in_millimetres_and_in_metres(big_endian, padding):
     order = ">" if big_endian else "<"
     out = np.zeros((2, 3), np.float32)
     for encoding, code, values in (
-        ("16UC1", "3H", (0, 1500, 65535)),
+        ("16UC1", "3H", (0, 1500, 63999)),
         ("32FC1", "3f", (0.0, 1.5, math.nan)),
     ):
         row = struct.pack(order + code, *values) + b"\xee" * padding
@@ -158,6 +159,26 @@ def test_ids_stay_whole_numbers():
     out = np.zeros((2, 2), np.uint16)
     messages.decode_image_into(payload, messages.decode_image_header(payload), out)
     assert out.tolist() == ids.tolist()
+
+
+@pytest.mark.parametrize("encoding", ["16UC1", "mono16"])
+@pytest.mark.parametrize(("unit_m", "metres"), [(None, 0.001), (0.0002, 0.0002), (0.01, 0.01)])
+@pytest.mark.parametrize("big_endian", [False, True])
+def test_integers_that_measure_nothing_are_no_return(encoding, unit_m, metres, big_endian):
+    steps = np.array([[0, 1, 500], [63_999, 64_001, 65_535]], ">u2" if big_endian else "<u2")
+    payload = ros_image(encoding, 2, 3, 6, steps.tobytes(), big_endian)
+    out = np.full((2, 3), 9.0, np.float32)
+    messages.decode_image_into(payload, messages.decode_image_header(payload), out, unit_m)
+    expected = np.array([[0, 1, 500], [63_999, 0, 0]]) * metres
+    np.testing.assert_allclose(out, expected, rtol=1e-6)
+
+
+def test_depth_of_floats_has_a_unit_too():
+    depth = np.array([[np.nan, np.inf, 700.0, 65_535.0]], np.float32)
+    payload = messages.encode_image(1, "camera", depth)
+    out = np.zeros_like(depth)
+    messages.decode_image_into(payload, messages.decode_image_header(payload), out, 0.001)
+    np.testing.assert_allclose(out, 0.001 * depth, rtol=1e-6)
 
 
 def ros_cloud(names: str, step: int, points: np.ndarray, big_endian=False, height=1) -> bytes:
@@ -178,6 +199,44 @@ def ros_cloud(names: str, step: int, points: np.ndarray, big_endian=False, heigh
             header, height, width, fields, big_endian, step, width * step, data.reshape(-1), True
         )
     )
+
+
+STEPS = 0, 1, 8, 96, HUGE
+"""Those that drivers send, such as the number of points, or the size of all data."""
+
+
+def with_steps(payload: bytes, point_step: int, row_step: int, size: int = 128) -> bytes:
+    """A cloud of 2 rows of 4 points of 16 bytes, whose header says something else."""
+    said = struct.pack("<III", 16, 64, 128)
+    assert payload.count(said) == 1
+    return payload.replace(said, struct.pack("<III", point_step, row_step, size))
+
+
+@pytest.mark.parametrize("row_step", STEPS)
+def test_an_organized_cloud_without_padding_needs_no_row_step(row_step):
+    points = np.arange(24, dtype=np.float32).reshape(8, 3)
+    payload = with_steps(ros_cloud("xyz", 16, points, height=2), 16, row_step)
+    out = np.zeros((8, 3), np.float32)
+    assert messages.decode_point_cloud_into(payload, out) == 8
+    np.testing.assert_array_equal(out, points)
+
+
+@pytest.mark.parametrize("said", [(16, 0, 112), (16, 65, 127), (24, 64, 128)])
+def test_a_cloud_whose_steps_do_not_fit_its_data_is_refused(said):
+    payload = with_steps(ros_cloud("xyz", 16, np.zeros((8, 3)), height=2), *said)
+    with pytest.raises(DecodeError, match=rf"row_step {said[1]} do not fit {said[2]} bytes"):
+        messages.decode_point_cloud_into(payload, np.zeros((8, 3), np.float32))
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_an_image_without_padding_needs_no_step(step):
+    image = np.arange(18, dtype=np.uint8).reshape(2, 3, 3)
+    payload = ros_image("rgb8", 2, 3, step, image.tobytes())
+    out = np.zeros_like(image)
+    messages.decode_image_into(payload, messages.decode_image_header(payload), out)
+    np.testing.assert_array_equal(out, image)
+    with pytest.raises(DecodeError, match=f"step {step} does not fit 17 bytes"):
+        messages.decode_image_header(ros_image("rgb8", 2, 3, step, bytes(17)))
 
 
 @pytest.mark.parametrize(
@@ -213,13 +272,95 @@ def test_a_scan_becomes_points_where_it_hit():
     np.testing.assert_allclose(out[:2], [[1, 0, 0], [0, 2, 0]], atol=1e-6)
 
 
+@pytest.mark.parametrize("range_max_m", [10.0, math.inf])
+def test_a_beam_that_met_nothing_is_free_to_the_longest_range(range_max_m):
+    nothing, no_measurement = [math.inf, range_max_m, 2 * range_max_m], [math.nan, -math.inf, -1.0]
+    ranges = np.array([*nothing, *no_measurement, 2.0], np.float32)
+    payload = messages.encode_laser_scan(1, "lidar", 0.0, 0.0, range_max_m, ranges)
+    out = np.zeros((7, 3), np.float32)
+    assert messages.decode_scan_points_into(payload, out, free=True) == 4
+    end_m = min(range_max_m, 5e5)
+    assert out[:4].tolist() == [[end_m, 0, math.inf]] * 3 + [[2, 0, 0]]
+
+
 def test_camera_info_of_a_rectified_image_and_without_projection():
     name = "sensor_msgs/msg/CameraInfo"
     info = from_ros(PAYLOADS[name], name)
     info.p = np.array([300.0, *info.p[1:]])
-    assert messages.decode_camera_info(to_ros(info))[1].fx_px == 300.0
+    assert messages.decode_camera_info(to_ros(info)).camera.fx_px == 300.0
     info.p = np.zeros(12)
-    assert messages.decode_camera_info(to_ros(info))[1] == CAMERA
+    assert messages.decode_camera_info(to_ros(info)).camera == CAMERA
+
+
+INFO = "sensor_msgs/msg/CameraInfo"
+BENT = (-0.35, 0.14, 0.0007, -0.0003, 0.0)
+
+
+def camera_info(**fields: object) -> messages.Calibration:
+    """`CAMERA` as decoded, with other fields; numbers of binning and roi as tuples."""
+    info = from_ros(PAYLOADS[INFO], INFO)
+    for name, value in fields.items():
+        if name == "binning":
+            info.binning_x, info.binning_y = value
+        elif name == "roi":
+            roi = info.roi
+            roi.x_offset, roi.y_offset, roi.width, roi.height = value
+        else:
+            old = getattr(info, name)
+            setattr(info, name, value if isinstance(old, str) else np.array(value, np.float64))
+    return messages.decode_camera_info(to_ros(info))
+
+
+@pytest.mark.parametrize("d", [(), (0.0,) * 5, (0.0, -0.0)])
+def test_no_coefficients_and_zeros_are_no_distortion(d):
+    info = camera_info(d=d, distortion_model="whatever")
+    assert (info.camera, info.lens, info.cut) == (CAMERA, None, "")
+
+
+@pytest.mark.parametrize("rectified", [True, False], ids=["P", "no P"])
+def test_a_lens_is_told_with_the_camera_behind_it(rectified):
+    p = [240.0, 0, 50.0, 0, 0, 241.0, 40.0, 0, 0, 0, 1, 0] if rectified else [0.0] * 12
+    info = camera_info(d=BENT, p=p)
+    assert info.lens == Lens("plumb_bob", BENT, CAMERA)
+    size = CAMERA.width_px, CAMERA.height_px
+    assert info.camera == (CameraModel(*size, 240.0, 241.0, 50.0, 40.0) if rectified else CAMERA)
+
+
+@pytest.mark.parametrize(
+    ("binning", "roi", "expected"),
+    [
+        ((1, 1), (0, 0, 64, 48), (64, 48, 60.0, 62.0, 32.0, 23.0)),
+        ((2, 2), (0, 0, 0, 0), (32, 24, 30.0, 31.0, 16.0, 11.5)),
+        ((2, 1), (0, 0, 0, 0), (32, 48, 30.0, 62.0, 16.0, 23.0)),
+        ((0, 0), (8, 4, 40, 30), (40, 30, 60.0, 62.0, 24.0, 19.0)),
+        ((2, 2), (8, 4, 40, 30), (20, 15, 30.0, 31.0, 12.0, 9.5)),
+    ],
+)
+def test_binning_and_roi_are_those_of_the_image_that_is_sent(binning, roi, expected):
+    k = [60.0, 0, 32.0, 0, 62.0, 23.0, 0, 0, 1]
+    info = from_ros(PAYLOADS[INFO], INFO)
+    info.width, info.height = 64, 48
+    info.k, info.p, info.d = np.array(k), np.zeros(12), np.array(BENT)
+    info.binning_x, info.binning_y = binning
+    info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = roi
+    told = messages.decode_camera_info(to_ros(info))
+    assert told.camera == told.lens.camera == CameraModel(*expected)
+    assert bool(told.cut) == (expected[:2] != (64, 48))
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"d": (math.nan,)}, "distortion holds NaN"),
+        ({"d": (0.1,) * 65}, "65 coefficients"),
+        ({"d": BENT, "k": (0.0,) * 9}, "focal lengths 0, 0"),
+        ({"roi": (1, 0, CAMERA.width_px, 1)}, "outside the image"),
+        ({"binning": (HUGE, 1)}, "not a camera: 0x"),
+    ],
+)
+def test_a_calibration_that_cannot_be_is_refused(fields, says):
+    with pytest.raises(DecodeError, match=says):
+        camera_info(**fields)
 
 
 # -- round trips --------------------------------------------------------------------------------
@@ -321,9 +462,6 @@ def test_a_changed_image_header_never_reaches_outside(data):
         messages.decode_image_into(payload, messages.decode_image_header(payload), out)
 
 
-HUGE = 2**32 - 1
-
-
 @pytest.mark.parametrize(
     "payload",
     [
@@ -341,7 +479,7 @@ def test_a_cloud_that_claims_more_points_than_it_has():
     payload = bytearray(PAYLOADS["sensor_msgs/msg/PointCloud2"])
     at = payload.index(struct.pack("<II", 1, 4))  # height, width
     payload[at : at + 8] = struct.pack("<II", 1, 60)
-    with pytest.raises(DecodeError, match="in 48 bytes"):
+    with pytest.raises(DecodeError, match="do not fit 48 bytes"):
         messages.decode_point_cloud_into(bytes(payload), np.zeros((64, 3), np.float32))
     payload[at : at + 8] = struct.pack("<II", HUGE, HUGE)
     with pytest.raises(DecodeError, match="at most 64 are taken"):
