@@ -36,6 +36,7 @@ class Observation:
         cloud_m: (n, 3) float32 in the LiDAR's frame, or None.
         T_base_lidar: (4, 4) float64.
         slot: the pool slot that owns the arrays; None when nothing is pooled.
+        lag_ns: how much newer the newest pose of the robot is than this observation.
     """
 
     seq: int
@@ -48,6 +49,7 @@ class Observation:
     cloud_m: np.ndarray | None = None
     T_base_lidar: np.ndarray = field(default_factory=lambda: np.eye(4))
     slot: Slot | None = None
+    lag_ns: int = 0
 
     @property
     def pose(self) -> SE2:

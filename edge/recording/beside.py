@@ -145,8 +145,8 @@ class Replayed(Journal):
             "task": lambda said, asked: journal.draft_of(said),
         }
 
-    def decided(self, what: str, decide: Callable[[], str]) -> str:
-        """As it was then; where other settings ask for it when it was not asked, anew."""
+    def decided(self, what: str, decide: Callable[[], str], usual: str | None = None) -> str:
+        """Return the recorded decision. If none was recorded, decide again."""
         said = self._now.decided.get(what)
         return decide() if said is None else said
 

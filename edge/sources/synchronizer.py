@@ -265,6 +265,7 @@ class TimeSynchronizer:
             T_base_camera=self._T_base_camera,
             T_base_lidar=self._T_base_lidar,
             slot=slot,
+            lag_ns=max(self.odometry.newest_ns - leader.stamp_ns, 0),
             **fields,
         )
 

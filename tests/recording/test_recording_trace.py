@@ -62,7 +62,7 @@ def test_nothing_is_an_empty_trace():
 
 def test_ticks_hold_their_stages():
     events = checked(trace_of(ticks(2)))
-    assert [e["name"] for e in events[:3]] == ["tick", "ingest", "map"]
+    assert [e["name"] for e in events[:3]] == ["tick", "ingest", "check"]
     assert events[0]["ts"] == 0.0
     assert events[len(events) // 2]["ts"] == 1000.0
     assert {e["cat"] for e in events} == {"tick"}
