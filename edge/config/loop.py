@@ -102,7 +102,7 @@ class Loop(Section):
     detector runs inside it every `detect_every` ticks, so a run replays the same."""
 
     hz: Positive = 30.0
-    blind_s: Positive = 1.0
+    blind_s: Positive = 0.8
     priority: Annotated[int, Field(ge=0, le=99)] = 0
     lockstep: bool = False
     detect_every: Annotated[int, Field(ge=1)] = 1

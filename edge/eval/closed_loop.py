@@ -121,6 +121,8 @@ class ClosedLoop:
         before, observation = len(self.notes.goals), self.observe()
         self.service.latency.begin_tick(perf_counter_ns())
         self.service.tick(observation, now_ns)
+        if self.service.refused:
+            self.service.idle(now_ns, motion.odometry, observation)
         self.service.latency.end_tick(perf_counter_ns())
         if now_ns >= self._map_due_ns:
             self._map_due_ns = now_ns + self._map_period_ns

@@ -67,7 +67,7 @@ class Journal:
         """What only the run itself can know, by its computer and its clocks; noted.
 
         Args:
-            usual: the answer that is not noted: a replay comes to it as well.
+            usual: the answer that is not noted, and that a replay takes if none was.
         """
         said = decide()
         if said != usual:

@@ -232,25 +232,28 @@ class Plausibility:
         facts = self.facts
         facts.clear()
         step = self._step(seen)
-        self.sighted_ns = now_ns
+        self.sighted_ns = now_ns - seen.lag_ns
         facts.late_s = seen.lag_ns * 1e-9
         if seen.depth_m is not None and seen.camera is not None:
             sample = self._depth.sample(seen.depth_m)
-            facts.depth_driven_m = self._repeated(self._depth, seen.depth_m, step, now_ns)
             valid = (sample > 0.0) & (sample < FARTHEST_M)
-            facts.depth_valid = np.count_nonzero(valid) / sample.size
+            facts.depth_valid = float(np.count_nonzero(valid) / sample.size)
+            if facts.depth_valid > 0.0:
+                facts.depth_driven_m = self._repeated(self._depth, seen.depth_m, step, now_ns)
             facts.depth_scale = self._floor.scale(sample, valid, self._depth.stride, seen)
         if seen.rgb is not None:
             sample = self._rgb.sample(seen.rgb)
-            facts.rgb_driven_m = self._repeated(self._rgb, seen.rgb, step, now_ns)
             facts.rgb_levels = float(sample.max()) - float(sample.min())
+            if facts.rgb_levels > 0.0:
+                facts.rgb_driven_m = self._repeated(self._rgb, seen.rgb, step, now_ns)
             facts.rgb_level = float(sample[..., 1].mean())  # green is all of grey, and small
         if seen.rgb is not None or seen.depth_m is not None:
             facts.axis_z = float(seen.T_base_camera[2, 2])
         if seen.cloud_m is not None:
             sample = self._cloud.sample(seen.cloud_m)
-            facts.cloud_driven_m = self._repeated(self._cloud, seen.cloud_m, step, now_ns)
-            facts.cloud_points = np.count_nonzero(np.abs(sample).max(axis=1) > 0.0)
+            facts.cloud_points = float(np.count_nonzero(np.abs(sample).max(axis=1) > 0.0))
+            if facts.cloud_points > 0.0:
+                facts.cloud_driven_m = self._repeated(self._cloud, seen.cloud_m, step, now_ns)
 
     def _repeated(
         self, frames: _Repeats, array: np.ndarray, step: tuple[float, float, float], now_ns: int

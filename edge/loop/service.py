@@ -75,6 +75,7 @@ class Service:
         pose: the newest in `map`; None before there was any.
         stamp_ns: of the newest observation that was not refused, on the sensors' clock.
         plausibility: judges observations, and says which checks fail.
+        refused: whether the newest observation shows nothing to drive by.
         swapper: puts another model in the place of the worker's.
         governor: gives up what is dear when the computer cannot keep up, where a ladder says what;
             not in lockstep, where runs replay the same.
@@ -139,6 +140,7 @@ class Service:
         self._looked_ns = 0  # when the last observation was dealt with
         self._images = 0  # that were looked for things in, as of this tick
         self._newest_seq = self._void_seq = -1
+        self.refused = False
         self.past: deque[dict[str, str]] = deque(maxlen=_PAST)
         if keeper is not None:
             keeper.resume(self.mission)
@@ -164,8 +166,8 @@ class Service:
         Returns:
             The goal now being driven to, or None.
 
-        A tick that raises is as good as none: no one has looked. So is one whose observation is
-        refused.
+        A tick that raises is as good as none: no one has looked. After one whose observation was
+        `refused` the caller calls `idle`.
         """
         self._journal.note("tick", now_ns=now_ns)
         self.stage = CHECK
@@ -174,8 +176,13 @@ class Service:
         judge = partial(self.plausibility.judge, observation, now_ns)
         use = self._journal.decided(USE, judge, usual="")
         self._lap(CHECK)
-        if use:
-            self._refuse(observation, use == "map", now_ns)
+        self.refused = use != ""
+        if self.refused:
+            self._looked_ns = min(self._looked_ns, self.plausibility.sighted_ns)
+            if use == "map":
+                self.stage = MAP
+                self._map(observation, now_ns)
+                self._lap(MAP)
             return self.goals.goal
         self.stamp_ns = observation.stamp_ns
         self._worker.submit(observation)
@@ -230,21 +237,6 @@ class Service:
             self._forget_tried()
         known = f"{self.map.grid.known_m2:.0f} m2 and {len(self.map.tracker)} things"
         self.event(f"taken up from before the restart: {known}", now.now_ns)
-
-    def _refuse(self, observation: Observation, maps: bool, now_ns: int) -> None:
-        """Handle an observation that is none for driving.
-
-        Args:
-            maps: the map takes it all the same.
-        """
-        self._looked_ns = min(self._looked_ns, self.plausibility.sighted_ns)
-        if maps:
-            self.stage = MAP
-            self._map(observation, now_ns)
-            self._lap(MAP)
-        self.stage = PUBLISH
-        self._wait(now_ns, observation)
-        self._lap(PUBLISH)
 
     def _map(self, observation: Observation, now_ns: int) -> None:
         """Stage 3: fold the depth image or cloud into the map."""
@@ -491,21 +483,13 @@ class Service:
 
         Args:
             pose: from the newest odometry; None before there was any.
-            dropped: the observation that a stage failed on, if one came. It is dealt with, which
+            dropped: the observation that was refused, or a stage failed on. It is dealt with, which
                 a simulator in lockstep waits to hear.
         """
-        blind = self._blind(now_ns)
+        blind = self.pose is not None and now_ns - self._looked_ns > 1e9 * self.blind_s
         if blind and pose is not None:
             self.pose = pose
         self._journal.note("idle", now_ns=now_ns, pose=pose if blind else None)
-        self._wait(now_ns, dropped)
-
-    def _blind(self, now_ns: int) -> bool:
-        return self.pose is not None and now_ns - self._looked_ns > 1e9 * self.blind_s
-
-    def _wait(self, now_ns: int, dropped: Observation | None) -> None:
-        """Let the mission's time run on, and stand once the robot is blind."""
-        blind = self._blind(now_ns)
         try:
             if self.mission.observed or dropped is not None:
                 self.mission.observe(self.pose, now_ns, self._looking and not blind)

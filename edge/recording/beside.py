@@ -146,8 +146,9 @@ class Replayed(Journal):
         }
 
     def decided(self, what: str, decide: Callable[[], str], usual: str | None = None) -> str:
-        """Return the recorded decision. If none was recorded, decide again."""
-        said = self._now.decided.get(what)
+        """Return the recorded decision. If none was recorded it was the usual one; a run with other
+        settings may ask for another, which is decided now."""
+        said = self._now.decided.get(what, usual)
         return decide() if said is None else said
 
     def beside(self, name: str, worker: Any) -> Any:

@@ -16,6 +16,7 @@ from edge.errors import UnavailableError
 from edge.host.pages import serve
 from edge.host.ports import free_port
 from edge.loop.latency import LatencyRing, Span
+from edge.loop.service import MAP
 from edge.loop.stages import STAGES
 from edge.recording import commands
 from edge.recording.channels import STATUS
@@ -121,7 +122,7 @@ def test_a_running_service_is_asked(tmp_path, token):
             commands.trace(args)
         ring = LatencyRing()
         ring.begin_tick(5)
-        ring.mark(2, 1005)
+        ring.mark(MAP, 1005)
         ring.end_tick(2005)
         page.spans = ring.spans
         assert commands.trace(args) == 0
