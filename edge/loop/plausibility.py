@@ -34,11 +34,13 @@ TELL_AGAIN_NS = 30_000_000_000
 DRIVEN_M = 0.1
 """A frame that stays the same to the bit over this way is frozen; 1 rad of turn counts as 1 m."""
 _MOVES_M = 0.02  # a robot that stands may see the same again
+_BUFFERS = 4  # frames that a hanging driver may send in turn
 _SAMPLES = 48  # rows and columns of an image that are looked at
 _HASTE, _JUMP_M = 2.0, 0.05  # a pose that moves faster, and farther at once, was corrected
 _FEWEST, _NEAR_SHARE = 50, 0.05  # pixels with a value, and the share of them that may be noise
-# The floor lies at most so far below the base. No robot sees only what is twice as far as that.
-_BELOW_BASE_M, _FARTHEST_FLOOR_M = 1.0, 50.0
+# The floor lies at most so far below the base, and is seen by rays at least so steep.
+_BELOW_BASE_M, _STEEP, _MARGIN = 1.0, 0.25, 1.3
+_FARTHEST_M = 100.0  # no depth camera sees only what is farther
 
 
 class FrameFacts:
@@ -77,7 +79,7 @@ class DataCheck:
     Attributes:
         name: the name of the measurement in `FrameFacts`, or one that says more.
         of: the measured value.
-        message: one line for the user with `{value}`: where, what, what to do.
+        what: for the user, with `{value}`: where, and what is wrong; `todo`: what to do.
         then: the consequence.
         lowest, highest: the check fails outside of these.
         leaves: of a `stand`, what a refused observation is still good for.
@@ -85,7 +87,8 @@ class DataCheck:
 
     name: str
     of: Callable[[FrameFacts], float]
-    message: str
+    what: str
+    todo: str
     then: Consequence
     lowest: float = -math.inf
     highest: float = math.inf
@@ -96,36 +99,39 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
     """Return the table of checks for the sensors that a configuration uses."""
     mapped, lifted = config.mapping.input, config.perception.lift
     leaves = {kind: "none" if kind == mapped else "map" for kind in ("depth", "cloud")}
-    frozen = "the same to the bit over {value:.1f} m of driving: restart its driver"
+    frozen = "the same to the bit over {value:.1f} m of driving"
+    uncover, restart = "uncover the camera, or restart its driver", "restart its driver"
     table = (
         DataCheck("depth_empty", lambda f: f.depth_valid,
-                  "camera/depth: only {value:.1%} of the pixels have a value: uncover the camera, "
-                  "or restart its driver", "stand", lowest=0.02, leaves=leaves["depth"]),
-        DataCheck("depth_frozen", lambda f: f.depth_driven_m, f"camera/depth: {frozen}",
+                  "camera/depth: only {value:.1%} of the pixels have a value", uncover,
+                  "stand", lowest=0.02, leaves=leaves["depth"]),
+        DataCheck("depth_frozen", lambda f: f.depth_driven_m, f"camera/depth: {frozen}", restart,
                   "stand", highest=DRIVEN_M, leaves=leaves["depth"]),
         DataCheck("depth_unit", lambda f: f.depth_scale,
-                  "camera/depth: {value:.0f} times as far as the floor allows, so the depth cannot "
-                  "be in metres: correct its unit (32FC1: m, 16UC1: mm) or the camera's mount",
+                  "camera/depth: {value:.0f} times as far as the floor, so the depth cannot be in "
+                  "metres", "correct its unit (32FC1 is m, 16UC1 is mm) or the camera's mount",
                   "stand", highest=1.0, leaves=leaves["depth"]),
-        DataCheck("cloud_empty", lambda f: f.cloud_points,
-                  "lidar: no point has a value: uncover the LiDAR, or restart its driver",
+        DataCheck("cloud_empty", lambda f: f.cloud_points, "lidar: no point has a value",
+                  "uncover the LiDAR, or restart its driver",
                   "stand", lowest=1.0, leaves=leaves["cloud"]),
-        DataCheck("cloud_frozen", lambda f: f.cloud_driven_m, f"lidar: {frozen}",
+        DataCheck("cloud_frozen", lambda f: f.cloud_driven_m, f"lidar: {frozen}", restart,
                   "stand", highest=DRIVEN_M, leaves=leaves["cloud"]),
         DataCheck("rgb_covered", lambda f: f.rgb_levels,
-                  "camera/rgb: the image has one colour ({value:.0f} levels): uncover the camera, "
-                  "or restart its driver", "stand", lowest=3.0, leaves="map"),
+                  "camera/rgb: the image has one colour ({value:.0f} levels)", uncover,
+                  "stand", lowest=6.0, leaves="map"),
         DataCheck("rgb_dark", lambda f: f.rgb_level,
-                  "camera/rgb: the image is dark (level {value:.0f} of 255): uncover the camera, "
-                  "or switch the light on", "stand", lowest=8.0, leaves="map"),
-        DataCheck("rgb_frozen", lambda f: f.rgb_driven_m, f"camera/rgb: {frozen}",
+                  "camera/rgb: the image is dark (level {value:.0f} of 255)",
+                  "uncover the camera, or switch the light on",
+                  "stand", lowest=12.0, leaves="map"),
+        DataCheck("rgb_frozen", lambda f: f.rgb_driven_m, f"camera/rgb: {frozen}", restart,
                   "stand", highest=DRIVEN_M, leaves="map"),
         DataCheck("late", lambda f: f.late_s,
-                  "sensors: frames come {value:.1f} s after the pose of their time: speed up the "
-                  "driver or the link", "stand", highest=blind_s, leaves="map"),
+                  "sensors: frames come {value:.1f} s after the pose of their time",
+                  "speed up the driver or the link", "stand", highest=blind_s, leaves="map"),
         DataCheck("camera_axis", lambda f: f.axis_z,
-                  "camera: it looks up or down (z {value:+.2f} in the base frame): is its frame an "
-                  "optical one (z forward, x right)?", "warn", lowest=-0.95, highest=0.7),
+                  "camera: it looks up or down (z {value:+.2f} in the base frame)",
+                  "is its frame an optical one (z forward, x right)?",
+                  "warn", lowest=-0.9, highest=0.7),
     )  # fmt: skip
     unused = {"depth", "cloud"} - {mapped, lifted}
     return tuple(check for check in table if check.name.partition("_")[0] not in unused)
@@ -135,14 +141,19 @@ class FailedCheck(NamedTuple):
     """A check that fails now.
 
     Attributes:
-        message: for the user, one line.
+        what, todo: for the user.
         since_ns: loop time of its first failure.
     """
 
     name: str
     then: Consequence
-    message: str
+    what: str
+    todo: str
     since_ns: int
+
+    @property
+    def message(self) -> str:
+        return f"{self.what}: {self.todo}"
 
 
 class Plausibility:
@@ -188,8 +199,9 @@ class Plausibility:
                     self._found[i], changed = None, True
                 continue
             if found is None:
-                message = check.message.format(value=value)
-                self._found[i] = found = FailedCheck(check.name, check.then, message, now_ns)
+                what = check.what.format(value=value)
+                found = FailedCheck(check.name, check.then, what, check.todo, now_ns)
+                self._found[i] = found
             changed = changed or now_ns - found.since_ns >= LASTS_NS
             if check.leaves:
                 self.refused[check.name] += 1
@@ -287,6 +299,9 @@ class Plausibility:
 class _Repeats:
     """Frames of one sensor: a sample of the newest, and the way since they changed last.
 
+    A frame is the same as before if it is one of the last few: a driver that hangs may send its
+    buffers in turn.
+
     Attributes:
         stride: rows and columns from one sampled pixel to the next.
         since_ns: loop time of the newest frame that showed what is there: the robot moved since.
@@ -296,8 +311,8 @@ class _Repeats:
         self.stride = (1, 1)
         self.since_ns = 0
         self._sample = np.empty(0)
-        self._crc: int | None = None
-        self._whole: int | None = None  # of all of the frame, once a sample was the same
+        # By checksum of the sample, of the last few: checksum of all, known once it came again.
+        self._known: dict[int, int | None] = {}
         self._way = np.zeros(3)
 
     def sample(self, array: np.ndarray) -> np.ndarray:
@@ -314,45 +329,50 @@ class _Repeats:
     def driven_m(self, array: np.ndarray, step: tuple[float, float, float], now_ns: int) -> float:
         """Return the way (1 rad of turn counts as 1 m) since the frames changed last.
 
-        The whole frame is read only if its sample is the same as that of the frame before.
+        The whole frame is read only if its sample is one of the last few.
         """
-        crc = zlib.crc32(self._sample)
-        whole = zlib.crc32(np.ascontiguousarray(array)) if crc == self._crc else None
-        if whole is None or self._whole not in (None, whole):
-            self._crc, self._whole, self.since_ns = crc, whole, now_ns
+        crc, known = zlib.crc32(self._sample), self._known
+        whole = zlib.crc32(np.ascontiguousarray(array)) if crc in known else None
+        if whole is None or known[crc] not in (None, whole):
+            known.pop(crc, None)
+            known[crc], self.since_ns = whole, now_ns
             self._way[:] = 0.0
+            if len(known) > _BUFFERS:
+                del known[next(iter(known))]
             return 0.0
-        known, self._whole = self._whole is not None, whole
+        sure, known[crc] = known[crc] is not None, whole
         self._way += step
         x, y, yaw = self._way.tolist()
         driven_m = math.hypot(x, y) + abs(yaw)
         if driven_m < _MOVES_M:
             self.since_ns = now_ns
-        return driven_m if known else 0.0
+        return driven_m if sure else 0.0
 
 
 class _FloorLimit:
-    """How far a depth image may be at least somewhere, by the camera's mount above the floor."""
+    """How far a depth image may be at most, by the camera's mount above the floor."""
 
     def __init__(self) -> None:
         self._of: tuple[CameraModel, np.ndarray] | None = None
-        self._floor_m = self._too_far_m = np.empty(0)
+        self._steep = np.empty(0, np.bool_)
+        self._floor_m = self._limit_m = np.empty(0)
 
     def scale(
         self, sample: np.ndarray, valid: np.ndarray, stride: tuple[int, int], seen: Observation
     ) -> float:
         """Return how many times as far as the floor the image is; 1: part of it is near enough."""
         camera, T = seen.camera, seen.T_base_camera
-        n = np.count_nonzero(valid)
-        if n < _FEWEST:
-            return math.nan
         if self._of is None or self._of[0] != camera or self._of[1] is not T:
             self._of = camera, T
             self._lay(seen.depth_m.shape, camera, T, stride)
-        near = np.count_nonzero((sample < self._too_far_m) & valid)
-        if near >= _NEAR_SHARE * n:
+        judged, limit_m, floor_m = valid & self._steep, self._limit_m, self._floor_m
+        n = np.count_nonzero(judged)
+        if n < _FEWEST:  # none looks down: nothing but the farthest of all tells
+            judged, limit_m, floor_m = valid, _FARTHEST_M, self._floor_m
+            n = np.count_nonzero(valid)
+        if n < _FEWEST or np.count_nonzero((sample < limit_m) & judged) >= _NEAR_SHARE * n:
             return 1.0
-        return float(np.median(sample[valid] / self._floor_m[valid]))
+        return float(np.median(sample[judged] / floor_m[judged]))
 
     def _lay(
         self, shape: tuple[int, ...], camera: CameraModel, T: np.ndarray, stride: tuple[int, int]
@@ -362,7 +382,7 @@ class _FloorLimit:
         row = (np.arange(v // 2, shape[0], v) - camera.cy_px) / camera.fy_px
         column = (np.arange(u // 2, shape[1], u) - camera.cx_px) / camera.fx_px
         down = -(T[2, 0] * column[None, :] + T[2, 1] * row[:, None] + T[2, 2])
-        height_m = max(float(T[2, 3]), 0.0) + _BELOW_BASE_M
-        floor_m = height_m / np.maximum(down, height_m / _FARTHEST_FLOOR_M)
-        self._floor_m = floor_m.astype(np.float32)
-        self._too_far_m = 2.0 * self._floor_m
+        self._steep = down >= _STEEP
+        down, height_m = np.maximum(down, _STEEP), max(float(T[2, 3]), 0.0)
+        self._floor_m = (max(height_m, 0.1) / down).astype(np.float32)
+        self._limit_m = (_MARGIN * (height_m + _BELOW_BASE_M) / down).astype(np.float32)
