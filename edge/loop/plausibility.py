@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -36,7 +36,6 @@ DRIVEN_M = 0.1
 _MOVES_M = 0.02  # a robot that stands may see the same again
 _BUFFERS = 4  # frames that a hanging driver may send in turn
 _SAMPLES = 48  # rows and columns of an image that are looked at
-_HASTE, _JUMP_M = 2.0, 0.05  # a pose that moves faster, and farther at once, was corrected
 _FEWEST, _NEAR_SHARE = 50, 0.05  # pixels with a value, and the share of them that may be noise
 # The floor lies at most so far below the base, and is seen by rays at least so steep.
 _BELOW_BASE_M, _STEEP, _MARGIN = 1.0, 0.25, 1.3
@@ -182,8 +181,7 @@ class Plausibility:
         self._event = event
         self._found: list[FailedCheck | None] = [None] * len(self.checks)
         self._told_ns: dict[str, int] = {}
-        self._robot = config.robot
-        self._last: tuple[SE2, int] | None = None
+        self._pose: SE2 | None = None
         self._depth, self._rgb, self._cloud = _Repeats(), _Repeats(), _Repeats()
         self._floor = _FloorLimit()
 
@@ -243,7 +241,7 @@ class Plausibility:
     def _measure(self, seen: Observation, now_ns: int) -> None:
         facts = self.facts
         facts.clear()
-        step = self._step(seen)
+        step = self._step(seen.pose)
         self.sighted_ns = now_ns - seen.lag_ns
         facts.late_s = seen.lag_ns * 1e-9
         if seen.depth_m is not None and seen.camera is not None:
@@ -275,25 +273,10 @@ class Plausibility:
             self.sighted_ns = min(self.sighted_ns, frames.since_ns)
         return driven_m
 
-    def _step(self, seen: Observation) -> tuple[float, float, float]:
-        """Return how the pose moved since the last observation (x, y, yaw).
-
-        A pose that moves faster than the robot can was corrected by a localisation: it stood.
-        """
-        pose, last = seen.pose, self._last
-        self._last = pose, seen.stamp_ns
-        if last is None:
-            return 0.0, 0.0, 0.0
-        before, stamp_ns = last
-        dt_s = abs(seen.stamp_ns - stamp_ns) * 1e-9
-        x, y = pose.x_m - before.x_m, pose.y_m - before.y_m
-        yaw = wrap_angle(pose.yaw_rad - before.yaw_rad)
-        robot = self._robot
-        if math.hypot(x, y) > max(_HASTE * robot.max_speed_mps * dt_s, _JUMP_M):
-            x = y = 0.0
-        if abs(yaw) > max(_HASTE * robot.max_turn_radps * dt_s, _JUMP_M):
-            yaw = 0.0
-        return x, y, yaw
+    def _step(self, pose: SE2) -> tuple[float, float, float]:
+        """Return how the pose moved since the last observation (x, y, yaw)."""
+        last, self._pose = self._pose or pose, pose
+        return pose.x_m - last.x_m, pose.y_m - last.y_m, wrap_angle(pose.yaw_rad - last.yaw_rad)
 
 
 class _Repeats:
@@ -314,6 +297,7 @@ class _Repeats:
         # By checksum of the sample, of the last few: checksum of all, known once it came again.
         self._known: dict[int, int | None] = {}
         self._way = np.zeros(3)
+        self._longest_m = self._driven_m = 0.0  # the longest step of the way; the way without it
 
     def sample(self, array: np.ndarray) -> np.ndarray:
         """Copy every stride-th row and column, or every stride-th point of a cloud."""
@@ -329,24 +313,31 @@ class _Repeats:
     def driven_m(self, array: np.ndarray, step: tuple[float, float, float], now_ns: int) -> float:
         """Return the way (1 rad of turn counts as 1 m) since the frames changed last.
 
-        The whole frame is read only if its sample is one of the last few.
+        Its longest step does not count: a localisation may have corrected the pose of a robot that
+        stands. The whole frame is read only if its sample is one of the last few.
         """
         crc, known = zlib.crc32(self._sample), self._known
         whole = zlib.crc32(np.ascontiguousarray(array)) if crc in known else None
         if whole is None or known[crc] not in (None, whole):
             known.pop(crc, None)
             known[crc], self.since_ns = whole, now_ns
-            self._way[:] = 0.0
+            self._way[:], self._longest_m, self._driven_m = 0.0, 0.0, 0.0
             if len(known) > _BUFFERS:
                 del known[next(iter(known))]
             return 0.0
         sure, known[crc] = known[crc] is not None, whole
         self._way += step
-        x, y, yaw = self._way.tolist()
-        driven_m = math.hypot(x, y) + abs(yaw)
-        if driven_m < _MOVES_M:
+        way_m, self._longest_m = _length_m(self._way), max(self._longest_m, _length_m(step))
+        if way_m < _MOVES_M:
             self.since_ns = now_ns
-        return driven_m if sure else 0.0
+        if sure:
+            self._driven_m = max(self._driven_m, way_m - self._longest_m)
+        return self._driven_m
+
+
+def _length_m(step: Iterable[float]) -> float:
+    x, y, yaw = step
+    return math.hypot(x, y) + abs(yaw)
 
 
 class _FloorLimit:
