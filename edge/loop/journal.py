@@ -14,8 +14,9 @@ DETECTOR = "detector"
 TASK = "task"
 ELSEWHERE = "elsewhere"
 """As a decision: why `map` is not the frame of before a restart, "" where it is."""
-USE = "use"
-"""As a decision: what an observation is good for (`edge.loop.plausibility.Use`)."""
+USE, SIGHTED = "use", "sighted"
+"""As decisions: what an observation is good for (`edge.loop.plausibility.Use`), and the loop time
+until which a refused one shows the surroundings."""
 _KEPT = 4096  # of what came between two results, the newest
 
 

@@ -21,7 +21,7 @@ from edge.loop import stages
 from edge.loop.faults import Faults
 from edge.loop.goal import GoalTracker
 from edge.loop.governor import Governor
-from edge.loop.journal import DETECTOR, ELSEWHERE, USE, Journal
+from edge.loop.journal import DETECTOR, ELSEWHERE, SIGHTED, USE, Journal
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
 from edge.loop.places import Now, Parts, restore
@@ -178,7 +178,8 @@ class Service:
         self._lap(CHECK)
         self.refused = use != ""
         if self.refused:
-            self._looked_ns = min(self._looked_ns, self.plausibility.sighted_ns)
+            sighted = self._journal.decided(SIGHTED, lambda: str(self.plausibility.sighted_ns))
+            self._looked_ns = min(self._looked_ns, int(sighted))
             if use == "map":
                 self.stage = MAP
                 self._map(observation, now_ns)
