@@ -100,16 +100,17 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
     leaves = {kind: "none" if kind == mapped else "map" for kind in ("depth", "cloud")}
     frozen = "the same to the bit over {value:.1f} m of driving"
     uncover, restart = "uncover the camera, or restart its driver", "restart its driver"
+    unit = "correct its unit (32FC1 is m, 16UC1 is mm) or the camera's mount"
     table = (
         DataCheck("depth_empty", lambda f: f.depth_valid,
-                  "camera/depth: only {value:.1%} of the pixels have a value", uncover,
+                  "camera/depth: only {value:.1%} of the pixels have a value",
+                  "uncover the camera, restart its driver, or correct the depth's unit",
                   "stand", lowest=0.02, leaves=leaves["depth"]),
         DataCheck("depth_frozen", lambda f: f.depth_driven_m, f"camera/depth: {frozen}", restart,
                   "stand", highest=DRIVEN_M, leaves=leaves["depth"]),
         DataCheck("depth_unit", lambda f: f.depth_scale,
                   "camera/depth: {value:.0f} times as far as the floor, so the depth cannot be in "
-                  "metres", "correct its unit (32FC1 is m, 16UC1 is mm) or the camera's mount",
-                  "stand", highest=1.0, leaves=leaves["depth"]),
+                  "metres", unit, "stand", highest=1.0, leaves=leaves["depth"]),
         DataCheck("cloud_empty", lambda f: f.cloud_points, "lidar: no point has a value",
                   "uncover the LiDAR, or restart its driver",
                   "stand", lowest=1.0, leaves=leaves["cloud"]),
@@ -261,8 +262,10 @@ class Plausibility:
             facts.axis_z = float(seen.T_base_camera[2, 2])
         if seen.cloud_m is not None:
             sample = self._cloud.sample(seen.cloud_m)
-            facts.cloud_points = float(np.count_nonzero(np.abs(sample).max(axis=1) > 0.0))
-            if facts.cloud_points > 0.0:
+            size = np.abs(sample).max(axis=1)
+            facts.cloud_points = float(np.count_nonzero(size > 0.0))
+            # Beams that met nothing (inf) are the same wherever the robot is.
+            if np.count_nonzero((size > 0.0) & np.isfinite(size)):
                 facts.cloud_driven_m = self._repeated(self._cloud, seen.cloud_m, step, now_ns)
 
     def _repeated(
