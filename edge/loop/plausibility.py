@@ -17,6 +17,7 @@ import numpy as np
 
 from edge.config import Config
 from edge.geometry import FARTHEST_M, SE2, CameraModel, wrap_angle
+from edge.loop.depth_motion import MISFIT, DepthMotion
 from edge.types import Observation
 
 log = logging.getLogger("edge.loop.plausibility")
@@ -49,6 +50,7 @@ class FrameFacts:
         depth_valid: share of the depth image's pixels that have a value.
         depth_driven_m: way since the depth image changed last; likewise `cloud_driven_m` and
             `rgb_driven_m`.
+        depth_misfit: share of what the depth image shows that did not move as the pose did.
         depth_scale: how many times farther than the floor allows the depth image is; 1: it fits.
         cloud_points: points of the cloud that have a value.
         rgb_levels: difference between the lightest and the darkest value of the colour image.
@@ -58,8 +60,8 @@ class FrameFacts:
     """
 
     __slots__ = (
-        "axis_z", "cloud_driven_m", "cloud_points", "depth_driven_m", "depth_scale", "depth_valid",
-        "late_s", "rgb_driven_m", "rgb_level", "rgb_levels",
+        "axis_z", "cloud_driven_m", "cloud_points", "depth_driven_m", "depth_misfit", "depth_scale",
+        "depth_valid", "late_s", "rgb_driven_m", "rgb_level", "rgb_levels",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -111,6 +113,10 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
         DataCheck("depth_unit", lambda f: f.depth_scale,
                   "camera/depth: {value:.0f} times as far as the floor, so the depth cannot be in "
                   "metres", unit, "stand", highest=1.0, leaves=leaves["depth"]),
+        DataCheck("depth_motion", lambda f: f.depth_misfit,
+                  "camera/depth: {value:.0%} of what it shows does not move as the pose does",
+                  "check delay and stamps of the images, the odometry and the camera's mount",
+                  "stand", highest=MISFIT, leaves=leaves["depth"]),
         DataCheck("cloud_empty", lambda f: f.cloud_points, "lidar: no point has a value",
                   "uncover the LiDAR, or restart its driver",
                   "stand", lowest=1.0, leaves=leaves["cloud"]),
@@ -185,6 +191,7 @@ class Plausibility:
         self._pose: SE2 | None = None
         self._depth, self._rgb, self._cloud = _Repeats(), _Repeats(), _Repeats()
         self._floor = _FloorLimit()
+        self._motion = DepthMotion(config.robot.max_speed_mps, config.robot.max_turn_radps)
 
     def judge(self, observation: Observation, now_ns: int) -> Use:
         """Return what the observation is good for."""
@@ -252,6 +259,7 @@ class Plausibility:
             if facts.depth_valid > 0.0:
                 facts.depth_driven_m = self._repeated(self._depth, seen.depth_m, step, now_ns)
             facts.depth_scale = self._floor.scale(sample, valid, self._depth.stride, seen)
+            facts.depth_misfit = self._misfit(seen, sample, now_ns)
         if seen.rgb is not None:
             sample = self._rgb.sample(seen.rgb)
             facts.rgb_levels = float(sample.max()) - float(sample.min())
@@ -276,6 +284,16 @@ class Plausibility:
             self.sighted_ns = min(self.sighted_ns, frames.since_ns)
         return driven_m
 
+    def _misfit(self, seen: Observation, sample: np.ndarray, now_ns: int) -> float:
+        T, stride = seen.T_map_base, self._depth.stride
+        misfit = self._motion.misfit(
+            seen.depth_m, sample, stride, seen.camera, T @ seen.T_base_camera, T[2, 3],
+            seen.stamp_ns, now_ns, self._depth.repeats,
+        )  # fmt: skip
+        if misfit > MISFIT:
+            self.sighted_ns = min(self.sighted_ns, self._motion.since_ns)
+        return misfit
+
     def _step(self, pose: SE2) -> tuple[float, float, float]:
         """Return how the pose moved since the last observation (x, y, yaw)."""
         last, self._pose = self._pose or pose, pose
@@ -291,11 +309,13 @@ class _Repeats:
     Attributes:
         stride: rows and columns from one sampled pixel to the next.
         since_ns: loop time of the newest frame that showed what is there: the robot moved since.
+        repeats: whether the newest frame is one of the last few.
     """
 
     def __init__(self) -> None:
         self.stride = (1, 1)
         self.since_ns = 0
+        self.repeats = False
         self._sample = np.empty(0)
         # By checksum of the sample, of the last few: checksum of all, known once it came again.
         self._known: dict[int, int | None] = {}
@@ -321,7 +341,8 @@ class _Repeats:
         """
         crc, known = zlib.crc32(self._sample), self._known
         whole = zlib.crc32(np.ascontiguousarray(array)) if crc in known else None
-        if whole is None or known[crc] not in (None, whole):
+        self.repeats = whole is not None and known[crc] in (None, whole)
+        if not self.repeats:
             known.pop(crc, None)
             known[crc], self.since_ns = whole, now_ns
             self._way[:], self._longest_m, self._driven_m = 0.0, 0.0, 0.0
