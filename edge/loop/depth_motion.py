@@ -10,13 +10,13 @@ import numpy as np
 
 from edge.geometry import CameraModel
 
-MISFIT = 0.3
+MISFIT = 0.45
 """Of the points that tell, this share in the wrong place is too much: usually it is below 0.1."""
 RETRY_NS, MOST_RETRY_NS = 10_000_000_000, 80_000_000_000
 """A robot that stands cannot tell whether images and poses fit again: it tries, ever later."""
 _APART_M, _BASELINE_M, _FARTHEST_M = 0.05, 0.2, 0.6  # between views; 1 rad of turn counts as 1 m
 _VIEWS, _SCORES, _GOOD = 6, 4, 20
-_STRIPS, _FEW_STRIPS, _FEWEST = 5, 3, 12  # of the image; points of a strip that tell
+_STRIPS, _FEW_STRIPS, _FEWEST = 8, 4, 8  # of the image; points of a strip that tell
 _FLOOR_M = 0.12  # what is lower looks the same from everywhere
 _HASTE, _SLACK = 2.0, 0.02  # a pose that moves faster was corrected: views before it tell nothing
 
@@ -34,7 +34,7 @@ class DepthMotion:
 
     A point of that view is expected at another depth, by the motion of the pose. It tells something
     where that differs from what the same pixel showed before: most of a corridor's walls do not.
-    The image is cut into vertical strips, of which more than half have to be wrong, so that
+    The image is cut into vertical strips, of which three in four have to be wrong, so that
     somebody who walks in front of the camera is no contradiction.
 
     Args:
@@ -83,7 +83,7 @@ class DepthMotion:
         moved_m = [_moved_m(view.T_map_camera, T_map_camera) for view in self._views]
         if moved_m and moved_m[-1] < _APART_M:
             return self._mean()
-        for view, way_m in zip(reversed(self._views), reversed(moved_m), strict=True):
+        for view, way_m in zip(self._views, moved_m, strict=True):
             if _BASELINE_M <= way_m <= _FARTHEST_M:
                 score = _score(view, depth_m, stride, camera, T_map_camera)
                 if not math.isnan(score):
@@ -155,8 +155,8 @@ def _score(
     camera: CameraModel,
     T_map_camera: np.ndarray,
 ) -> float:
-    """Return the median over the strips of the share of a view's points that are not where they
-    should be; NaN if too few strips have points that tell."""
+    """Return the lower quartile over the strips of the share of a view's points that are not where
+    they should be; NaN if too few strips have points that tell."""
     height, width = depth_m.shape
     points = (view.points_m - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
     points = points[points[:, 2] > 0.1]
@@ -170,11 +170,11 @@ def _score(
     before = view.sample_m[
         np.minimum(v // stride[0], rows - 1), np.minimum(u // stride[1], columns - 1)
     ]
-    change = np.abs(expected - before)
-    tells = (seen > 0.0) & (before > 0.0) & (change > 0.06 + 0.02 * expected)
-    wrong = tells & (np.abs(seen - expected) > 0.5 * change + 0.03 + 0.02 * expected)
+    change, noise = np.abs(expected - before), 0.03 + 0.02 * expected
+    tells = (seen > 0.0) & (before > 0.0) & (change > 2.0 * noise)
+    wrong = tells & (np.abs(seen - expected) > 0.5 * change + noise)
     strip = u * _STRIPS // width
     number = np.bincount(strip[tells], minlength=_STRIPS)
     share = np.bincount(strip[wrong], minlength=_STRIPS) / np.maximum(number, 1)
     share = np.sort(share[number >= _FEWEST])
-    return math.nan if len(share) < _FEW_STRIPS else float(share[(len(share) - 1) // 2])
+    return math.nan if len(share) < _FEW_STRIPS else float(share[(len(share) - 1) // 4])
