@@ -14,8 +14,8 @@ MISFIT = 0.45
 """Of the points that tell, this share in the wrong place is too much: usually it is below 0.1."""
 RETRY_NS, MOST_RETRY_NS = 10_000_000_000, 80_000_000_000
 """A robot that stands cannot tell whether images and poses fit again: it tries, ever later."""
-_APART_M, _BASELINE_M, _FARTHEST_M = 0.05, 0.2, 0.6  # between views; 1 rad of turn counts as 1 m
-_VIEWS, _SCORES, _GOOD = 6, 4, 20
+_APART_M, _BASELINE_M, _FARTHEST_M = 0.08, 0.2, 0.6  # between views; 1 rad of turn counts as 1 m
+_VIEWS, _SCORES, _GOOD = 4, 3, 12
 _STRIPS, _FEW_STRIPS, _FEWEST = 8, 4, 8  # of the image; points of a strip that tell
 _FLOOR_M = 0.12  # what is lower looks the same from everywhere
 _HASTE, _SLACK = 2.0, 0.02  # a pose that moves faster was corrected: views before it tell nothing
@@ -135,11 +135,10 @@ def _view(
     T_map_camera: np.ndarray,
     floor_m: float,
 ) -> _View:
-    """Take every other sampled pixel to points in `map`, without the floor's."""
-    v, u = stride
-    z = sample_m[::2, ::2]
-    row = (v // 2 + 2 * v * np.arange(z.shape[0]) - camera.cy_px) / camera.fy_px
-    column = (u // 2 + 2 * u * np.arange(z.shape[1]) - camera.cx_px) / camera.fx_px
+    """Take the sampled pixels to points in `map`, without the floor's."""
+    (v, u), z = stride, sample_m
+    row = (v // 2 + v * np.arange(z.shape[0]) - camera.cy_px) / camera.fy_px
+    column = (u // 2 + u * np.arange(z.shape[1]) - camera.cx_px) / camera.fx_px
     at = np.nonzero(z > 0.0)
     z = z[at].astype(np.float64)
     points_m = np.column_stack((column[at[1]] * z, row[at[0]] * z, z))

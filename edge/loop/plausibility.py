@@ -35,8 +35,9 @@ TELL_AGAIN_NS = 30_000_000_000
 DRIVEN_M = 0.1
 """A frame that stays the same to the bit over this way is frozen; 1 rad of turn counts as 1 m."""
 _MOVES_M = 0.02  # a robot that stands may see the same again
+_SLOW_NS = 100_000_000  # what changes slowly is measured so often
 _BUFFERS = 4  # frames that a hanging driver may send in turn
-_SAMPLES = 48  # rows and columns of an image that are looked at
+_SAMPLES = 32  # rows and columns of an image that are looked at
 _FEWEST, _NEAR_SHARE = 50, 0.05  # pixels with a value, and the share of them that may be noise
 # The floor lies at most so far below the base, and is seen by rays at least so steep.
 _BELOW_BASE_M, _STEEP, _MARGIN = 1.0, 0.25, 1.3
@@ -189,6 +190,9 @@ class Plausibility:
         self._found: list[FailedCheck | None] = [None] * len(self.checks)
         self._told_ns: dict[str, int] = {}
         self._pose: SE2 | None = None
+        self._slow_ns = -_SLOW_NS
+        self._scale = math.nan
+        self._levels = math.nan, math.nan
         self._depth, self._rgb, self._cloud = _Repeats(), _Repeats(), _Repeats()
         self._floor = _FloorLimit()
         self._motion = DepthMotion(config.robot.max_speed_mps, config.robot.max_turn_radps)
@@ -250,6 +254,8 @@ class Plausibility:
         facts = self.facts
         facts.clear()
         step = self._step(seen.pose)
+        slow = not 0 <= now_ns - self._slow_ns < _SLOW_NS
+        self._slow_ns = now_ns if slow else self._slow_ns
         self.sighted_ns = now_ns - seen.lag_ns
         facts.late_s = seen.lag_ns * 1e-9
         if seen.depth_m is not None and seen.camera is not None:
@@ -258,14 +264,19 @@ class Plausibility:
             facts.depth_valid = float(np.count_nonzero(valid) / sample.size)
             if facts.depth_valid > 0.0:
                 facts.depth_driven_m = self._repeated(self._depth, seen.depth_m, step, now_ns)
-            facts.depth_scale = self._floor.scale(sample, valid, self._depth.stride, seen)
+            if slow:
+                self._scale = self._floor.scale(sample, valid, self._depth.stride, seen)
+            facts.depth_scale = self._scale
             facts.depth_misfit = self._misfit(seen, sample, now_ns)
         if seen.rgb is not None:
             sample = self._rgb.sample(seen.rgb)
-            facts.rgb_levels = float(sample.max()) - float(sample.min())
+            if slow:
+                low, high = float(sample.min()), float(sample.max())
+                # Green is all of grey, and a third of the work.
+                self._levels = high - low, float(sample[..., 1].mean())
+            facts.rgb_levels, facts.rgb_level = self._levels
             if facts.rgb_levels > 0.0:
                 facts.rgb_driven_m = self._repeated(self._rgb, seen.rgb, step, now_ns)
-            facts.rgb_level = float(sample[..., 1].mean())  # green is all of grey, and small
         if seen.rgb is not None or seen.depth_m is not None:
             facts.axis_z = float(seen.T_base_camera[2, 2])
         if seen.cloud_m is not None:

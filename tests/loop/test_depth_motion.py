@@ -17,7 +17,7 @@ SECOND_NS = 1_000_000_000
 TICK_NS = SECOND_NS // 10
 Drive = Callable[[float], SE2]
 CAMERA = {"width_px": 160, "height_px": 128}
-STRIDE = 3
+STRIDE = 5
 
 
 @pytest.fixture(scope="module")

@@ -247,7 +247,7 @@ def test_each_check_fails_by_its_own_fault(name, value, check, use):
 def test_frames_that_repeat_while_the_robot_moves_are_frozen(axis, buffers):
     judge, frames = Judge(), [room() for _ in range(buffers)]
     for i, frame in enumerate(frames):
-        frame["depth_m"][i] += np.float32(0.01)
+        frame["depth_m"] += np.float32(0.01 * i)
     found = []
     for i in range(30):
         pose = SE2(0.03 * i, 0, 0) if axis == "drive" else SE2(0, 0, 0.03 * i)
