@@ -168,7 +168,8 @@ def _mounted(T_base_sensor: np.ndarray, axis: np.ndarray) -> str:
     pitch_deg = np.degrees(np.arcsin(np.clip(-axis[2], -1.0, 1.0)))
     yaw_deg = np.degrees(np.arctan2(axis[1], axis[0]))
     where = f"at ({x:.2f}, {y:.2f}, {z:.2f}) m on the base"
-    return f"{where}, looks {yaw_deg:+.0f}° to the left and {pitch_deg:+.0f}° down"
+    side, height = "left" if yaw_deg >= 0 else "right", "down" if pitch_deg >= 0 else "up"
+    return f"{where}, looks {abs(yaw_deg):.0f}° to the {side} and {abs(pitch_deg):.0f}° {height}"
 
 
 def _floor_heights(seen: Observation) -> np.ndarray:

@@ -125,7 +125,7 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
                   "stand", highest=DRIVEN_M, leaves=leaves["cloud"]),
         DataCheck("rgb_covered", lambda f: f.rgb_levels,
                   "camera/rgb: the image has one colour ({value:.0f} levels)", uncover,
-                  "stand", lowest=6.0, leaves="map"),
+                  "stand", lowest=3.0, leaves="map"),
         DataCheck("rgb_dark", lambda f: f.rgb_level,
                   "camera/rgb: the image is dark (level {value:.0f} of 255)",
                   "uncover the camera, or switch the light on",

@@ -224,7 +224,7 @@ DOWN = np.array([[0, -1.0, 0, 0.1], [-1, 0, 0, 0], [0, 0, -1, 0.4], [0, 0, 0, 1]
         ("depth_m", lambda d: d * 3, None, ""),  # a floor 0.8 m below the base may be one
         ("depth_m", lambda d: d * 0.3, None, ""),
         ("rgb", lambda a: a * 0, "rgb_covered", "map"),
-        ("rgb", lambda a: a * 0 + 200 + a % 3, "rgb_covered", "map"),
+        ("rgb", lambda a: a * 0 + 200 + a % 2, "rgb_covered", "map"),
         ("rgb", lambda a: a // 16, "rgb_dark", "map"),
         ("T_base_camera", lambda T: BODY, "camera_axis", ""),
         ("T_base_camera", lambda T: DOWN, "camera_axis", ""),
