@@ -217,6 +217,7 @@ FIRES = {
     "EdgeRestarts": {'process_start_time_seconds{job="edge"}': ("0+7x200", "5x200")},
     "EdgeLoopHangs": {"edge_loop_beat_age_seconds": ("0+15x200", "0x200"), **RUNS},
     "EdgeBlind": {"edge_observation_age_seconds": ("Inf " * 200, "0.03x200"), **RUNS},
+    "EdgeDataWrong": {'edge_check_failed{check="depth_frozen"}': ("1x200", "0x200")},
     "EdgeNotReady": {"edge_service_ready": ("0x200", "1x200"), **RUNS},
     "EdgeLoopDegraded": {"edge_loop_degraded": ("1x200", "0x200")},
     "EdgeFaults": {"edge_faults_total": ("0x150 1x50", "3x200")},

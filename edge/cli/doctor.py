@@ -18,6 +18,7 @@ from importlib import metadata, util
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from edge.cli.live_checks import listen
 from edge.cli.machine_checks import (
     Check,
     Finding,
@@ -49,12 +50,16 @@ SERVER_S = 2.0
 def run(args: argparse.Namespace) -> int:
     """Handle `edge doctor`; 1 when something that the configuration needs is missing.
 
+    With `--live` it is 1 when anything needs doing.
+
     Raises:
         ConfigError: the configuration cannot be read.
     """
-    findings = examine(load(args.config))
+    config = load(args.config)
+    findings = listen(config, args.seconds) if args.live else examine(config)
     print(as_json(findings) if args.json else as_text(findings))
-    return 1 if any(finding.level == "fail" for finding in findings) else 0
+    bad = ("warn", "fail") if args.live else ("fail",)
+    return 1 if any(finding.level in bad for finding in findings) else 0
 
 
 def examine(config: Config) -> list[Finding]:

@@ -325,6 +325,14 @@ def _doctor(commands) -> None:  # type: ignore[no-untyped-def]
         "config", nargs="?", default="demo", help="the configuration to run (default: demo)"
     )
     doctor.add_argument("--json", action="store_true", help="print findings as JSON")
+    doctor.add_argument(
+        "--live", action="store_true",
+        help="listen to the robot's sensors, and say what is wrong with their data",
+    )  # fmt: skip
+    doctor.add_argument(
+        "--seconds", type=positive, default=10.0, metavar="N",
+        help="listen for so long (default: %(default)g)",
+    )  # fmt: skip
     doctor.set_defaults(handler=lazy("edge.cli.doctor", "run"))
 
 

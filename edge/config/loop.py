@@ -116,10 +116,14 @@ class Source(Section):
 class Loop(Section):
     """`priority` is the loop's among real-time threads (SCHED_FIFO; 0 = an ordinary thread).
 
+    `blind_s`: after so long without an observation that shows the surroundings, or three frames if
+    these come less often, the robot stands (docs/robot.md, "When the data is wrong").
+
     `lockstep` waits for nothing in real time: every observation is one tick and the
     detector runs inside it every `detect_every` ticks, so a run replays the same."""
 
     hz: Positive = 30.0
+    blind_s: Positive = 0.8
     priority: Annotated[int, Field(ge=0, le=99)] = 0
     lockstep: bool = False
     detect_every: Annotated[int, Field(ge=1)] = 1

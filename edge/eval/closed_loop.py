@@ -121,6 +121,8 @@ class ClosedLoop:
         before, observation = len(self.notes.goals), self.observe()
         self.service.latency.begin_tick(perf_counter_ns())
         self.service.tick(observation, now_ns)
+        if self.service.refused:
+            self.service.idle(now_ns, motion.odometry, observation)
         self.service.latency.end_tick(perf_counter_ns())
         if now_ns >= self._map_due_ns:
             self._map_due_ns = now_ns + self._map_period_ns
@@ -169,9 +171,11 @@ def wants_colour(config: Config) -> bool:
 
 
 def blank_observation(seq: int, stamp_ns: int, pose: SE2, loop: ClosedLoop) -> Observation:
-    """A frame in which nothing returned."""
-    depth = np.full(loop.rig.depth_m.shape, np.nan, np.float32)
+    """Return a frame of a working camera of which the map takes nothing: all is too near."""
+    depth = np.full(loop.rig.depth_m.shape, 0.01, np.float32)
+    rgb = np.zeros((*depth.shape, 3), np.uint8)
+    rgb[len(rgb) // 2 :] = 255
     return Observation(
-        seq, stamp_ns, pose.matrix(), rgb=np.zeros_like(loop.rig.rgb), depth_m=depth,
+        seq, stamp_ns, pose.matrix(), rgb=None if loop.rig.rgb is None else rgb, depth_m=depth,
         camera=loop.rig.model, T_base_camera=loop.rig.T_base_camera,
     )  # fmt: skip

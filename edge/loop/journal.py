@@ -14,6 +14,9 @@ DETECTOR = "detector"
 TASK = "task"
 ELSEWHERE = "elsewhere"
 """As a decision: why `map` is not the frame of before a restart, "" where it is."""
+USE, SIGHTED = "use", "sighted"
+"""As decisions: what an observation is good for (`edge.loop.plausibility.Use`), and the loop time
+until which a refused one shows the surroundings."""
 _KEPT = 4096  # of what came between two results, the newest
 
 
@@ -61,10 +64,15 @@ class Journal:
         self.pending.append(Input(self._n, kind, fields))
         self._n += 1
 
-    def decided(self, what: str, decide: Callable[[], str]) -> str:
-        """What only the run itself can know, by its computer and its clocks; noted."""
+    def decided(self, what: str, decide: Callable[[], str], usual: str | None = None) -> str:
+        """What only the run itself can know, by its computer and its clocks; noted.
+
+        Args:
+            usual: the answer that is not noted, and that a replay takes if none was.
+        """
         said = decide()
-        self.note("decided", what=what, said=said)
+        if said != usual:
+            self.note("decided", what=what, said=said)
         return said
 
     def beside(self, name: str, worker: Any) -> Any:

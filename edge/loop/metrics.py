@@ -48,6 +48,7 @@ class Look:
         self.running, self.service, self.sinks = running, service, statuses(sinks)
         self.mission, self.goal = service.mission, service.goal
         self.source, self.inputs = dict(running.source.counters), service.inputs()
+        self.failed = {found.name for found in service.plausibility.failed}
         self.rows = service.latency.report(last=1)
         self.histograms = service.latency.histograms()
         self.detector, self.images = running.worker.detector, running.worker.stats
@@ -165,6 +166,12 @@ SERVICE: tuple[Metric[Look], ...] = (
     Metric("edge_input_lacking", "gauge",
            "Whether an input that is needed is missing, silent, or dropped whenever it comes.",
            lambda s: {row.name: row.lacks for row in s.inputs}, ("input",)),
+    Metric("edge_check_failed", "gauge", "Whether a check of the sensors' data fails now.",
+           lambda s: {row.name: row.name in s.failed for row in s.service.plausibility.checks},
+           ("check",)),
+    Metric("edge_observations_refused_total", "counter",
+           "Observations that were not driven by, by the check that failed.",
+           lambda s: dict(s.service.plausibility.refused), ("check",)),
     Metric("edge_overruns_total", "counter",
            "Looks that found more than there was room for, by what is listened to.",
            lambda s: s.service.overruns(), ("ring",)),

@@ -209,7 +209,10 @@ def _tick(running: Running, observation: Observation, now_ns: int) -> None:
         _idle(running, now_ns, observation)
     else:
         service.faults.passed(TICK, now_ns)
-        service.faults.passed(IDLE, now_ns)  # of which a whole tick does all
+        if service.refused:
+            _idle(running, now_ns, observation)
+        else:
+            service.faults.passed(IDLE, now_ns)  # of which a whole tick does all
         service.latency.end_tick(perf_counter_ns())
     finally:
         observation.release()

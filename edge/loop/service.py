@@ -21,10 +21,11 @@ from edge.loop import stages
 from edge.loop.faults import Faults
 from edge.loop.goal import GoalTracker
 from edge.loop.governor import Governor
-from edge.loop.journal import DETECTOR, ELSEWHERE, Journal
+from edge.loop.journal import DETECTOR, ELSEWHERE, SIGHTED, USE, Journal
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
 from edge.loop.places import Now, Parts, restore
+from edge.loop.plausibility import Plausibility
 from edge.loop.publish import Publisher
 from edge.loop.result import Event, Sink, TickResult
 from edge.loop.scorers import Scorers
@@ -42,10 +43,11 @@ from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Ob
 
 log = logging.getLogger("edge.loop.service")
 
-INGEST, DETECT, MAP, LIFT, CANDIDATES, SCORE, PLAN, SELECT, PUBLISH = range(len(stages.STAGES))
+INGEST, CHECK, DETECT, MAP, LIFT, CANDIDATES, SCORE, PLAN, SELECT, PUBLISH = range(
+    len(stages.STAGES)
+)
 NOTHING_CHANGED = (0, 0, 0, 0)
 _PAST = 32
-BLIND_S = 1.0  # no one drives on for longer, or three frames where they come less often
 
 
 class Service:
@@ -71,7 +73,9 @@ class Service:
         past: what became of those before it that had a name, JSON-ready, oldest first.
         goals: what the robot is sent to, and what becomes of it.
         pose: the newest in `map`; None before there was any.
-        stamp_ns: of the newest observation, on the sensors' clock.
+        stamp_ns: of the newest observation that was not refused, on the sensors' clock.
+        plausibility: judges observations, and says which checks fail.
+        refused: whether the newest observation shows nothing to drive by.
         swapper: puts another model in the place of the worker's.
         governor: gives up what is dear when the computer cannot keep up, where a ladder says what;
             not in lockstep, where runs replay the same.
@@ -119,9 +123,11 @@ class Service:
         self.governor: Governor | None = None
         if config.perception.governor.ladder and not config.loop.lockstep:
             self.governor = Governor(config.perception, worker, self.swapper, scorers, self.event)
+        self.blind_s = max(config.loop.blind_s, 3.0 / config.observed_hz)
+        self.plausibility = Plausibility(config, self.blind_s, self.event)
         self._health = HealthWatch(
             worker, self.swapper, scorers, keeper, self.faults, overruns, self._governed,
-            self.event, sinks, inputs,
+            self.event, sinks, inputs, self.plausibility.status,
         )  # fmt: skip
         self._publisher = Publisher(
             sinks, self.map, self.goals, scorers, journal, self.latency, self._health.status
@@ -133,8 +139,8 @@ class Service:
         self.pose: SE2 | None = None
         self._looked_ns = 0  # when the last observation was dealt with
         self._images = 0  # that were looked for things in, as of this tick
-        self.blind_s = max(BLIND_S, 3.0 / config.observed_hz)
         self._newest_seq = self._void_seq = -1
+        self.refused = False
         self.past: deque[dict[str, str]] = deque(maxlen=_PAST)
         if keeper is not None:
             keeper.resume(self.mission)
@@ -160,13 +166,26 @@ class Service:
         Returns:
             The goal now being driven to, or None.
 
-        A tick that raises is as good as none: no one has looked.
+        A tick that raises is as good as none: no one has looked. After one whose observation was
+        `refused` the caller calls `idle`.
         """
         self._journal.note("tick", now_ns=now_ns)
-        self.stage = DETECT
+        self.stage = CHECK
         pose = self.pose = observation.pose
-        self.stamp_ns = observation.stamp_ns
         self._newest_seq = observation.seq
+        judge = partial(self.plausibility.judge, observation, now_ns)
+        use = self._journal.decided(USE, judge, usual="")
+        self._lap(CHECK)
+        self.refused = use != ""
+        if self.refused:
+            sighted = self._journal.decided(SIGHTED, lambda: str(self.plausibility.sighted_ns))
+            self._looked_ns = min(self._looked_ns, int(sighted))
+            if use == "map":
+                self.stage = MAP
+                self._map(observation, now_ns)
+                self._lap(MAP)
+            return self.goals.goal
+        self.stamp_ns = observation.stamp_ns
         self._worker.submit(observation)
         # In lockstep the model runs inside `submit`; that time is `detect`'s, not the tick's.
         self.latency.resume(perf_counter_ns())
@@ -465,7 +484,7 @@ class Service:
 
         Args:
             pose: from the newest odometry; None before there was any.
-            dropped: the observation that a stage failed on, if one came. It is dealt with, which
+            dropped: the observation that was refused, or a stage failed on. It is dealt with, which
                 a simulator in lockstep waits to hear.
         """
         blind = self.pose is not None and now_ns - self._looked_ns > 1e9 * self.blind_s
@@ -484,7 +503,8 @@ class Service:
     def _stand(self, pose: SE2, now_ns: int) -> None:
         if self.goals.client.driving:
             if not (self.mission.done or self.mission.paused):
-                self.event("nothing to be seen: standing still", now_ns)
+                why = self.plausibility.why("stand")
+                self.event(f"nothing to be seen: {why and f'{why}: '}standing still", now_ns)
             self.goals.stand(self.mission, pose, now_ns)
         self.goals.drop()
 

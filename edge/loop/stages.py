@@ -45,6 +45,7 @@ class Stage:
 
 STAGES: tuple[Stage, ...] = (
     Stage("ingest", 1.0, "source", "Observation", "edge/sources"),
+    Stage("check", 0.2, "Observation", "what it is good for", "edge/loop/plausibility.py"),
     Stage(
         "detect",
         33.0,

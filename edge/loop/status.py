@@ -78,6 +78,7 @@ class HealthWatch:
         event: tells of something that a person would want to know.
         sinks: see `edge.loop.publish.statuses`.
         inputs: the source's table, empty where it has none.
+        plausibility: see `edge.loop.plausibility.Plausibility.status`.
     """
 
     def __init__(
@@ -92,11 +93,12 @@ class HealthWatch:
         event: Callable[[str, int], None],
         sinks: Sequence[Sink] = (),
         inputs: Callable[[], Sequence[InputRow]] = tuple,
+        plausibility: Callable[[], dict[str, object]] = dict,
     ) -> None:
         self._worker, self._swapper, self._scorers = worker, swapper, scorers
         self._keeper, self._faults, self._overruns = keeper, faults, overruns
         self._governor, self._event = governor, event
-        self._sinks, self._inputs = sinks, inputs
+        self._sinks, self._inputs, self._plausibility = sinks, inputs, plausibility
         self._degraded = False  # the detector is known to be, and that was told
 
     def look(self, now_ns: int) -> None:
@@ -128,6 +130,7 @@ class HealthWatch:
             "scorers": {} if self._scorers is None else self._scorers.status(),
             "sinks": statuses(self._sinks),
             "inputs": inputs_status(self._inputs()),
+            "plausibility": self._plausibility(),
         }
 
 

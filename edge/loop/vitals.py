@@ -173,7 +173,10 @@ def _amiss(running: Running, unseen_s: float, at_one_image_s: float) -> Iterator
     service = running.service
     if unseen_s > service.blind_s:
         why = service.faults.attempt("inputs", running.now_ns, lambda: lacking(service.inputs()))
+        why = "; ".join(filter(None, (why, service.plausibility.why("stand"))))
         yield f"{_UNSEEN}: {why}" if why else _UNSEEN
+    if doubt := service.plausibility.why("degrade"):
+        yield doubt
     if service.faults.state != "ok":
         yield f"the loop is {service.faults.state}: {service.faults.last_error}"
     detector = detector_health(running.worker)

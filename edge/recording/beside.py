@@ -145,9 +145,10 @@ class Replayed(Journal):
             "task": lambda said, asked: journal.draft_of(said),
         }
 
-    def decided(self, what: str, decide: Callable[[], str]) -> str:
-        """As it was then; where other settings ask for it when it was not asked, anew."""
-        said = self._now.decided.get(what)
+    def decided(self, what: str, decide: Callable[[], str], usual: str | None = None) -> str:
+        """Return the recorded decision. If none was recorded it was the usual one; a run with other
+        settings may ask for another, which is decided now."""
+        said = self._now.decided.get(what, usual)
         return decide() if said is None else said
 
     def beside(self, name: str, worker: Any) -> Any:

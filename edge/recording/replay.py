@@ -120,7 +120,7 @@ class _Run:
         self.config = self._recorded(session.config()) if config is None else _alone(config)
         self._now, self.sink = Now(), Said()
         self._journal: Replayed | None = None
-        self._failed: Observation | None = None  # what a tick failed on
+        self._failed: Observation | None = None  # what a tick failed on, or refused
         self.service: Service | None = None
         self._worker: DetectorWorker | None = None
 
@@ -248,6 +248,7 @@ class _Run:
             service.latency.abandon_tick(service.stage)
             service.faults.caught(TICK, error, now_ns, where=STAGES[service.stage].name)
         else:
+            self._failed = observation if service.refused else None
             service.latency.end_tick(perf_counter_ns())
 
     def _idle(self, observation: Observation | None, now_ns: int, pose: Any) -> None:

@@ -153,6 +153,7 @@ class OdometryRing:
         self._max_turn_radps = max_turn_radps
         self._poses = StampedPoses(capacity, apart_ns)
         self._guard = StampGuard()
+        self._heard: np.ndarray | None = None  # the newest pose to arrive, whatever its stamp
 
     def __len__(self) -> int:
         return len(self._poses)
@@ -163,7 +164,12 @@ class OdometryRing:
 
     @property
     def newest_pose(self) -> SE2 | None:
-        return se2_of(self._poses.pose(0)) if len(self) else None
+        """Return the pose that arrived last.
+
+        A pose that is left out for its stamp still says where the robot is now: a robot that is
+        told to stand at an older one would drive back there.
+        """
+        return None if self._heard is None else se2_of(self._heard)
 
     def push(self, stamp_ns: int, T_map_base: np.ndarray, age_ns: int = 0) -> str:
         """Take a pose; `age_ns` is how old the transforms were that took it into `map`.
@@ -172,6 +178,7 @@ class OdometryRing:
             "", or what was odd: `repeated` and `backward` poses are left out; `clock_reset` goes
             on with another clock, `pose_jump` begins a new epoch.
         """
+        self._heard = T_map_base
         last_ns = self._guard.newest_ns
         verdict: str = self._guard.judge(stamp_ns)
         if verdict in ("repeated", "backward"):

@@ -413,6 +413,7 @@ class TimeSynchronizer:
             pose_age_ns=max(joined.pose_age_ns, joined.tf_age_ns),
             **joined.mounts,
             distortion=self._lens.distortion,
+            lag_ns=max(self.odometry.newest_ns - leader.stamp_ns, 0),
             **fields,
         )
 

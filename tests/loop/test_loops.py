@@ -163,6 +163,7 @@ def broken(*_, **__) -> None:
 
 BREAKS: dict[str, Callable[[Running], tuple[object, str]]] = {
     "ingest": lambda run: (run.service, "forget_places"),
+    "check": lambda run: (run.service.plausibility, "judge"),
     "detect": lambda run: (run.service._worker, "submit"),
     "map": lambda run: (run.service, "_map"),
     "lift": lambda run: (run.service.map._lifter, "lift"),

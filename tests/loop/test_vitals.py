@@ -7,7 +7,10 @@ import logging
 import socket
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from simulated import simulated
 from test_loops import blanks, running_of
@@ -32,7 +35,8 @@ class Watched:
         environ = {"NOTIFY_SOCKET": name, "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
         self.vitals = Vitals(ServiceManager(environ), lambda: self.now_s)
         self._listening = listening
-        self.closed = ClosedLoop(simulated({"mission": {"target": "bed"}}), colour=False)
+        config = simulated({"mission": {"target": "bed"}, "loop": {"blind_s": 1.0}})
+        self.closed = ClosedLoop(config, colour=False)
         self.running: Running = running_of(self.closed, [])
 
     def beat(self, after_s: float = 0.0) -> list[str]:
@@ -113,6 +117,32 @@ def test_it_says_which_input_is_missing_and_logs_that_once(watched, caplog):
     watched.see()
     watched.beat(1.0)
     assert watched.page("/readyz")[0] == 200
+
+
+def test_refused_observations_are_as_good_as_none_and_ready_says_why(watched):
+    watched.vitals.ready()
+    service, (seen,) = watched.running.service, blanks(watched.closed, 1)
+    dead = replace(seen, depth_m=np.zeros_like(seen.depth_m))
+    why = "nothing to be seen: camera/depth: only 0.0% of the pixels have a value: uncover the "
+    for i in range(3):
+        service.tick(replace(dead, stamp_ns=seen.stamp_ns + i), seen.stamp_ns + i)
+        watched.beat(1.0)
+        status, said = watched.page("/readyz")
+        assert (status, said["why"][0][: len(why)]) == (503, why)
+    service.tick(replace(seen, stamp_ns=seen.stamp_ns + 9), seen.stamp_ns + 9)
+    watched.beat(1.0)
+    assert watched.page("/readyz")[0] == 200
+
+
+def test_data_that_is_doubted_is_not_ready(watched):
+    watched.vitals.ready()
+    watched.see()
+    watched.beat(1.0)
+    assert watched.page("/readyz")[0] == 200
+    service = watched.running.service
+    service.plausibility = SimpleNamespace(why={"degrade": "floor: not there", "stand": ""}.get)
+    watched.beat(1.0)
+    assert watched.page("/readyz")[1]["why"] == ["floor: not there"]
 
 
 def test_a_source_that_cannot_tell_of_its_inputs_does_not_end_the_loop(watched):

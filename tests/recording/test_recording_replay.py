@@ -9,6 +9,7 @@ import shutil
 import sys
 import threading
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -127,6 +128,18 @@ def test_all_that_can_come_into_the_loop(tmp_path):
         "jump",
     }
     same(files_of(tmp_path)[0], 30)
+
+
+@pytest.mark.parametrize("field", ["rgb", "depth_m"])
+def test_observations_that_were_refused_are_refused_again(tmp_path, field):
+    """By what the run decided: not every picture is recorded."""
+    recording = Recording(tmp_path).steps(5)
+    closed, see = recording.closed, recording.closed.observe
+    closed.observe = lambda: replace(o := see(), **{field: np.zeros_like(getattr(o, field))})
+    recording.steps(15)
+    assert recording.service.goal is None
+    closed.observe = see
+    same(recording.steps(5).close(), 25)
 
 
 URL = "http://127.0.0.1:9/v1"

@@ -16,6 +16,7 @@ from edge.errors import UnavailableError
 from edge.host.pages import serve
 from edge.host.ports import free_port
 from edge.loop.latency import LatencyRing, Span
+from edge.loop.service import MAP
 from edge.loop.stages import STAGES
 from edge.recording import commands
 from edge.recording.channels import STATUS
@@ -62,7 +63,7 @@ def test_nothing_is_an_empty_trace():
 
 def test_ticks_hold_their_stages():
     events = checked(trace_of(ticks(2)))
-    assert [e["name"] for e in events[:3]] == ["tick", "ingest", "map"]
+    assert [e["name"] for e in events[:3]] == ["tick", "ingest", "check"]
     assert events[0]["ts"] == 0.0
     assert events[len(events) // 2]["ts"] == 1000.0
     assert {e["cat"] for e in events} == {"tick"}
@@ -121,7 +122,7 @@ def test_a_running_service_is_asked(tmp_path, token):
             commands.trace(args)
         ring = LatencyRing()
         ring.begin_tick(5)
-        ring.mark(2, 1005)
+        ring.mark(MAP, 1005)
         ring.end_tick(2005)
         page.spans = ring.spans
         assert commands.trace(args) == 0

@@ -86,6 +86,12 @@ def test_repeated_and_backward_stamps_are_named_and_left_out():
     assert se2_of(poses.pose_at(15)[0]).x_m == pytest.approx(0.1)
 
 
+def test_a_pose_that_is_left_out_for_its_stamp_still_says_where_the_robot_is():
+    assert ring().newest_pose is None
+    backward = ring((1000, 1.0), (900, 1.2), (800, 1.4))
+    assert (backward.newest_ns, backward.newest_pose) == (1000, SE2(1.4, 0.0, 0.0))
+
+
 def test_a_jump_starts_a_new_epoch_and_nothing_is_interpolated_over_it():
     poses = ring((10, 0.0), (20, 0.9))
     assert poses.push(30, SE2(2.0, 0.0, 0.0).matrix()) == "pose_jump"

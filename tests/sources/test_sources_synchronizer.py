@@ -125,6 +125,14 @@ def test_the_unit_of_depth_is_a_setting():
     np.testing.assert_allclose(robot.frame(1000).poll().depth_m, 1500 * 0.0002)
 
 
+@pytest.mark.parametrize(("newest_ns", "lag_ns"), [(1500, 0), (2000, 500), (9000, 7500)])
+def test_a_frame_says_how_much_newer_the_newest_pose_is(newest_ns, lag_ns):
+    robot = Robot().info().odom(1000).odom(newest_ns, 0.1).frame(1500)
+    assert robot.poll().lag_ns == lag_ns
+    behind = Robot().info().odom(1000).frame(1500).wait()
+    assert behind.poll().lag_ns == 0
+
+
 def test_odometry_at_the_stamp_is_waited_for():
     robot = Robot().info().odom(1000, 0.0).frame(1500)
     assert robot.poll() is None

@@ -130,8 +130,9 @@ const ms = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2));
 
 export const health = once(({ service, health: h, controlled }) => {
   const rows = [["service", service.ready ? `${service.state}, ready` : `${service.state}: ${service.why.join("; ")}`, service.ready ? "ok" : "warn"]];
-  const { detector, loop, checkpoint, swap, governor, scorers, inputs } = h;
+  const { detector, loop, checkpoint, swap, governor, scorers, inputs, plausibility } = h;
   for (const [name, input] of Object.entries(inputs?.topics ?? {})) rows.push([name, ...inputOf(input)]);
+  for (const [name, message] of Object.entries(plausibility?.failed ?? {})) rows.push([name, message, "warn"]);
   rows.push(["detector", `${detector.model}: ${detector.state}${detector.detail ? `, ${detector.detail}` : ""}`, level(detector.state)]);
   rows.push(["images", `${detector.done} searched, ${detector.failed} failed, ${detector.replaced} passed over`]);
   rows.push(["loop", `${loop.state}, ${loop.failed} faults${loop.last_error ? `: ${loop.last_error}` : ""}`, level(loop.state)]);

@@ -1,0 +1,190 @@
+"""What `edge doctor --live` finds: listens to the configured sensors, and judges what they send."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from edge.bus.session import BusError, NotTakenIn, zenoh_session
+from edge.cli.machine_checks import Finding, Level
+from edge.config import Config
+from edge.geometry import FARTHEST_M
+from edge.loop.plausibility import FailedCheck, Plausibility
+from edge.loop.source import InputRow, Source, lacking
+from edge.sources import find_source
+from edge.types import Observation
+
+_PATIENCE_S = 0.1
+_SLOW, _FAST = 0.7, 1.5  # of the configured rate
+_DROPPED = 0.05  # of the messages
+_OLD_S, _AHEAD_S = 0.5, 0.05
+_FLOOR_M = 0.1  # the lowest that is seen lies so near to the floor of the mount
+_LOWEST = 10  # percentile of heights; below it lie noise and stairs
+_STEEP = 0.25  # rays that fall so fast see the floor, if nothing stands on it
+_STRIDE = 8
+
+
+def listen(config: Config, seconds: float) -> list[Finding]:
+    """Listen to the sensors for so long; one finding for each thing that a user should know."""
+    over = threading.Event()
+    timer = threading.Timer(seconds, over.set)
+    timer.daemon = True
+    timer.start()
+    try:
+        with zenoh_session(config.zenoh, "listen", over) as session:
+            source = find_source(config)(config=config, session=session)
+            try:
+                heard = _Heard(config)
+                while not over.is_set():
+                    heard.take(source)
+                return [*heard.findings(getattr(source, "input_table", tuple)())]
+            finally:
+                source.close()
+    except NotTakenIn:
+        what = f"no Zenoh router answers at {config.zenoh.address}"
+        return [Finding("fail", what, "start it, or correct zenoh.endpoint")]
+    except BusError as error:
+        todo = "stop the service that runs there, or ask it: `/readyz`, `edge/status`, its page"
+        return [Finding("fail", str(error), todo)]
+    finally:
+        timer.cancel()
+
+
+class _Heard:
+    """What came of the sensors, gathered from observation to observation."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        blind_s = max(config.loop.blind_s, 3.0 / config.observed_hz)
+        self._checks = Plausibility(config, blind_s, lambda text, now_ns, level: None)
+        self._failed: dict[str, FailedCheck] = {}
+        self._age_s: list[float] = []
+        self._lag_s: list[float] = []
+        self._valid: list[float] = []
+        self._lowest_m: list[float] = []
+        self._newest: Observation | None = None
+
+    def take(self, source: Source) -> None:
+        """Wait a moment for the next observation, and measure it."""
+        source.wait(_PATIENCE_S)
+        seen = source.poll()
+        if seen is None:
+            return
+        try:
+            self._checks.judge(seen, time.monotonic_ns())
+            for found in self._checks.failed:
+                self._failed.setdefault(found.name, found)
+            self._age_s.append((time.time_ns() - seen.stamp_ns) * 1e-9)
+            self._lag_s.append(seen.lag_ns * 1e-9)
+            self._valid.append(self._checks.facts.depth_valid)
+            if (heights_m := _floor_heights(seen)).size:
+                self._lowest_m.append(float(np.percentile(heights_m, _LOWEST)))
+            self._newest = seen
+        finally:
+            seen.release()
+
+    def findings(self, rows: Sequence[InputRow]) -> Iterator[Finding]:
+        """Yield a line for each input, then for stamps, mounts, depth, floor and failed checks."""
+        for row in rows:
+            yield from _input(row)
+        if self._newest is None:
+            why = lacking(rows) or "no frame has all that it needs"
+            yield Finding("fail", f"no observation: {why}", "see docs/robot.md, step 5")
+            return
+        yield from _stamps(float(np.median(self._age_s)), float(np.median(self._lag_s)))
+        yield from self._mounts(self._newest)
+        yield from self._floor()
+        for found in self._failed.values():
+            level: Level = "warn" if found.then == "warn" else "fail"
+            yield Finding(level, found.what, found.todo)
+
+    def _mounts(self, seen: Observation) -> Iterator[Finding]:
+        if seen.camera is not None:
+            camera, said = seen.camera, _mounted(seen.T_base_camera, seen.T_base_camera[:3, 2])
+            size = f"{camera.width_px}x{camera.height_px} px, {np.degrees(camera.hfov_rad):.0f}°"
+            yield Finding("ok", f"camera: {size} wide; {said}")
+        if seen.cloud_m is not None:
+            said = _mounted(seen.T_base_lidar, seen.T_base_lidar[:3, 0])
+            yield Finding("ok", f"lidar: {len(seen.cloud_m)} points; {said}")
+        if seen.depth_m is not None:
+            valid = np.nanmean(self._valid)
+            yield Finding("ok", f"depth: {valid:.0%} of the pixels have a value")
+
+    def _floor(self) -> Iterator[Finding]:
+        if not self._lowest_m:
+            yield Finding("ok", "floor: no sensor looks down at it from its mount")
+            return
+        lowest_m = float(np.median(self._lowest_m))
+        what = f"floor: seen {lowest_m:+.2f} m from where the mount says"
+        if abs(lowest_m) <= _FLOOR_M:
+            yield Finding("ok", what)
+        else:
+            todo = "correct height and pitch of the mount, the base frame or the depth's unit"
+            yield Finding("warn", what, f"{todo}; or let it look at open floor")
+
+
+def _input(row: InputRow) -> Iterator[Finding]:
+    """Yield how one input comes, and what it loses."""
+    if row.state == "unused":
+        return
+    if row.state == "missing":
+        level: Level = "fail" if row.needed else "ok"
+        todo = "start what sends it, or correct its key or name" if row.needed else ""
+        yield Finding(level, f"{row}: no message", todo)
+        return
+    rate = f"{row}: {row.hz:g} Hz" if row.expected_hz else f"{row}: {row.received} messages"
+    if row.lacks:
+        todo = "see the reason; docs/robot.md, step 5" if row.why else "it has stopped: restart it"
+        yield Finding("fail", f"{rate}, {row.state}{row.why and f': {row.why}'}", todo)
+        return
+    expected = row.expected_hz
+    if expected and not _SLOW * expected <= row.hz <= _FAST * expected:
+        todo = "set its rate under sensors, or make the driver keep it"
+        yield Finding("warn", f"{rate}, configured are {expected:g} Hz", todo)
+    else:
+        yield Finding("ok", rate)
+    for reason, n in row.dropped.items():
+        if reason != "superseded" and n > _DROPPED * row.received:
+            share = n / max(row.received, 1)
+            yield Finding("warn", f"{row}: {share:.0%} dropped: {reason}", "see the log above")
+
+
+def _stamps(age_s: float, lag_s: float) -> Iterator[Finding]:
+    what = f"stamps: frames are {age_s:.2f} s old when they are used"
+    if -_AHEAD_S <= age_s <= _OLD_S:
+        yield Finding("ok", what)
+    else:
+        todo = "synchronise the clocks (chrony), or speed up the driver or the link"
+        yield Finding("warn", what, todo)
+    yield Finding("ok", f"poses: the newest is {lag_s:.2f} s newer than the frame")
+
+
+def _mounted(T_base_sensor: np.ndarray, axis: np.ndarray) -> str:
+    """Describe where a sensor sits and looks."""
+    x, y, z = T_base_sensor[:3, 3]
+    pitch_deg = np.degrees(np.arcsin(np.clip(-axis[2], -1.0, 1.0)))
+    yaw_deg = np.degrees(np.arctan2(axis[1], axis[0]))
+    where = f"at ({x:.2f}, {y:.2f}, {z:.2f}) m on the base"
+    side, height = "left" if yaw_deg >= 0 else "right", "down" if pitch_deg >= 0 else "up"
+    return f"{where}, looks {abs(yaw_deg):.0f}° to the {side} and {abs(pitch_deg):.0f}° {height}"
+
+
+def _floor_heights(seen: Observation) -> np.ndarray:
+    """Return the heights above the base frame of what the sensors see steeply below them."""
+    if seen.depth_m is not None and seen.camera is not None:
+        camera, T = seen.camera, seen.T_base_camera
+        depth_m = seen.depth_m[::_STRIDE, ::_STRIDE]
+        row = (np.arange(0, seen.depth_m.shape[0], _STRIDE) - camera.cy_px) / camera.fy_px
+        column = (np.arange(0, seen.depth_m.shape[1], _STRIDE) - camera.cx_px) / camera.fx_px
+        down = -(T[2, 0] * column[None, :] + T[2, 1] * row[:, None] + T[2, 2])
+        judged = (depth_m > 0.0) & (depth_m < FARTHEST_M) & (down >= _STEEP)
+        return T[2, 3] - depth_m[judged] * down[judged]
+    if seen.cloud_m is None:
+        return np.empty(0)
+    T = seen.T_base_lidar
+    fall = seen.cloud_m @ T[2, :3].astype(np.float32)
+    steep = -fall >= _STEEP * np.linalg.norm(seen.cloud_m, axis=1)
+    return T[2, 3] + fall[steep & (fall < 0.0)]

@@ -1,0 +1,179 @@
+"""Whether what depth images show moves as the poses say."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.geometry import CameraModel
+
+MISFIT = 0.45
+"""Of the points that tell, this share in the wrong place is too much: usually it is below 0.1."""
+RETRY_NS, MOST_RETRY_NS = 10_000_000_000, 80_000_000_000
+"""A robot that stands cannot tell whether images and poses fit again: it tries, ever later."""
+_APART_M, _BASELINE_M, _FARTHEST_M = 0.08, 0.2, 0.6  # between views; 1 rad of turn counts as 1 m
+_VIEWS, _SCORES, _GOOD = 4, 3, 12
+_STRIPS, _FEW_STRIPS, _FEWEST = 8, 4, 8  # of the image; points of a strip that tell
+_FLOOR_M = 0.12  # what is lower looks the same from everywhere
+_HASTE, _SLACK = 2.0, 0.02  # a pose that moves faster was corrected: views before it tell nothing
+
+
+class _View(NamedTuple):
+    """One depth image: its camera's pose, points (n, 3) in `map`, and a sample of its depth."""
+
+    T_map_camera: np.ndarray
+    points_m: np.ndarray
+    sample_m: np.ndarray
+
+
+class DepthMotion:
+    """Compares each depth image with one from where the camera was a moment ago.
+
+    A point of that view is expected at another depth, by the motion of the pose. It tells something
+    where that differs from what the same pixel showed before: most of a corridor's walls do not.
+    The image is cut into vertical strips, of which three in four have to be wrong, so that
+    somebody who walks in front of the camera is no contradiction.
+
+    Args:
+        max_speed_mps, max_turn_radps: of the robot.
+
+    Attributes:
+        since_ns: loop time since which the images do not fit.
+    """
+
+    def __init__(self, max_speed_mps: float, max_turn_radps: float) -> None:
+        self.since_ns = 0
+        self._speed, self._turn = max_speed_mps, max_turn_radps
+        self._views: deque[_View] = deque(maxlen=_VIEWS)
+        self._scores: deque[tuple[int, float]] = deque(maxlen=_SCORES)
+        self._last: tuple[np.ndarray, int] | None = None
+        self._wrong: tuple[float, int] | None = None  # the misfit, and when to try again
+        self._retry_ns, self._good = RETRY_NS, 0
+
+    def misfit(
+        self,
+        depth_m: np.ndarray,
+        sample_m: np.ndarray,
+        stride: tuple[int, int],
+        camera: CameraModel,
+        T_map_camera: np.ndarray,
+        floor_m: float,
+        stamp_ns: int,
+        now_ns: int,
+        repeats: bool,
+    ) -> float:
+        """Return the share of points in the wrong place; NaN while nothing can be told.
+
+        Args:
+            sample_m: every stride-th row and column of the image.
+            floor_m: height of the base in `map`.
+            repeats: the image was seen before, so it tells nothing new.
+        """
+        if self._wrong is not None:
+            value, until_ns = self._wrong
+            if now_ns < until_ns:
+                return value
+            self._forget()
+        if self._corrected(T_map_camera, stamp_ns) or repeats:
+            self._forget()
+            return math.nan
+        moved_m = [_moved_m(view.T_map_camera, T_map_camera) for view in self._views]
+        if moved_m and moved_m[-1] < _APART_M:
+            return self._mean()
+        for view, way_m in zip(self._views, moved_m, strict=True):
+            if _BASELINE_M <= way_m <= _FARTHEST_M:
+                score = _score(view, depth_m, stride, camera, T_map_camera)
+                if not math.isnan(score):
+                    self._note(score, now_ns)
+                break
+        self._views.append(_view(sample_m, stride, camera, T_map_camera, floor_m))
+        return self._mean()
+
+    def _note(self, score: float, now_ns: int) -> None:
+        self._scores.append((now_ns, score))
+        mean = self._mean()
+        if mean > MISFIT:
+            self.since_ns = self._scores[0][0]
+            self._wrong, self._good = (mean, now_ns + self._retry_ns), 0
+            self._retry_ns = min(2 * self._retry_ns, MOST_RETRY_NS)
+        elif score <= MISFIT:
+            self._good += 1
+            if self._good >= _GOOD:
+                self._retry_ns = RETRY_NS
+
+    def _mean(self) -> float:
+        if len(self._scores) < _SCORES:
+            return math.nan
+        return sum(score for _, score in self._scores) / _SCORES
+
+    def _forget(self) -> None:
+        self._views.clear()
+        self._scores.clear()
+        self._wrong = None
+
+    def _corrected(self, T_map_camera: np.ndarray, stamp_ns: int) -> bool:
+        last, self._last = self._last, (T_map_camera, stamp_ns)
+        if last is None:
+            return False
+        most = _HASTE * abs(stamp_ns - last[1]) * 1e-9 * (self._speed + self._turn) + _SLACK
+        return _moved_m(last[0], T_map_camera) > most
+
+
+def _moved_m(T: np.ndarray, other: np.ndarray) -> float:
+    """Return how far a camera moved, 1 rad of turn counted as 1 m."""
+    cosine = 0.5 * (float(np.vdot(T[:3, :3], other[:3, :3])) - 1.0)
+    return math.dist(T[:3, 3], other[:3, 3]) + math.acos(min(max(cosine, -1.0), 1.0))
+
+
+def _view(
+    sample_m: np.ndarray,
+    stride: tuple[int, int],
+    camera: CameraModel,
+    T_map_camera: np.ndarray,
+    floor_m: float,
+) -> _View:
+    """Take the sampled pixels to points in `map`, without the floor's."""
+    (v, u), z = stride, sample_m
+    row = (v // 2 + v * np.arange(z.shape[0]) - camera.cy_px) / camera.fy_px
+    column = (u // 2 + u * np.arange(z.shape[1]) - camera.cx_px) / camera.fx_px
+    at = np.nonzero(z > 0.0)
+    z = z[at].astype(np.float64)
+    points_m = np.column_stack((column[at[1]] * z, row[at[0]] * z, z))
+    points_m = points_m @ T_map_camera[:3, :3].T + T_map_camera[:3, 3]
+    above = points_m[:, 2] - floor_m > _FLOOR_M
+    return _View(T_map_camera, points_m[above], sample_m.copy())
+
+
+def _score(
+    view: _View,
+    depth_m: np.ndarray,
+    stride: tuple[int, int],
+    camera: CameraModel,
+    T_map_camera: np.ndarray,
+) -> float:
+    """Return the lower quartile over the strips of the share of a view's points that are not where
+    they should be; NaN if too few strips have points that tell."""
+    height, width = depth_m.shape
+    points = (view.points_m - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
+    points = points[points[:, 2] > 0.1]
+    expected = points[:, 2]
+    u = np.rint(points[:, 0] / expected * camera.fx_px + camera.cx_px)
+    v = np.rint(points[:, 1] / expected * camera.fy_px + camera.cy_px)
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    expected, u, v = expected[inside], u[inside].astype(np.int64), v[inside].astype(np.int64)
+    seen = depth_m[v, u]
+    rows, columns = view.sample_m.shape
+    before = view.sample_m[
+        np.minimum(v // stride[0], rows - 1), np.minimum(u // stride[1], columns - 1)
+    ]
+    change, noise = np.abs(expected - before), 0.03 + 0.02 * expected
+    tells = (seen > 0.0) & (before > 0.0) & (change > 2.0 * noise)
+    wrong = tells & (np.abs(seen - expected) > 0.5 * change + noise)
+    strip = u * _STRIPS // width
+    number = np.bincount(strip[tells], minlength=_STRIPS)
+    share = np.bincount(strip[wrong], minlength=_STRIPS) / np.maximum(number, 1)
+    share = np.sort(share[number >= _FEWEST])
+    return math.nan if len(share) < _FEW_STRIPS else float(share[(len(share) - 1) // 4])

@@ -1,0 +1,414 @@
+"""The plausibility stage: judges each observation before it is mapped.
+
+`checks_of` is the table: what is measured, the limits, the line for the user and the consequence.
+A refused observation counts as none: the robot stands after `loop.blind_s`, and `/readyz` says why.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import zlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from edge.config import Config
+from edge.geometry import FARTHEST_M, SE2, CameraModel, wrap_angle
+from edge.loop.depth_motion import MISFIT, DepthMotion
+from edge.types import Observation
+
+log = logging.getLogger("edge.loop.plausibility")
+
+Consequence = Literal["warn", "degrade", "stand"]
+"""`warn`: a line in log and status; `degrade`: `/readyz` is 503 as well; `stand`: observations are
+refused as well, so the robot stands after `loop.blind_s`."""
+Use = Literal["", "map", "none"]
+"""What an observation is good for: "" for everything, `map`: all but detection and driving."""
+
+LASTS_NS = 500_000_000
+"""A check that fails for a shorter time is not reported."""
+TELL_AGAIN_NS = 30_000_000_000
+"""A check that fails again sooner is not logged again."""
+DRIVEN_M = 0.1
+"""A frame that stays the same to the bit over this way is frozen; 1 rad of turn counts as 1 m."""
+_MOVES_M = 0.02  # a robot that stands may see the same again
+_SLOW_NS = 100_000_000  # what changes slowly is measured so often
+_BUFFERS = 4  # frames that a hanging driver may send in turn
+_SAMPLES = 32  # rows and columns of an image that are looked at
+_FEWEST, _NEAR_SHARE = 50, 0.05  # pixels with a value, and the share of them that may be noise
+# The floor lies at most so far below the base, and is seen by rays at least so steep.
+_BELOW_BASE_M, _STEEP, _MARGIN = 1.0, 0.25, 1.3
+_FARTHEST_M = 100.0  # no depth camera sees only what is farther
+
+
+class FrameFacts:
+    """Measurements of one observation. NaN: not measured, so no check fails by it.
+
+    Attributes:
+        depth_valid: share of the depth image's pixels that have a value.
+        depth_driven_m: way since the depth image changed last; likewise `cloud_driven_m` and
+            `rgb_driven_m`.
+        depth_misfit: share of what the depth image shows that did not move as the pose did.
+        depth_scale: how many times farther than the floor allows the depth image is; 1: it fits.
+        cloud_points: points of the cloud that have a value.
+        rgb_levels: difference between the lightest and the darkest value of the colour image.
+        rgb_level: mean of its green values, 0 to 255.
+        axis_z: z of the camera's optical axis in the base frame, -1 (down) to 1 (up).
+        late_s: how much newer the newest pose is than the frame.
+    """
+
+    __slots__ = (
+        "axis_z", "cloud_driven_m", "cloud_points", "depth_driven_m", "depth_misfit", "depth_scale",
+        "depth_valid", "late_s", "rgb_driven_m", "rgb_level", "rgb_levels",
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Set every measurement to NaN."""
+        for name in self.__slots__:
+            setattr(self, name, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class DataCheck:
+    """One row of the table.
+
+    Attributes:
+        name: the name of the measurement in `FrameFacts`, or one that says more.
+        of: the measured value.
+        what: for the user, with `{value}`: where, and what is wrong; `todo`: what to do.
+        then: the consequence.
+        lowest, highest: the check fails outside of these.
+        leaves: of a `stand`, what a refused observation is still good for.
+    """
+
+    name: str
+    of: Callable[[FrameFacts], float]
+    what: str
+    todo: str
+    then: Consequence
+    lowest: float = -math.inf
+    highest: float = math.inf
+    leaves: Use = ""
+
+
+def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
+    """Return the table of checks for the sensors that a configuration uses."""
+    mapped, lifted = config.mapping.input, config.perception.lift
+    leaves = {kind: "none" if kind == mapped else "map" for kind in ("depth", "cloud")}
+    frozen = "the same to the bit over {value:.1f} m of driving"
+    uncover, restart = "uncover the camera, or restart its driver", "restart its driver"
+    unit = "correct its unit (32FC1 is m, 16UC1 is mm) or the camera's mount"
+    table = (
+        DataCheck("depth_empty", lambda f: f.depth_valid,
+                  "camera/depth: only {value:.1%} of the pixels have a value",
+                  "uncover the camera, restart its driver, or correct the depth's unit",
+                  "stand", lowest=0.02, leaves=leaves["depth"]),
+        DataCheck("depth_frozen", lambda f: f.depth_driven_m, f"camera/depth: {frozen}", restart,
+                  "stand", highest=DRIVEN_M, leaves=leaves["depth"]),
+        DataCheck("depth_unit", lambda f: f.depth_scale,
+                  "camera/depth: {value:.0f} times as far as the floor, so the depth cannot be in "
+                  "metres", unit, "stand", highest=1.0, leaves=leaves["depth"]),
+        DataCheck("depth_motion", lambda f: f.depth_misfit,
+                  "camera/depth: {value:.0%} of what it shows does not move as the pose does",
+                  "check delay and stamps of the images, the odometry and the camera's mount",
+                  "stand", highest=MISFIT, leaves=leaves["depth"]),
+        DataCheck("cloud_empty", lambda f: f.cloud_points, "lidar: no point has a value",
+                  "uncover the LiDAR, or restart its driver",
+                  "stand", lowest=1.0, leaves=leaves["cloud"]),
+        DataCheck("cloud_frozen", lambda f: f.cloud_driven_m, f"lidar: {frozen}", restart,
+                  "stand", highest=DRIVEN_M, leaves=leaves["cloud"]),
+        DataCheck("rgb_covered", lambda f: f.rgb_levels,
+                  "camera/rgb: the image has one colour ({value:.0f} levels)", uncover,
+                  "stand", lowest=3.0, leaves="map"),
+        DataCheck("rgb_dark", lambda f: f.rgb_level,
+                  "camera/rgb: the image is dark (level {value:.0f} of 255)",
+                  "uncover the camera, or switch the light on",
+                  "stand", lowest=12.0, leaves="map"),
+        DataCheck("rgb_frozen", lambda f: f.rgb_driven_m, f"camera/rgb: {frozen}", restart,
+                  "stand", highest=DRIVEN_M, leaves="map"),
+        DataCheck("late", lambda f: f.late_s,
+                  "sensors: frames come {value:.1f} s after the pose of their time",
+                  "speed up the driver or the link", "stand", highest=blind_s, leaves="map"),
+        DataCheck("camera_axis", lambda f: f.axis_z,
+                  "camera: it looks up or down (z {value:+.2f} in the base frame)",
+                  "is its frame an optical one (z forward, x right)?",
+                  "warn", lowest=-0.9, highest=0.7),
+    )  # fmt: skip
+    unused = {"depth", "cloud"} - {mapped, lifted}
+    return tuple(check for check in table if check.name.partition("_")[0] not in unused)
+
+
+class FailedCheck(NamedTuple):
+    """A check that fails now.
+
+    Attributes:
+        what, todo: for the user.
+        since_ns: loop time of its first failure.
+    """
+
+    name: str
+    then: Consequence
+    what: str
+    todo: str
+    since_ns: int
+
+    @property
+    def message(self) -> str:
+        return f"{self.what}: {self.todo}"
+
+
+class Plausibility:
+    """Judges observations, and reports which checks fail. The loop's thread judges.
+
+    Args:
+        blind_s: see `edge.loop.service.Service`.
+        event: reports something that a person would want to know, at a time and a log level.
+
+    Attributes:
+        checks: the table.
+        facts: measurements of the newest observation.
+        failed: checks that fail, replaced as a whole: any thread may read it.
+        refused: number of refused observations by check.
+        sighted_ns: loop time until which the newest observation shows the surroundings.
+    """
+
+    def __init__(
+        self, config: Config, blind_s: float, event: Callable[[str, int, int], None]
+    ) -> None:
+        self.checks = checks_of(config, blind_s)
+        self.facts = FrameFacts()
+        self.failed: tuple[FailedCheck, ...] = ()
+        self.refused = {check.name: 0 for check in self.checks if check.leaves}
+        self.sighted_ns = 0
+        self._event = event
+        self._found: list[FailedCheck | None] = [None] * len(self.checks)
+        self._told_ns: dict[str, int] = {}
+        self._pose: SE2 | None = None
+        self._slow_ns = -_SLOW_NS
+        self._scale = math.nan
+        self._levels = math.nan, math.nan
+        self._depth, self._rgb, self._cloud = _Repeats(), _Repeats(), _Repeats()
+        self._floor = _FloorLimit()
+        self._motion = DepthMotion(config.robot.max_speed_mps, config.robot.max_turn_radps)
+
+    def judge(self, observation: Observation, now_ns: int) -> Use:
+        """Return what the observation is good for."""
+        self._measure(observation, now_ns)
+        use: Use = ""
+        changed = False
+        for i, check in enumerate(self.checks):
+            value, found = check.of(self.facts), self._found[i]
+            if not (value < check.lowest or value > check.highest):
+                if found is not None:
+                    self._found[i], changed = None, True
+                continue
+            if found is None:
+                what = check.what.format(value=value)
+                found = FailedCheck(check.name, check.then, what, check.todo, now_ns)
+                self._found[i] = found
+            changed = changed or now_ns - found.since_ns >= LASTS_NS
+            if check.leaves:
+                self.refused[check.name] += 1
+                use = "none" if "none" in (use, check.leaves) else "map"
+        if changed:
+            self._report(now_ns)
+        return use
+
+    def _report(self, now_ns: int) -> None:
+        """Update `failed`, and log what fails now and what is good again."""
+        before = {found.name for found in self.failed}
+        lasting = [f for f in self._found if f is not None and now_ns - f.since_ns >= LASTS_NS]
+        for found in lasting:
+            told_ns = self._told_ns.get(found.name)
+            again = told_ns is None or now_ns - told_ns >= TELL_AGAIN_NS
+            if found.name not in before and again:
+                self._told_ns[found.name] = now_ns
+                self._event(found.message, now_ns, logging.WARNING)
+        for name in sorted(before - {found.name for found in lasting}):
+            self._event(f"{name}: good again", now_ns, logging.INFO)
+        self.failed = tuple(lasting)
+
+    def why(self, then: Consequence) -> str:
+        """Return the messages of the checks that fail now with this consequence, in one line."""
+        return "; ".join(f.message for f in self._found if f is not None and f.then == then)
+
+    def status(self) -> dict[str, object]:
+        """Return the state for the status message: the worst consequence, and why."""
+        worst = {found.then for found in self.failed}
+        state = next((then for then in ("stand", "degrade", "warn") if then in worst), "ok")
+        return {
+            "state": state,
+            "failed": {found.name: found.message for found in self.failed},
+            "refused": dict(self.refused),
+        }
+
+    # -- measuring ----------------------------------------------------------------------------
+
+    def _measure(self, seen: Observation, now_ns: int) -> None:
+        facts = self.facts
+        facts.clear()
+        step = self._step(seen.pose)
+        slow = not 0 <= now_ns - self._slow_ns < _SLOW_NS
+        self._slow_ns = now_ns if slow else self._slow_ns
+        self.sighted_ns = now_ns - seen.lag_ns
+        facts.late_s = seen.lag_ns * 1e-9
+        if seen.depth_m is not None and seen.camera is not None:
+            sample = self._depth.sample(seen.depth_m)
+            valid = (sample > 0.0) & (sample < FARTHEST_M)
+            facts.depth_valid = float(np.count_nonzero(valid) / sample.size)
+            if facts.depth_valid > 0.0:
+                facts.depth_driven_m = self._repeated(self._depth, seen.depth_m, step, now_ns)
+            if slow:
+                self._scale = self._floor.scale(sample, valid, self._depth.stride, seen)
+            facts.depth_scale = self._scale
+            facts.depth_misfit = self._misfit(seen, sample, now_ns)
+        if seen.rgb is not None:
+            sample = self._rgb.sample(seen.rgb)
+            if slow:
+                low, high = float(sample.min()), float(sample.max())
+                # Green is all of grey, and a third of the work.
+                self._levels = high - low, float(sample[..., 1].mean())
+            facts.rgb_levels, facts.rgb_level = self._levels
+            if facts.rgb_levels > 0.0:
+                facts.rgb_driven_m = self._repeated(self._rgb, seen.rgb, step, now_ns)
+        if seen.rgb is not None or seen.depth_m is not None:
+            facts.axis_z = float(seen.T_base_camera[2, 2])
+        if seen.cloud_m is not None:
+            sample = self._cloud.sample(seen.cloud_m)
+            size = np.abs(sample).max(axis=1)
+            facts.cloud_points = float(np.count_nonzero(size > 0.0))
+            # Beams that met nothing (inf) are the same wherever the robot is.
+            if np.count_nonzero((size > 0.0) & np.isfinite(size)):
+                facts.cloud_driven_m = self._repeated(self._cloud, seen.cloud_m, step, now_ns)
+
+    def _repeated(
+        self, frames: _Repeats, array: np.ndarray, step: tuple[float, float, float], now_ns: int
+    ) -> float:
+        driven_m = frames.driven_m(array, step, now_ns)
+        if driven_m > DRIVEN_M:
+            self.sighted_ns = min(self.sighted_ns, frames.since_ns)
+        return driven_m
+
+    def _misfit(self, seen: Observation, sample: np.ndarray, now_ns: int) -> float:
+        T, stride = seen.T_map_base, self._depth.stride
+        misfit = self._motion.misfit(
+            seen.depth_m, sample, stride, seen.camera, T @ seen.T_base_camera, T[2, 3],
+            seen.stamp_ns, now_ns, self._depth.repeats,
+        )  # fmt: skip
+        if misfit > MISFIT:
+            self.sighted_ns = min(self.sighted_ns, self._motion.since_ns)
+        return misfit
+
+    def _step(self, pose: SE2) -> tuple[float, float, float]:
+        """Return how the pose moved since the last observation (x, y, yaw)."""
+        last, self._pose = self._pose or pose, pose
+        return pose.x_m - last.x_m, pose.y_m - last.y_m, wrap_angle(pose.yaw_rad - last.yaw_rad)
+
+
+class _Repeats:
+    """Frames of one sensor: a sample of the newest, and the way since they changed last.
+
+    A frame is the same as before if it is one of the last few: a driver that hangs may send its
+    buffers in turn.
+
+    Attributes:
+        stride: rows and columns from one sampled pixel to the next.
+        since_ns: loop time of the newest frame that showed what is there: the robot moved since.
+        repeats: whether the newest frame is one of the last few.
+    """
+
+    def __init__(self) -> None:
+        self.stride = (1, 1)
+        self.since_ns = 0
+        self.repeats = False
+        self._sample = np.empty(0)
+        # By checksum of the sample, of the last few: checksum of all, known once it came again.
+        self._known: dict[int, int | None] = {}
+        self._way = np.zeros(3)
+        self._longest_m = self._driven_m = 0.0  # the longest step of the way; the way without it
+
+    def sample(self, array: np.ndarray) -> np.ndarray:
+        """Copy every stride-th row and column, or every stride-th point of a cloud."""
+        cloud = array.shape[1] == 3 and array.ndim == 2
+        rows = _SAMPLES * _SAMPLES if cloud else _SAMPLES
+        self.stride = v, u = -(-len(array) // rows), 1 if cloud else -(-array.shape[1] // _SAMPLES)
+        picked = array[v // 2 :: v, u // 2 :: u]
+        if picked.shape != self._sample.shape or picked.dtype != self._sample.dtype:
+            self._sample = np.empty(picked.shape, picked.dtype)
+        np.copyto(self._sample, picked)
+        return self._sample
+
+    def driven_m(self, array: np.ndarray, step: tuple[float, float, float], now_ns: int) -> float:
+        """Return the way (1 rad of turn counts as 1 m) since the frames changed last.
+
+        Its longest step does not count: a localisation may have corrected the pose of a robot that
+        stands. The whole frame is read only if its sample is one of the last few.
+        """
+        crc, known = zlib.crc32(self._sample), self._known
+        whole = zlib.crc32(np.ascontiguousarray(array)) if crc in known else None
+        self.repeats = whole is not None and known[crc] in (None, whole)
+        if not self.repeats:
+            known.pop(crc, None)
+            known[crc], self.since_ns = whole, now_ns
+            self._way[:], self._longest_m, self._driven_m = 0.0, 0.0, 0.0
+            if len(known) > _BUFFERS:
+                del known[next(iter(known))]
+            return 0.0
+        sure, known[crc] = known[crc] is not None, whole
+        self._way += step
+        way_m, self._longest_m = _length_m(self._way), max(self._longest_m, _length_m(step))
+        if way_m < _MOVES_M:
+            self.since_ns = now_ns
+        if sure:
+            self._driven_m = max(self._driven_m, way_m - self._longest_m)
+        return self._driven_m
+
+
+def _length_m(step: Iterable[float]) -> float:
+    x, y, yaw = step
+    return math.hypot(x, y) + abs(yaw)
+
+
+class _FloorLimit:
+    """How far a depth image may be at most, by the camera's mount above the floor."""
+
+    def __init__(self) -> None:
+        self._of: tuple[CameraModel, np.ndarray] | None = None
+        self._steep = np.empty(0, np.bool_)
+        self._floor_m = self._limit_m = np.empty(0)
+
+    def scale(
+        self, sample: np.ndarray, valid: np.ndarray, stride: tuple[int, int], seen: Observation
+    ) -> float:
+        """Return how many times as far as the floor the image is; 1: part of it is near enough."""
+        camera, T = seen.camera, seen.T_base_camera
+        if self._of is None or self._of[0] != camera or self._of[1] is not T:
+            self._of = camera, T
+            self._lay(seen.depth_m.shape, camera, T, stride)
+        judged, limit_m, floor_m = valid & self._steep, self._limit_m, self._floor_m
+        n = np.count_nonzero(judged)
+        if n < _FEWEST:  # none looks down: nothing but the farthest of all tells
+            judged, limit_m, floor_m = valid, _FARTHEST_M, self._floor_m
+            n = np.count_nonzero(valid)
+        if n < _FEWEST or np.count_nonzero((sample < limit_m) & judged) >= _NEAR_SHARE * n:
+            return 1.0
+        return float(np.median(sample[judged] / floor_m[judged]))
+
+    def _lay(
+        self, shape: tuple[int, ...], camera: CameraModel, T: np.ndarray, stride: tuple[int, int]
+    ) -> None:
+        """Compute the floor's depth at each sampled pixel."""
+        v, u = stride
+        row = (np.arange(v // 2, shape[0], v) - camera.cy_px) / camera.fy_px
+        column = (np.arange(u // 2, shape[1], u) - camera.cx_px) / camera.fx_px
+        down = -(T[2, 0] * column[None, :] + T[2, 1] * row[:, None] + T[2, 2])
+        self._steep = down >= _STEEP
+        down, height_m = np.maximum(down, _STEEP), max(float(T[2, 3]), 0.0)
+        self._floor_m = (max(height_m, 0.1) / down).astype(np.float32)
+        self._limit_m = (_MARGIN * (height_m + _BELOW_BASE_M) / down).astype(np.float32)

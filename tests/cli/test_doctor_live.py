@@ -1,0 +1,152 @@
+"""`edge doctor --live`: one line for each thing that is wrong with the sensors' data."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from simulated import simulated
+
+from edge.cli import doctor
+from edge.cli.live_checks import listen
+from edge.cli.parsers import make_parser
+from edge.config import Config
+from edge.geometry import SE2, CameraModel
+from edge.host.ports import free_port
+from edge.loop.source import InputRow
+from edge.types import Observation
+
+CAMERA = CameraModel.from_hfov(64, 48, math.radians(70))
+MOUNT = {"x_m": 0.1, "z_m": 0.5, "pitch_deg": 15.0, "rate_hz": 10.0}
+ROW = InputRow("camera/depth", "edge/camera/depth", "depth_m", True, "ok", "", 10.0, 10.0, 0.1,
+               100, {})  # fmt: skip
+Change = Callable[[dict], object]
+
+
+class Scripted:
+    """A source that shows a floor and a wall, or what a test makes of that."""
+
+    change: Change = staticmethod(lambda fields: None)
+    rows: tuple[InputRow, ...] = ()
+
+    def __init__(self, config: Config) -> None:
+        self.counters: dict[str, int] = {}
+        self.inbox = SimpleNamespace(overruns=0, poll=list)
+        self.epoch, self.pose = 0, None
+        self._T, self._n = config.sensors.camera.T_base_camera(), 0
+
+    def input_table(self) -> tuple[InputRow, ...]:
+        return self.rows
+
+    def poll(self) -> Observation | None:
+        rng, T = np.random.default_rng(self._n), self._T
+        row = (np.arange(48) - CAMERA.cy_px) / CAMERA.fy_px
+        down = -(T[2, 1] * row + T[2, 2])
+        depth_m = np.repeat(np.minimum(0.5 / np.maximum(down, 1e-3), 4.0)[:, None], 64, axis=1)
+        fields = {
+            "T_map_base": SE2(0.02 * self._n, 0.0, 0.0).matrix(),
+            "stamp_ns": time.time_ns(), "T_base_camera": T,
+            "depth_m": (depth_m + rng.normal(0, 1e-3, depth_m.shape)).astype(np.float32),
+            "rgb": rng.integers(0, 255, (48, 64, 3), np.uint8),
+        }  # fmt: skip
+        if self.change(fields) is None:
+            return None
+        self._n += 1
+        return Observation(self._n, camera=CAMERA, **fields)
+
+    def wait(self, timeout_s: float) -> bool:
+        time.sleep(0.01)
+        return True
+
+    def close(self) -> None: ...
+
+
+def put(name: str, change: Callable[[np.ndarray], object]) -> Change:
+    return lambda fields: fields.update({name: change(fields[name])}) or fields
+
+
+@pytest.fixture
+def heard(monkeypatch) -> Callable[..., list[tuple[str, str]]]:
+    """Findings that need something done, as (level, text)."""
+
+    def listened(
+        change: Change, rows: tuple[InputRow, ...] = (ROW,), seconds: float = 0.8
+    ) -> list[tuple[str, str]]:
+        monkeypatch.setattr(Scripted, "change", staticmethod(change))
+        monkeypatch.setattr(Scripted, "rows", rows)
+        config = simulated({
+            "source": {"kind": f"{__name__}:Scripted"}, "sensors": {"camera": MOUNT},
+            "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
+        })  # fmt: skip
+        findings = listen(config, seconds)
+        assert all(bool(found.todo) == (found.level != "ok") for found in findings)
+        return [(found.level, found.what) for found in findings if found.level != "ok"]
+
+    return listened
+
+
+def test_nothing_that_comes_is_a_failure(heard):
+    assert heard(lambda fields: None, ()) == [
+        ("fail", "no observation: no frame has all that it needs")
+    ]
+
+
+def test_a_robot_whose_data_is_right_needs_nothing_done(heard):
+    assert heard(lambda fields: fields) == []
+
+
+BODY = np.array([[1.0, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, 1, 0.5], [0, 0, 0, 1]])
+AGO_NS = 3_600_000_000_000
+
+
+@pytest.mark.parametrize(
+    ("change", "level", "says"),
+    [
+        (put("depth_m", lambda d: d * 1000), "fail", "the depth cannot be in metres"),
+        (put("depth_m", lambda d: d * 1.5), "warn", "floor: seen -0.25 m from where the mount"),
+        (put("depth_m", np.zeros_like), "fail", "camera/depth: only 0.0% of the pixels"),
+        (put("rgb", np.zeros_like), "fail", "camera/rgb: the image has one colour"),
+        (put("rgb", lambda a: np.broadcast_to(np.arange(64, dtype=np.uint8)[:, None], a.shape)),
+         "fail", "camera/rgb: the same to the bit"),
+        (put("T_base_camera", lambda T: BODY), "warn", "camera: it looks up or down (z +1.00"),
+        (put("stamp_ns", lambda ns: ns - AGO_NS), "warn", "stamps: frames are 3600.0"),
+    ],
+    ids=["millimetres", "low floor", "no depth", "covered", "frozen", "body frame", "clock"],
+)  # fmt: skip
+def test_each_fault_is_a_line(heard, change, level, says):
+    assert level in [given for given, what in heard(change) if says in what]
+
+
+@pytest.mark.parametrize(
+    ("row", "level", "says"),
+    [
+        ({"state": "missing"}, "fail", "edge/camera/depth: no message"),
+        ({"state": "silent"}, "fail", "edge/camera/depth: 10 Hz, silent"),
+        ({"state": "dropped", "why": "stale (3 s)"}, "fail", "10 Hz, dropped: stale (3 s)"),
+        ({"hz": 4.0}, "warn", "edge/camera/depth: 4 Hz, configured are 10 Hz"),
+        ({"dropped": {"malformed": 30}}, "warn", "edge/camera/depth: 30% dropped: malformed"),
+        ({"dropped": {"superseded": 90}}, "ok", ""),
+        ({"state": "missing", "needed": False}, "ok", ""),
+        ({"state": "unused"}, "ok", ""),
+    ],
+    ids=lambda value: str(value) if isinstance(value, dict) else "",
+)
+def test_each_input_is_a_line(heard, row, level, says):
+    found = heard(lambda fields: fields, (replace(ROW, **row),), 0.2)
+    assert [given for given, _ in found] == [level] * (level != "ok")
+    assert all(says in what for _, what in found)
+
+
+@pytest.mark.parametrize(("level", "code"), [("ok", 0), ("warn", 1), ("fail", 1)])
+def test_whatever_needs_doing_gives_exit_code_1(monkeypatch, capsys, level, code):
+    monkeypatch.setattr(
+        doctor, "listen", lambda config, seconds: [doctor.Finding(level, f"heard {seconds:g} s")]
+    )
+    args = make_parser("", {}).parse_args(["doctor", "--live", "demo", "--seconds", "3"])
+    assert args.handler(args) == code
+    assert "heard 3 s" in capsys.readouterr().out

@@ -1,0 +1,106 @@
+"""A robot whose sensors' data is tampered with by a relay: it stands, and does not drive back."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterator, Sequence
+
+import pytest
+from edge_processes import Edge, write_config
+from live_patience import eventually
+
+from edge.bus.topics import ODOMETRY, Topic
+from edge.bus.wire import messages
+from edge.config import Zenoh
+from edge.eval.soak.relay import Alter, Relay, frozen, restamped
+from edge.host.ports import free_port
+
+STAMPED = ("camera/rgb", "camera/depth", "camera/info", "odom", "sim/segmentation")
+FARTHEST_M = 1.2  # a computer that is busy needs longer than one that is not
+BACK_M = 0.3
+
+
+def backward() -> Alter:
+    """Stamps that run backwards."""
+    first: list[int] = []
+
+    def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
+        if topic.key not in STAMPED:
+            return (payload,)
+        stamp_ns = messages.peek_stamp_ns(payload)
+        first[:] = first or [stamp_ns]
+        return (restamped(payload, 2 * first[0] - stamp_ns),)
+
+    return alter
+
+
+class Track:
+    """Where the robot is, by what it sends itself, and how far it drove; what it sends on."""
+
+    def __init__(self) -> None:
+        self.alter: Alter | None = None
+        self.v_mps = self.path_m = 0.0
+        self.xy: tuple[float, float] | None = None
+        self.way: list[tuple[float, float]] = []
+
+    def __call__(self, topic: Topic, payload: bytes) -> Sequence[bytes]:
+        if topic is ODOMETRY:
+            told = messages.decode_odometry(payload)
+            before, (x, y) = self.xy, told.T_map_base[:2, 3].tolist()
+            self.path_m += 0.0 if before is None else math.dist(before, (x, y))
+            self.xy, self.v_mps = (x, y), told.v_mps
+            self.way.append((x, y))
+        return (payload,) if self.alter is None else self.alter(topic, payload)
+
+    def tamper(self, alter: Alter | None) -> None:
+        self.path_m, self.way = 0.0, []
+        self.alter = alter
+
+
+@pytest.fixture
+def driven(edge: Callable[..., Edge], endpoint, tmp_path) -> Iterator[tuple[Edge, Track]]:
+    """A service, a controller and a robot behind a relay, at speed."""
+    camera = {"width_px": 160, "height_px": 128, "rate_hz": 10.0}
+    settings = {"sensors": {"camera": camera}, "mission": {"target": "surfboard"}}
+    robot = Zenoh(endpoint=f"tcp/127.0.0.1:{free_port()}")
+    (tmp_path / "robot").mkdir()
+    config = write_config(tmp_path, zenoh={"endpoint": endpoint}, **settings)
+    service = edge("run", config).says("ready:")
+    track, stop = Track(), threading.Event()
+    relay = Relay(robot, Zenoh(endpoint=endpoint), stop)
+    relay.alter = track
+    try:
+        far = write_config(tmp_path / "robot", zenoh=robot.model_dump(), **settings)
+        edge("sim", far, "--no-motion")
+        edge("motion", config)
+        service.until(lambda: track.v_mps > 0.3, "the robot never drove")
+        yield service, track
+    finally:
+        stop.set()
+        relay.close()
+
+
+@pytest.mark.parametrize(
+    ("alter", "why"),
+    [
+        (lambda: frozen(True), "the same to the bit"),
+        pytest.param(backward, "nothing to be seen", marks=pytest.mark.slow),
+    ],
+    ids=["frozen", "backward"],
+)
+def test_a_robot_whose_data_is_tampered_with_stands_and_drives_on_when_it_is_right(
+    driven, alter, why
+):
+    service, track = driven
+    said = len(service.lines)
+    track.tamper(alter())
+    service.until(lambda: "standing still" in "\n".join(service.lines[said:]), "it never stood")
+    eventually(lambda: track.v_mps == 0.0, "it drives on")
+    stood_m, way = track.path_m, len(track.way)
+    eventually(lambda: len(track.way) > way + 400, "it sends no more")
+    assert track.path_m < FARTHEST_M
+    assert track.path_m - stood_m < BACK_M, "it drove on, or back"
+    assert why in "\n".join(service.lines[said:])
+    track.tamper(None)
+    eventually(lambda: track.path_m > 0.5, "it never drove on")

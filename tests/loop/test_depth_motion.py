@@ -1,0 +1,144 @@
+"""Whether depth images move as the poses say, seen from the simulator's robot in its house."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from simulated import simulated
+
+from edge.eval.closed_loop import ClosedLoop
+from edge.geometry import SE2, CameraModel
+from edge.loop.depth_motion import MISFIT, MOST_RETRY_NS, RETRY_NS, DepthMotion
+
+SECOND_NS = 1_000_000_000
+TICK_NS = SECOND_NS // 10
+Drive = Callable[[float], SE2]
+CAMERA = {"width_px": 160, "height_px": 128}
+STRIDE = 5
+
+
+@pytest.fixture(scope="module")
+def house() -> ClosedLoop:
+    return ClosedLoop(simulated({"sensors": {"camera": CAMERA}}), colour=False)
+
+
+def ahead(t_s: float) -> SE2:
+    return SE2(START.x_m + 0.4 * t_s, START.y_m, START.yaw_rad)
+
+
+def turning(t_s: float) -> SE2:
+    return SE2(START.x_m, START.y_m, START.yaw_rad + 0.8 * t_s)
+
+
+def around(t_s: float) -> SE2:
+    return SE2(START.x_m + 0.4 * math.sin(t_s), START.y_m + 0.3 * (1 - math.cos(t_s)), t_s)
+
+
+START = SE2(1.6, 1.4, 0.7)
+
+
+class Eye:
+    """A camera whose images and poses a test chooses."""
+
+    def __init__(self, house: ClosedLoop) -> None:
+        robot = house.config.robot
+        self.rig = house.rig
+        self.motion = DepthMotion(robot.max_speed_mps, robot.max_turn_radps)
+        self.now_ns = 0
+
+    def see(
+        self, true: SE2, told: SE2, change: Callable[[np.ndarray], object] = lambda d: d
+    ) -> float:
+        """Return the misfit of the image from one pose under another."""
+        self.now_ns += TICK_NS
+        self.rig.look(true)
+        depth_m = self.rig.depth_m.copy()
+        change(depth_m)
+        sample_m = depth_m[STRIDE // 2 :: STRIDE, STRIDE // 2 :: STRIDE]
+        T = told.matrix() @ self.rig.T_base_camera
+        return self.motion.misfit(
+            depth_m, sample_m, (STRIDE, STRIDE), self.rig.model, T, 0.0, self.now_ns, self.now_ns,
+            False,
+        )  # fmt: skip
+
+    def worst(self, true: Drive, told: Drive, **options) -> float:
+        found = [self.see(true(0.1 * i), told(0.1 * i), **options) for i in range(15)]
+        return max((m for m in found if not math.isnan(m)), default=math.nan)
+
+
+def test_nothing_seen_tells_nothing(house):
+    empty = np.zeros((8, 8), np.float32)
+    eye = Eye(house)
+    camera = CameraModel.from_hfov(8, 8, 1.0)
+    for i in range(20):
+        T = SE2(0.05 * i, 0, 0).matrix() @ house.rig.T_base_camera
+        found = eye.motion.misfit(empty, empty, (1, 1), camera, T, 0.0, i, i, False)
+        assert math.isnan(found)
+
+
+@pytest.mark.parametrize("drive", [ahead, turning, around])
+def test_images_from_where_the_robot_is_fit(house, drive):
+    assert Eye(house).worst(drive, drive) < 0.5 * MISFIT
+
+
+@pytest.mark.parametrize(
+    ("true", "told"),
+    [
+        (ahead, turning),
+        (turning, ahead),
+        (lambda t_s: ahead(0.0), ahead),
+        (turning, lambda t_s: turning(-t_s)),
+        (lambda t_s: SE2(*_turned(ahead(t_s), 1.2)), ahead),
+    ],
+    ids=["turns instead", "drives instead", "stands", "turns the other way", "mounted askew"],
+)
+def test_images_from_elsewhere_do_not(house, true, told):
+    assert Eye(house).worst(true, told) > MISFIT
+
+
+def _turned(pose: SE2, yaw_rad: float) -> tuple[float, float, float]:
+    return pose.x_m, pose.y_m, pose.yaw_rad + yaw_rad
+
+
+@pytest.mark.parametrize("px_per_tick", [-8, 3, 8])
+@pytest.mark.parametrize("drive", [ahead, around])
+def test_somebody_who_walks_past_the_camera_is_no_contradiction(house, drive, px_per_tick):
+    at_px = [80]
+
+    def walks(depth_m: np.ndarray) -> None:
+        left = at_px[0] = (at_px[0] + px_per_tick) % 120
+        depth_m[:, left : left + 40] = 1.2
+
+    assert not Eye(house).worst(drive, drive, change=walks) > MISFIT
+
+
+def test_a_pose_that_is_corrected_is_no_motion(house):
+    eye = Eye(house)
+    assert eye.worst(ahead, ahead) < MISFIT
+    moved = [
+        SE2(p.x_m + 0.3, p.y_m + 0.2, p.yaw_rad) for p in (ahead(1.5 + 0.1 * i) for i in range(9))
+    ]
+    found = [eye.see(ahead(1.5 + 0.1 * i), pose) for i, pose in enumerate(moved)]
+    assert not any(m > MISFIT for m in found)
+
+
+def test_a_robot_that_stands_tries_again_ever_later(house):
+    eye, waits = Eye(house), []
+    for _ in range(5):
+        assert eye.worst(ahead, turning) > MISFIT
+        begin_ns = eye.now_ns
+        while eye.see(ahead(0), ahead(0)) > MISFIT:
+            eye.now_ns += SECOND_NS
+        waits.append(eye.now_ns - begin_ns)
+    expected = [min(2**k * RETRY_NS, MOST_RETRY_NS) for k in range(5)]
+    assert waits == pytest.approx(expected, abs=3 * SECOND_NS)
+    assert eye.worst(around, around) < MISFIT
+    assert eye.worst(around, around) < MISFIT
+    assert eye.worst(ahead, turning) > MISFIT
+    begin_ns = eye.now_ns
+    while eye.see(ahead(0), ahead(0)) > MISFIT:
+        eye.now_ns += SECOND_NS
+    assert eye.now_ns - begin_ns == pytest.approx(RETRY_NS, abs=3 * SECOND_NS), "it fitted again"

@@ -1,0 +1,335 @@
+"""The plausibility stage: a robot whose data is wrong stands, says why, and drives on later."""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from simulated import simulated
+
+from edge.config import Config
+from edge.eval.closed_loop import START_NS, ClosedLoop
+from edge.geometry import SE2, CameraModel
+from edge.loop.plausibility import LASTS_NS, TELL_AGAIN_NS, Plausibility
+from edge.loop.status import status_of
+from edge.types import Observation
+
+PAGE = Path(__file__).parents[2] / "docs/robot.md"
+CAMERA = CameraModel.from_hfov(64, 48, math.radians(70))
+CONFIG = simulated({"sensors": {"camera": {"z_m": 0.4, "pitch_deg": 10.0}}})
+T_BASE_CAMERA = CONFIG.sensors.camera.T_base_camera()
+CLOUDS = simulated({"sensors": {"lidar": {}}, "mapping": {"input": "cloud"}})
+TICK_NS = 100_000_000
+HOME = SE2(0, 0, 0)
+Tamper = Callable[[Observation], Observation]
+SMALL = {"width_px": 160, "height_px": 128, "rate_hz": 10.0}
+
+
+def driving(**sections: Any) -> ClosedLoop:
+    """A robot at speed, in a house that holds nothing it looks for."""
+    data = {
+        "loop": {"lockstep": True}, "mission": {"target": "surfboard"},
+        "sensors": {"camera": SMALL}, **sections,
+    }  # fmt: skip
+    loop = ClosedLoop(simulated(data))
+    while loop.drive.motion.v_mps < 0.45:
+        loop.step()
+    return loop
+
+
+def tampered(loop: ClosedLoop, tamper: Tamper) -> Callable[[], None]:
+    """Let the loop see other data from now on, until what is returned is called."""
+    true = loop.observe
+    loop.observe = lambda: tamper(true())
+    return lambda: setattr(loop, "observe", true)
+
+
+def always(**fields: Callable[[Observation], np.ndarray]) -> Callable[[], Tamper]:
+    return lambda: lambda seen: replace(seen, **{k: make(seen) for k, make in fields.items()})
+
+
+def frozen(*fields: str) -> Callable[[], Tamper]:
+    """The first of these arrays again and again."""
+
+    def make() -> Tamper:
+        first: dict[str, np.ndarray] = {}
+
+        def tamper(seen: Observation) -> Observation:
+            for name in fields:
+                first.setdefault(name, getattr(seen, name).copy())
+            return replace(seen, **first)
+
+        return tamper
+
+    return make
+
+
+def late(frames: int) -> Callable[[], Tamper]:
+    """Observations of so many frames ago, under their own stamps."""
+
+    def make() -> Tamper:
+        kept: deque[Observation] = deque(maxlen=frames + 1)
+
+        def tamper(seen: Observation) -> Observation:
+            kept.append(replace(seen, rgb=seen.rgb.copy(), depth_m=seen.depth_m.copy()))
+            return replace(kept[0], lag_ns=seen.stamp_ns - kept[0].stamp_ns)
+
+        return tamper
+
+    return make
+
+
+TAMPERED = {
+    "frozen": (frozen("rgb", "depth_m"), "camera/depth: the same to the bit"),
+    "depth frozen": (frozen("depth_m"), "camera/depth: the same to the bit"),
+    "colour frozen": (frozen("rgb"), "camera/rgb: the same to the bit"),
+    "depth zero": (always(depth_m=lambda o: np.zeros_like(o.depth_m)), "camera/depth: only 0.0%"),
+    "depth NaN": (always(depth_m=lambda o: o.depth_m * np.float32(np.nan)), "camera/depth: only"),
+    "black": (always(rgb=lambda o: np.zeros_like(o.rgb)), "camera/rgb: the image has one colour"),
+    "grey": (always(rgb=lambda o: np.full_like(o.rgb, 128)), "camera/rgb: the image has one"),
+    "dark": (always(rgb=lambda o: o.rgb // 32), "camera/rgb: the image is dark"),
+    "millimetres": (always(depth_m=lambda o: o.depth_m * 1000), "cannot be in metres"),
+    "late": (late(20), "sensors: frames come"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "why"), TAMPERED.values(), ids=TAMPERED)
+def test_a_robot_with_wrong_data_stands_says_why_and_drives_on_when_it_is_right(make, why):
+    loop = driving()
+    before, begun_s, path_m, stood = len(loop.notes.events), loop.seconds, 0.0, None
+    restore = tampered(loop, make())
+    last = loop.drive.motion.pose
+    while loop.seconds < begun_s + 6.0:
+        loop.step()
+        motion = loop.drive.motion
+        path_m += math.dist((motion.pose.x_m, motion.pose.y_m), (last.x_m, last.y_m))
+        last = motion.pose
+        if stood is None and motion.v_mps == 0.0 and loop.service.goal is None:
+            stood = loop.seconds - begun_s, path_m
+    assert stood is not None
+    assert stood[0] <= 1.5 or stood[1] <= 0.5
+    assert path_m - stood[1] < 0.1, "it drove on, or back"
+    assert any(why in event and "standing still" in event for event in loop.notes.events[before:])
+    restore()
+    while loop.drive.motion.v_mps < 0.3 and loop.seconds < begun_s + 30.0:
+        loop.step()
+    assert loop.drive.motion.v_mps >= 0.3
+    assert loop.service.plausibility.failed == ()
+
+
+@pytest.mark.parametrize("begin_s", [0.0, 6.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_images_that_are_late_under_new_stamps_are_noticed_by_the_motion(seed, begin_s):
+    """While the robot drives straight on nothing tells; by the next turn, or stop, it does."""
+    world = {"kind": "generated", "seed": seed}
+    loop = ClosedLoop(simulated({
+        "loop": {"lockstep": True}, "mission": {"target": "surfboard"},
+        "sensors": {"camera": SMALL}, "sim": {"world": world},
+    }), colour=False)  # fmt: skip
+    past: deque[np.ndarray] = deque(maxlen=21)
+    true = loop.observe
+
+    def late_images() -> Observation:
+        seen = true()
+        past.append(seen.depth_m.copy())
+        return replace(seen, depth_m=past[0]) if loop.seconds >= begin_s else seen
+
+    loop.observe = late_images
+    path_m, last = 0.0, loop.drive.motion.pose
+    while loop.seconds < begin_s + 12.0:
+        loop.step()
+        pose = loop.drive.motion.pose
+        if loop.seconds > begin_s:
+            path_m += math.dist((pose.x_m, pose.y_m), (last.x_m, last.y_m))
+        last = pose
+    assert path_m < 1.2
+    assert any("does not move as the pose does" in event for event in loop.notes.events)
+
+
+# -- one check at a time ---------------------------------------------------------------------------
+
+
+def room(x_m: float = 0.0) -> dict[str, Any]:
+    """A floor and a wall 4 m away, in colours, from a robot that has driven so far towards it."""
+    row = (np.arange(48) - CAMERA.cy_px) / CAMERA.fy_px
+    down = -(T_BASE_CAMERA[2, 1] * row + T_BASE_CAMERA[2, 2])
+    depth_m = np.minimum(0.4 / np.maximum(down, 1e-3), 4.0 - x_m).astype(np.float32)
+    rgb = np.arange(48 * 64 * 3, dtype=np.uint32).reshape(48, 64, 3) % 251
+    return {
+        "rgb": rgb.astype(np.uint8), "depth_m": np.repeat(depth_m[:, None], 64, axis=1),
+        "camera": CAMERA, "T_base_camera": T_BASE_CAMERA,
+    }  # fmt: skip
+
+
+class Judge:
+    """A stage, with what it reports."""
+
+    def __init__(self, config: Config = CONFIG) -> None:
+        self.said: list[tuple[str, int]] = []
+        self.stage = Plausibility(config, 0.8, self._say)
+        self.now_ns = START_NS
+
+    def _say(self, text: str, now_ns: int, level: int) -> None:
+        self.said.append((text, level))
+
+    def see(self, pose: SE2 = HOME, after_ns: int = TICK_NS, **fields: Any) -> str:
+        """Judge the next observation; "" where it is good."""
+        self.now_ns += after_ns
+        seen = Observation(0, self.now_ns, pose.matrix(), **fields)
+        return self.stage.judge(seen, self.now_ns)
+
+    def failing(self) -> list[str]:
+        return [found.name for found in self.stage.failed]
+
+
+def test_an_observation_of_nothing_is_doubted_by_nobody():
+    judge = Judge()
+    assert [judge.see() for _ in range(10)] == [""] * 10
+    assert judge.stage.status()["state"] == "ok"
+    assert judge.said == []
+
+
+def test_a_room_is_believed():
+    judge, rng = Judge(), np.random.default_rng(1)
+    for i in range(20):
+        fields = room(0.05 * i)
+        fields["rgb"][i % 48] += rng.integers(0, 9, (64, 3)).astype(np.uint8)
+        fields["depth_m"][i % 48] += np.float32(0.001)
+        assert judge.see(SE2(0.05 * i, 0, 0), **fields) == ""
+    assert judge.said == []
+
+
+BODY = np.array([[1.0, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, 1, 0.4], [0, 0, 0, 1]])
+DOWN = np.array([[0, -1.0, 0, 0.1], [-1, 0, 0, 0], [0, 0, -1, 0.4], [0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "check", "use"),
+    [
+        ("depth_m", lambda d: d * 0, "depth_empty", "none"),
+        ("depth_m", lambda d: d * np.inf, "depth_empty", "none"),
+        ("depth_m", lambda d: np.where(np.arange(64) < 1, d, 0), "depth_empty", "none"),
+        ("depth_m", lambda d: np.where(np.arange(64) < 8, d, np.nan), None, ""),
+        ("depth_m", lambda d: d * 1000, "depth_unit", "none"),
+        ("depth_m", lambda d: d * 100, "depth_unit", "none"),
+        ("depth_m", lambda d: d * 10, "depth_unit", "none"),
+        ("depth_m", lambda d: d * 3, None, ""),  # a floor 0.8 m below the base may be one
+        ("depth_m", lambda d: d * 0.3, None, ""),
+        ("rgb", lambda a: a * 0, "rgb_covered", "map"),
+        ("rgb", lambda a: a * 0 + 200 + a % 2, "rgb_covered", "map"),
+        ("rgb", lambda a: a // 16, "rgb_dark", "map"),
+        ("T_base_camera", lambda T: BODY, "camera_axis", ""),
+        ("T_base_camera", lambda T: DOWN, "camera_axis", ""),
+        ("lag_ns", lambda _: 900_000_000, "late", "map"),
+        ("lag_ns", lambda _: 700_000_000, None, ""),
+    ],
+)
+def test_each_check_fails_by_its_own_fault(name, value, check, use):
+    fields, judge = room() | {"lag_ns": 0}, Judge()
+    fields[name] = np.asarray(value(fields[name])).astype(getattr(fields[name], "dtype", int))
+    fields["lag_ns"] = int(fields["lag_ns"])
+    for _ in range(7):
+        found = judge.see(**fields)
+    assert found == use
+    assert [f for f in judge.failing() if f != "rgb_dark" or check == f] == [check] * bool(check)
+
+
+@pytest.mark.parametrize("axis", ["drive", "turn"])
+@pytest.mark.parametrize("buffers", [1, 2, 4])
+def test_frames_that_repeat_while_the_robot_moves_are_frozen(axis, buffers):
+    judge, frames = Judge(), [room() for _ in range(buffers)]
+    for i, frame in enumerate(frames):
+        frame["depth_m"] += np.float32(0.01 * i)
+    found = []
+    for i in range(30):
+        pose = SE2(0.03 * i, 0, 0) if axis == "drive" else SE2(0, 0, 0.03 * i)
+        found.append(judge.see(pose, **frames[i % buffers]))
+    assert found[:buffers] == [""] * buffers
+    assert found[-1] == "none"
+    assert "depth_frozen" in judge.failing()
+    nearer_m = room()["depth_m"] - np.float32(0.1)
+    assert judge.see(pose, **room() | {"depth_m": nearer_m}) == "map", "the colours repeat"
+
+
+@pytest.mark.parametrize(
+    "poses",
+    [
+        [SE2(0.001 * (i % 5), 0, 0) for i in range(40)],
+        [SE2(0.3 * (i >= 20), 0, 0.2 * (i >= 20)) for i in range(40)],
+    ],
+    ids=["jitters", "is corrected"],
+)
+def test_a_robot_that_stands_may_see_the_same_again(poses):
+    judge = Judge()
+    assert [judge.see(pose, **room()) for pose in poses] == [""] * len(poses)
+
+
+def test_a_frame_that_differs_in_one_pixel_is_another():
+    judge = Judge()
+    for i in range(9):
+        fields = room()
+        fields["depth_m"][1, i + 1] += np.float32(0.001)
+        fields["rgb"][1, i + 1] ^= 1
+        assert judge.see(SE2(0.03 * i, 0, 0), **fields) == ""
+
+
+@pytest.mark.parametrize(
+    ("cloud_m", "check"),
+    [
+        (np.zeros((40, 3)), ["cloud_empty"]),
+        (np.ones((40, 3)), ["cloud_frozen"]),
+        (np.full((40, 3), (20.0, 0.0, np.inf)), []),  # beams that met nothing
+    ],
+)
+def test_clouds_are_judged_where_they_map(cloud_m, check):
+    judge = Judge(CLOUDS)
+    for i in range(20):
+        found = judge.see(SE2(0.03 * i, 0, 0), cloud_m=cloud_m.astype(np.float32))
+    assert (found, judge.failing()) == ("none" if check else "", check)
+
+
+def test_a_fault_is_told_once_it_lasts_and_again_only_after_a_while():
+    judge = Judge()
+    bad = room() | {"depth_m": np.zeros((48, 64), np.float32)}
+    judge.see(**bad)
+    assert judge.said == []
+    assert judge.stage.why("stand").startswith("camera/depth: only 0.0%")
+    judge.see(after_ns=LASTS_NS, **bad)
+    line = (
+        "camera/depth: only 0.0% of the pixels have a value: uncover the camera, restart its "
+        "driver, or correct the depth's unit"
+    )
+    assert judge.said == [(line, logging.WARNING)]
+    judge.see(**room())
+    assert judge.said[1:] == [("depth_empty: good again", logging.INFO)]
+    assert judge.stage.status() == {"state": "ok", "failed": {}, "refused": {
+        name: 2 * (name == "depth_empty") for name in judge.stage.refused}}  # fmt: skip
+    for after_ns, lines in ((LASTS_NS, 0), (TELL_AGAIN_NS, 1)):
+        judge.see(after_ns=after_ns, **room())
+        judge.said.clear()
+        judge.see(**bad)
+        judge.see(after_ns=LASTS_NS, **bad)
+        assert judge.said == [(line, logging.WARNING)] * lines
+
+
+def test_the_page_has_every_check():
+    """Each row of the table: name, consequence."""
+    lidar = Plausibility(CLOUDS, 0.8, print).checks
+    rows = re.findall(r"^\| `(\w+)` \| .* \| (warn|degrade|stand) \|$", PAGE.read_text(), re.M)
+    found = {check.name: check.then for check in (*Judge().stage.checks, *lidar)}
+    assert dict(rows) == found
+
+
+def test_the_status_says_what_fails():
+    loop = ClosedLoop(simulated(), colour=False)
+    loop.step()
+    said = status_of(loop.service.result())["plausibility"]
+    assert (said["state"], said["failed"]) == ("ok", {})
