@@ -133,10 +133,14 @@ class InputTable:
             row.used_ns, row.reason = self._clock(), ""
 
     def dropped(self, name: str, reason: str, detail: str = "") -> None:
-        """Count a drop. Of drops for one reason the first detail is kept: it does not flicker."""
+        """Count a drop.
+
+        Of drops for one reason the first detail is kept, so that delays do not flicker. Which
+        transforms are missing changes only as tf comes in, and is kept up to date.
+        """
         for row in self._called.get(name, ()):
             row.dropped[reason] = row.dropped.get(reason, 0) + 1
-            if reason not in _NORMAL and reason != row.reason:
+            if reason not in _NORMAL and (reason != row.reason or reason == "no_transform"):
                 row.reason, row.detail = reason, detail
 
     def doubted(self, name: str, doubt: str) -> None:
