@@ -101,7 +101,7 @@ class CdrDecoder:
             return
         try:
             if topic is topics.ODOMETRY:
-                self._move(topic, payload)
+                self.move(messages.decode_odometry(payload))
             elif topic is topics.CAMERA_INFO:
                 self._describe(payload)
             else:
@@ -109,14 +109,14 @@ class CdrDecoder:
         except DecodeError as error:
             self._synchronizer.count(topic.key, "malformed", str(error))
 
-    def _move(self, topic: Topic, payload: bytes) -> None:
-        sample = messages.decode_odometry(payload)
+    def move(self, sample: messages.Odometry) -> None:
+        """Take a pose, from an odometry message or from tf."""
         T_map_base: np.ndarray | None = sample.T_map_base
         if self._frames is not None:
             T_map_base = self._frames.base_in_map(sample)
         if T_map_base is None:
             detail = f"from {sample.frame_id} and {sample.child_frame_id}"
-            self._synchronizer.count(topic.key, "no_transform", detail)
+            self._synchronizer.count(Odometry.topic, "no_transform", detail)
             return
         self._synchronizer.offer(Odometry(sample.stamp_ns, T_map_base))
 

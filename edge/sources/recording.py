@@ -7,7 +7,6 @@ Foxglove and the ROS 2 tools open them.
 from __future__ import annotations
 
 import argparse
-import heapq
 import os
 import subprocess
 import sys
@@ -30,16 +29,13 @@ from edge.config import Config, Zenoh, load
 from edge.errors import UnavailableError, UserError
 from edge.host.children import python_module
 from edge.host.signals import stop_on_signals
+from edge.recording.bag import in_order
 from edge.recording.channels import of_topic
 from edge.recording.file import McapFile, McapReading, RecordingError, is_complete
-from edge.recording.file import Recorded as Message
 
 _RING = 64
 _PAUSE_S = 0.002
 _SYNC_S = 2.0
-_WINDOW_NS = 1_000_000_000  # messages lie no farther from their place in time
-_MOST_WAITING_BYTES = 1 << 28
-_MESSAGE_BYTES = 1000  # what a message takes besides its payload
 _TOPICS = {f"/{topic.key}": topic for topic in topics.ALL}
 
 
@@ -123,7 +119,7 @@ def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
     """
     reading = McapReading(path)
     if is_complete(path):  # else nothing of it is played
-        for message in _in_order(reading):
+        for message in in_order(reading):
             topic = _TOPICS.get(message.topic)
             if topic is not None:
                 yield Recorded(topic, message.log_ns, message.payload)
@@ -131,21 +127,6 @@ def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
             return
     why = reading.cut or "cut off"
     raise RecordingError(f"{path}: not a complete MCAP file: {why}; `edge recover` makes one of it")
-
-
-def _in_order(messages: Iterable[Message]) -> Iterator[Message]:
-    """Yield messages by the time at which they were heard; they are written nearly so."""
-    waiting: list[tuple[int, int, Message]] = []
-    size = 0
-    for n, message in enumerate(messages):
-        heapq.heappush(waiting, (message.log_ns, n, message))
-        size += len(message.payload) + _MESSAGE_BYTES
-        while size > _MOST_WAITING_BYTES or message.log_ns - waiting[0][0] > _WINDOW_NS:
-            first = heapq.heappop(waiting)[2]
-            size -= len(first.payload) + _MESSAGE_BYTES
-            yield first
-    while waiting:
-        yield heapq.heappop(waiting)[2]
 
 
 class Played(NamedTuple):

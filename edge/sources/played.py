@@ -1,0 +1,302 @@
+"""Observations from a recording of any robot: its messages, as if they came now.
+
+Time is the recording's: frames wait for poses, and rates are measured, on the clock of the times
+at which messages were heard. So nothing depends on how fast it is played.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import zenoh
+
+from edge.bus import topics
+from edge.bus.topics import Topic
+from edge.bus.wire import DecodeError, messages
+from edge.bus.wire.schemas import full_name
+from edge.bus.wire.transforms import decode_transforms
+from edge.config import Config
+from edge.loop.source import InputRow
+from edge.recording.bag import Bag
+from edge.recording.file import Recorded, RecordingError
+from edge.sources.contents import (
+    ODOMETRY,
+    TF,
+    TF_STATIC,
+    Contents,
+    match,
+    read_contents,
+)
+from edge.sources.decoder import KINDS
+from edge.sources.polled import PolledSource
+from edge.sources.synchronizer import streams_of
+from edge.sources.tf import Frames
+from edge.text import aligned, one_line
+from edge.types import Observation
+
+log = logging.getLogger("edge.sources.played")
+
+_TOPICS = {topic.key: topic for topic in topics.ALL if topic.writer == "sensors"}
+_LONGEST_GAP_NS = 30_000_000_000
+_REST_NS = 1_000_000_000  # after the last message: frames wait for their poses
+_MOST_AT_ONCE = 256  # messages, so that the loop hears of signals
+_ABSENT = "not in the recording"
+
+
+class PlayedSource(PolledSource):
+    """The sensors of a recording as Observations.
+
+    Args:
+        rate: how many times as fast as it was recorded; what is late is dropped, as on a robot.
+            None: as fast as observations are taken, and none is late.
+
+    Attributes:
+        over: whether all of it was played.
+    """
+
+    def __init__(
+        self, config: Config, session: zenoh.Session, playback: Playback, rate: float | None
+    ) -> None:
+        contents, matched = playback.contents, playback.matched
+        self._matched, self._rate, self.over = matched, rate, False
+        self._now_ns = self._last_ns = self._first_ns = contents.first_ns
+        self._played_frames = Frames(matched.config.ros2) if matched.by_tf else None
+        super().__init__(_timed(config), session, self._played_frames, lambda: self._now_ns)
+        inputs = self._synchronizer.inputs
+        if matched.by_tf:
+            for name in (TF, TF_STATIC):
+                inputs.add(name, TF, needed=True)
+                inputs.listen(name, one_line(matched.topics.get(name, _ABSENT), 80))
+        self._take_static(contents)
+        self._names = {topic: name for name, topic in matched.topics.items()}
+        self._types = {topic: contents.topics[topic].type for topic in self._names}
+        self._messages = playback.bag.by_time(self._names.keys(), contents.sorted_nearly)
+        self._next = next(self._messages, None)
+        self._began_ns: int | None = None
+        self._skipped_ns = 0
+
+    def _take_static(self, contents: Contents) -> None:
+        """Whoever subscribes to tf_static gets what was published before."""
+        if self._played_frames is not None:
+            for payload in contents.static.get(self._matched.topics.get(TF_STATIC, ""), ()):
+                with suppress(DecodeError):  # it is counted when its turn comes
+                    self._played_frames.take(payload)
+
+    def clock(self) -> int:
+        """The recording's time now, in ns."""
+        if self._rate is None:
+            return self._now_ns
+        if self._began_ns is None:
+            self._began_ns = time.monotonic_ns()
+        passed_ns = int((time.monotonic_ns() - self._began_ns) * self._rate)
+        return self._first_ns + passed_ns + self._skipped_ns
+
+    def wait(self, timeout_s: float) -> bool:
+        """See `edge.loop.source.Source`."""
+        if self.over:
+            time.sleep(timeout_s)
+        return not self.over
+
+    def poll(self) -> Observation | None:
+        """See `edge.loop.source.Source`."""
+        if self._rate is not None:
+            return super().poll()
+        for _ in range(_MOST_AT_ONCE):
+            observation = self._synchronizer.poll()
+            if observation is not None or self.over:
+                return observation
+            self._advance()
+        return None
+
+    def _where(self, topic: Topic) -> str:
+        if topic.key == ODOMETRY and self._matched.mover:
+            return f"{one_line(self._matched.topics.get(TF, _ABSENT), 80)} (poses)"
+        return one_line(self._matched.topics.get(topic.key, _ABSENT), 80)
+
+    def _drain(self) -> int:
+        now_ns, n = self.clock(), 0
+        while self._next is not None and self._next.log_ns <= now_ns and n < _MOST_AT_ONCE:
+            self._advance()
+            n += 1
+        if n < _MOST_AT_ONCE:
+            self._now_ns = max(self._now_ns, now_ns)
+            self.over = self._next is None and now_ns - self._last_ns > _REST_NS
+        return n
+
+    def _advance(self) -> None:
+        """Take the next message; at the end, let the rest of the frames wait no longer."""
+        message = self._next
+        if message is None:
+            self._now_ns += _REST_NS
+            self.over = True
+            return
+        self._now_ns = self._last_ns = max(self._now_ns, message.log_ns)
+        try:
+            self._take(message)
+        finally:
+            self._next = next(self._messages, None)
+            if self._next is not None and self._next.log_ns - self._now_ns > _LONGEST_GAP_NS:
+                gap_ns = self._next.log_ns - self._now_ns
+                self._skipped_ns += gap_ns
+                log.info("%.0f s without a message in the recording are skipped", gap_ns * 1e-9)
+
+    def _take(self, message: Recorded) -> None:
+        name = self._names[message.topic]
+        if name not in (TF, TF_STATIC):
+            if not self._is_too_large(name, message.payload):
+                type_name = self._types[message.topic].replace("/msg/", "/")
+                self._decoder.offer(_TOPICS[name], message.payload, type_name)
+        elif self._played_frames is not None:
+            self._take_transforms(name, message.payload, self._played_frames)
+            if self._matched.mover and name == TF:
+                self._take_poses(message.payload)
+
+    def _take_poses(self, payload: bytes) -> None:
+        """Take the poses that tf gives, where the recording has no odometry."""
+        with suppress(DecodeError):  # it was counted
+            for t in decode_transforms(payload):
+                if t.child == self._matched.mover:
+                    self._synchronizer.received(ODOMETRY)
+                    sample = messages.Odometry(t.stamp_ns, t.T, 0.0, 0.0, t.parent, t.child)
+                    self._decoder.move(sample)
+
+
+class Playback:
+    """A recording, and how a configuration plays it: a context manager.
+
+    Args:
+        config: of the service that it is played into.
+        rate: see `PlayedSource`.
+
+    Attributes:
+        contents: what is in it.
+        matched: which of its topics are used.
+        wanted: our names of the topics that the configuration needs.
+        read_s: how long it took to read it once.
+        source: what plays it, once a service has opened it.
+
+    Raises:
+        RecordingError: it cannot be read; one line.
+    """
+
+    def __init__(self, path: Path, config: Config, rate: float | None) -> None:
+        self.bag, self._config, self._rate = Bag(path), _timed(config), rate
+        self.source: PlayedSource | None = None
+
+    def __enter__(self) -> Playback:
+        self.bag.__enter__()
+        began = time.perf_counter()
+        self.contents = read_contents(self.bag)
+        self.read_s = time.perf_counter() - began
+        heard = streams_of(self._config)
+        self.wanted = [
+            topic.key
+            for topic in _TOPICS.values()
+            if topic not in KINDS or KINDS[topic].field in heard
+        ]
+        self.matched = match(self._config, self.contents, self.wanted)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.bag.__exit__(*error)
+
+    def open(self, config: Config, session: zenoh.Session) -> PlayedSource:
+        """See `edge.sources.find_source`."""
+        self.source = PlayedSource(config, session, self, self._rate)
+        return self.source
+
+    def clock(self) -> int:
+        """See `edge.loop.runner.Running`."""
+        return self.contents.first_ns if self.source is None else self.source.clock()
+
+    @property
+    def as_on_the_bus(self) -> bool:
+        """Whether each topic is what the source `zenoh` listens to, so that it can be sent as it
+        is, and nothing is damaged."""
+        found, matched = self.contents.topics, self.matched
+        alike = (
+            topic == f"/{name}" and found[topic].type == full_name(_TOPICS[name].type)
+            for name, topic in matched.topics.items()
+        )
+        return bool(matched.topics) and not (matched.by_tf or self.bag.notes) and all(alike)
+
+    @property
+    def over(self) -> bool:
+        """Whether all of it was played."""
+        return self.source is not None and self.source.over
+
+    def check(self) -> None:
+        """Refuse a recording of which no observation can come.
+
+        Raises:
+            RecordingError: one line: what was looked for, and what is there.
+        """
+        if any(self._lacking()):
+            raise self._nothing()
+
+    def opening(self) -> Iterator[str]:
+        """Yield lines that tell what is in the recording and what of it is played."""
+        found = self.contents
+        n = sum(facts.count for facts in found.topics.values())
+        yield f"{self.bag.path}: {found.seconds:.1f} s, {n} messages, {len(found.topics)} topics"
+        yield from self.bag.notes
+        yield from self.matched.lines
+        used = set(self.matched.topics.values())
+        left = Contents({t: facts for t, facts in found.topics.items() if t not in used})
+        if left.topics:
+            yield f"not used: {left.there()}"
+
+    def outcome(self) -> Iterator[str]:
+        """Yield lines that tell what became of the messages.
+
+        Raises:
+            RecordingError: see `check`.
+        """
+        rows = () if self.source is None else self.source.input_table()
+        n = 0 if self.source is None else self.source.counters["observations"]
+        if n == 0:
+            raise self._nothing(rows)
+        table = [("input", "topic", "messages", "left out")]
+        table += [(row.name, row.where, row.received, _dropped(row)) for row in rows]
+        yield aligned(table)
+        yield f"{n} observations"
+
+    def _lacking(self) -> Iterator[str]:
+        """Yield the inputs without which there is no observation and that the recording lacks."""
+        there = {*self.matched.topics, *([ODOMETRY] if self.matched.mover else [])}
+        required = {f for f, stream in streams_of(self._config).items() if stream.required}
+        groups = [
+            [t.key for t, kind in KINDS.items() if kind.field == field]
+            for field in sorted(required)
+        ]
+        groups += [[topics.CAMERA_INFO.key]] if required & {"rgb", "depth_m"} else []
+        groups += [[ODOMETRY]]
+        yield from (" or ".join(names) for names in groups if not there.intersection(names))
+
+    def _nothing(self, rows: tuple[InputRow, ...] = ()) -> RecordingError:
+        lacks = ", ".join(self._lacking())
+        dropped = [f"{row.name} ({row.where}): {_dropped(row)}" for row in rows if row.dropped]
+        parts = [
+            f"looked for {', '.join(self.wanted)}",
+            f"found no {lacks}" if lacks else "",
+            f"left out {'; '.join(dropped)}" if dropped else "",
+            f"there are {self.contents.there()}",
+            "ros2.topics says which is which, mapping.input what the map is made of",
+        ]
+        said = "; ".join(filter(None, parts))
+        return RecordingError(f"{self.bag.path}: no observation comes of it: {said}")
+
+
+def _timed(config: Config) -> Config:
+    """The configuration of a source that waits for frames by time, and not for ever."""
+    return config.model_copy(update={"loop": config.loop.model_copy(update={"lockstep": False})})
+
+
+def _dropped(row: InputRow) -> str:
+    """Say why messages of an input became part of no observation, most frequent first."""
+    reasons = sorted(row.dropped.items(), key=lambda item: -item[1])
+    return ", ".join(f"{n} {reason}" for reason, n in reasons) or "-"
