@@ -86,7 +86,7 @@ class Db3Reading:
                 }
                 begun = True
                 yield from self._messages(db, topics)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, ValueError, OverflowError) as error:  # of bytes that nobody wrote
             why = one_line(error, 80)
             if not begun:
                 raise RecordingError(f"{self.path}: not a rosbag2 file: {why}") from None
@@ -235,11 +235,11 @@ def _unpacked(path: Path, stack: ExitStack) -> Path:
     Raises:
         RecordingError: no such file, of another kind, or larger than there is room for.
     """
-    first = _first_bytes(path, 16)
+    out, first = path, _first_bytes(path, len(_SQLITE))
     if first.startswith(_ZSTD):
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="edge-bag-")))
-        path = _decompressed(path, folder / path.name.removesuffix(".zstd"))
-        first = _first_bytes(path, 16)
+        out = _decompressed(path, folder / path.name.removesuffix(".zstd"))
+        first = _first_bytes(out, len(_SQLITE))
     if not first:
         raise RecordingError(f"{path}: empty")
     if first.startswith(_ROS1):
@@ -249,7 +249,7 @@ def _unpacked(path: Path, stack: ExitStack) -> Path:
         )
     if not (MAGIC.startswith(first[: len(MAGIC)]) or first.startswith(_SQLITE)):
         raise RecordingError(f"{path}: neither an MCAP file nor rosbag2's (.db3)")
-    return path
+    return out
 
 
 def _decompressed(path: Path, out: Path) -> Path:

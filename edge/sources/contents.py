@@ -7,17 +7,19 @@ type, content and words of its name. Every choice is a line for the user.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
 from edge.bus import topics
-from edge.bus.ros2.topics import HEARD, heard_types
+from edge.bus.ros2.topics import COMPRESSED, COMPRESSED_ENDINGS, HEARD, heard_types
 from edge.bus.wire import DecodeError, compressed, messages
 from edge.bus.wire.transforms import decode_transforms
 from edge.config import Config
 from edge.config.ros2 import DEFAULT_TOPICS
 from edge.recording.bag import WINDOW_NS, Bag
 from edge.recording.file import Recorded
+from edge.sources.decoder import KINDS
+from edge.sources.synchronizer import streams_of
 from edge.text import aligned, one_line
 
 RGB, DEPTH, INFO, CLOUD, SCAN, ODOMETRY = (
@@ -27,7 +29,6 @@ RGB, DEPTH, INFO, CLOUD, SCAN, ODOMETRY = (
     )
 )  # fmt: skip
 TF, TF_STATIC = "tf", "tf_static"
-_TRANSPORTS = ("/compressed", "/compressedDepth")
 _DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 _BASES = ("base_link", "base_footprint", "base", "base_frame")
 _WORLDS = ("map", "odom", "world")
@@ -184,7 +185,7 @@ def _describe(facts: TopicFacts, message: Recorded) -> None:
         elif facts.type == HEARD[RGB]:
             encoding = messages.decode_image_header(message.payload).encoding
             facts.is_depth = encoding in _DEPTH_ENCODINGS
-        elif facts.type == "sensor_msgs/msg/CompressedImage":
+        elif facts.type == COMPRESSED:
             header = compressed.decode_compressed_header(message.payload)
             facts.is_depth = header.content != "colour"
     except DecodeError:
@@ -212,6 +213,19 @@ def _take_frames(found: Contents, message: Recorded) -> None:
 
 def _is_static(topic: str) -> bool:
     return topic.endswith("tf_static")
+
+
+def lacking_inputs(config: Config, there: Collection[str]) -> Iterator[str]:
+    """Yield the inputs without which there is no observation, of those that are not `there`."""
+    required = {field for field, stream in streams_of(config).items() if stream.required}
+    groups = [
+        [topic.key for topic, kind in KINDS.items() if kind.field == field]
+        for field in sorted(required)
+    ]
+    if required & {"rgb", "depth_m"}:
+        groups.append([INFO])
+    groups.append([ODOMETRY])
+    yield from (" or ".join(names) for names in groups if not set(there).intersection(names))
 
 
 # -- which topic is which -----------------------------------------------------------------------
@@ -322,7 +336,7 @@ class _Choice:
         elif name == ODOMETRY:
             points += 2 * (facts.child == ros2.base_frame) + (facts.child in _BASES)
             points += facts.frame_id == ros2.map_frame
-        is_raw = facts.type != "sensor_msgs/msg/CompressedImage"
+        is_raw = facts.type != COMPRESSED
         return points, is_raw, facts.count, topic
 
     def _info_points(self, topic: str) -> float:
@@ -330,7 +344,7 @@ class _Choice:
         points = 0.0
         for weight, image in ((4, RGB), (2, DEPTH)):
             of = self.found.get(image, "")
-            for end in _TRANSPORTS:
+            for end in COMPRESSED_ENDINGS:
                 of = of.removesuffix(end)
             points += weight * (topic.rpartition("/")[0] == of.rpartition("/")[0] != "")
             points += 0.1 * weight * _shared(topic, of)
@@ -339,7 +353,7 @@ class _Choice:
 
 def _transported(topic: str) -> list[str]:
     """A topic of pictures, and what image_transport calls it where they are compressed."""
-    return [topic, *(f"{topic}{end}" for end in _TRANSPORTS)]
+    return [topic, *(f"{topic}{end}" for end in COMPRESSED_ENDINGS)]
 
 
 def _shared(topic: str, other: str) -> int:
@@ -366,7 +380,8 @@ class _Frames:
             )
             return
         ros2, odom = config.ros2, contents.topics.get(found.get(ODOMETRY, ""))
-        base = self._base(ros2.base_frame, odom)
+        sensors = [contents.topics[found[n]].frame_id for n in (RGB, CLOUD, SCAN) if n in found]
+        base = self._base(ros2.base_frame, odom, sensors)
         if odom is not None and self._is_elsewhere(odom, base):
             self.lines.append(
                 f"odom: tf does not lead from {one_line(odom.frame_id)} to {ros2.map_frame}, but "
@@ -378,7 +393,6 @@ class _Frames:
             self.mover = contents.mover(base)
         world = self._map(ros2.map_frame, base, odom)
         frames = {"base_frame": base, "map_frame": world}
-        sensors = [contents.topics[found[n]].frame_id for n in (RGB, CLOUD, SCAN) if n in found]
         if ros2.mounts == "tf" and not any(contents.connected(base, name) for name in sensors):
             frames["mounts"] = "config"
             named = one_line(" or ".join(dict.fromkeys(sensors)), 200)
@@ -394,13 +408,16 @@ class _Frames:
         localised = connected(base, world) and bool(self._contents.mover(base))
         return localised and bool(odom.frame_id) and not connected(odom.frame_id, world)
 
-    def _base(self, said: str, odom: TopicFacts | None) -> str:
+    def _base(self, said: str, odom: TopicFacts | None, sensors: list[str]) -> str:
+        """The frame of the base: as configured, or what moves."""
         base = said
         if odom is not None:
             if odom.child and not self._contents.connected(said, odom.child):
                 base = odom.child
         elif said not in self._contents.parents:
-            base = next((name for name in _BASES if name in self._contents.parents), said)
+            movers = filter(None, map(self._contents.mover, sensors))
+            usual = (name for name in _BASES if name in self._contents.parents)
+            base = next(iter((*usual, *movers, said)))
         if base != said:
             self.lines.append(f"base: {one_line(base)} instead of ros2.base_frame ({said})")
         return base

@@ -28,6 +28,7 @@ from edge.sources.contents import (
     TF,
     TF_STATIC,
     Contents,
+    lacking_inputs,
     match,
     read_contents,
 )
@@ -235,7 +236,7 @@ class Playback:
         Raises:
             RecordingError: one line: what was looked for, and what is there.
         """
-        if any(self._lacking()):
+        if self._lacking():
             raise self._nothing()
 
     def opening(self) -> Iterator[str]:
@@ -263,19 +264,13 @@ class Playback:
         table = [("input", "topic", "messages", "left out")]
         table += [(row.name, row.where, row.received, _dropped(row)) for row in rows]
         yield aligned(table)
-        yield f"{n} observations"
+        late = self.source.counters["superseded"]
+        yield f"{n} observations; {late} frames gave way to newer ones"
 
-    def _lacking(self) -> Iterator[str]:
-        """Yield the inputs without which there is no observation and that the recording lacks."""
-        there = {*self.matched.topics, *([ODOMETRY] if self.matched.mover else [])}
-        required = {f for f, stream in streams_of(self._config).items() if stream.required}
-        groups = [
-            [t.key for t, kind in KINDS.items() if kind.field == field]
-            for field in sorted(required)
-        ]
-        groups += [[topics.CAMERA_INFO.key]] if required & {"rgb", "depth_m"} else []
-        groups += [[ODOMETRY]]
-        yield from (" or ".join(names) for names in groups if not there.intersection(names))
+    def _lacking(self) -> list[str]:
+        """The inputs without which there is no observation and that the recording lacks."""
+        poses = [ODOMETRY] if self.matched.mover else []
+        return list(lacking_inputs(self._config, [*self.matched.topics, *poses]))
 
     def _nothing(self, rows: tuple[InputRow, ...] = ()) -> RecordingError:
         lacks = ", ".join(self._lacking())

@@ -1,0 +1,497 @@
+"""Recordings of robots: whatever file they are, whatever their topics and frames are called."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from bags import Sent, write_bag, write_db3, write_mcap
+from fake_zenoh import Flooded
+from mcap.writer import CompressionType
+from public_logs import compressed_image
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+from simulated import simulated
+
+from edge.bus.wire import messages
+from edge.bus.wire.cdr import Writer
+from edge.bus.wire.transforms import Transform, encode_transforms
+from edge.config import Config
+from edge.geometry import SE2, CameraModel, optical, se3
+from edge.recording import bag
+from edge.recording.file import RecordingError
+from edge.sources import played
+from edge.sources.played import Playback
+from edge.types import Observation
+
+N = 12
+START_NS = 1_600_000_000_000_000_000
+STEP_NS = 100_000_000
+CAMERA = CameraModel(16, 12, 12.0, 12.0, 7.5, 5.5)
+RGB, DEPTH, INFO = "/front/color/image_raw", "/front/depth/aligned", "/front/color/camera_info"
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+TF = "tf2_msgs/msg/TFMessage"
+OPTICAL = "front_color_optical"
+MOUNT = optical(se3(0.2, 0.0, 0.5))
+CONFIG = simulated({"perception": {"detector": {"kind": "sim"}}})
+DEPTH_MM = np.full((12, 16), 2000, np.uint16)
+
+
+def stamps() -> Iterator[tuple[int, int]]:
+    return ((k, START_NS + k * STEP_NS) for k in range(N))
+
+
+def camera(rgb: str = RGB, depth: str = DEPTH, info: str = INFO) -> Iterator[Sent]:
+    """A camera that sees a wall."""
+    for k, ns in stamps():
+        described = messages.encode_camera_info(ns, OPTICAL, CAMERA)
+        yield info, "sensor_msgs/msg/CameraInfo", ns, described
+        yield depth, IMAGE, ns, messages.encode_image(ns, OPTICAL, DEPTH_MM)
+        picture = np.full((12, 16, 3), k, np.uint8)
+        yield rgb, IMAGE, ns, messages.encode_image(ns, OPTICAL, picture)
+
+
+def x_m(k: int) -> float:
+    return 0.05 * k
+
+
+def odometry(
+    topic: str = "/odom", frame: str = "map", child: str = "base_link", every: int = 1
+) -> Iterator[Sent]:
+    """The robot drives ahead."""
+    for k, ns in stamps():
+        if k % every == 0:
+            payload = messages.encode_odometry(ns, SE2(x_m(k), 0.0, 0.0).matrix(), 0.0, 0.0)
+            payload = _renamed(payload, frame, child)
+            yield topic, "nav_msgs/msg/Odometry", ns, payload
+
+
+def _renamed(payload: bytes, frame: str, child: str) -> bytes:
+    """Odometry between other frames."""
+    sample = messages.decode_odometry(payload)
+    writer = Writer().header(sample.stamp_ns, frame).string(child)
+    messages.write_pose(writer, sample.T_map_base).floats((0.0,) * 36, "d")
+    return writer.floats((0.0,) * 6, "d").floats((0.0,) * 36, "d").bytes()
+
+
+def static(*transforms: tuple[str, str, np.ndarray], ns: int = START_NS) -> Iterator[Sent]:
+    payload = encode_transforms([Transform(ns, *t) for t in transforms])
+    yield "/tf_static", TF, ns, payload
+
+
+def moving(parent: str, child: str, dx_m: float = 0.0) -> Iterator[Sent]:
+    """A frame that drives as the robot does, or stands if it is moved."""
+    for k, ns in stamps():
+        T = se3(dx_m) if dx_m else se3(x_m(k))
+        yield "/tf", TF, ns, encode_transforms([Transform(ns, parent, child, T)])
+
+
+def together(*parts: Iterator[Sent]) -> list[Sent]:
+    return sorted((sent for part in parts for sent in part), key=lambda sent: sent[2])
+
+
+def plain() -> list[Sent]:
+    return together(odometry(), camera())
+
+
+class Seen(SimpleNamespace):
+    """What came of a recording: observations, and the playback."""
+
+
+def play(path: Path, config: Config = CONFIG, rate: float | None = None) -> Seen:
+    seen: list[Observation] = []
+    with Playback(path, config, rate) as playback:
+        playback.check()
+        source = playback.open(config, Flooded("", ()))
+        while not source.over:
+            if (observation := source.poll()) is not None:
+                seen.append(replace(observation, rgb=None, depth_m=None))
+                observation.release()
+        lines = [*playback.opening(), *playback.outcome()]
+    return Seen(
+        observations=seen, stamps=[o.stamp_ns for o in seen], matched=playback.matched,
+        lines="\n".join(lines), counters=source.counters, notes=playback.bag.notes,
+    )  # fmt: skip
+
+
+def attempt(path: Path) -> tuple[Seen | None, str]:
+    """What came of it, or why nothing."""
+    try:
+        return play(path), ""
+    except RecordingError as error:
+        return None, str(error)
+
+
+EVERY = [ns for _, ns in stamps()]
+
+
+@pytest.mark.parametrize("write", [write_mcap, write_bag, write_db3])
+def test_nothing_comes_of_an_empty_recording(tmp_path, write):
+    with pytest.raises(RecordingError, match=r"looked for camera/rgb, .* there are nothing"):
+        play(write(tmp_path / "empty", []))
+
+
+def _unnamed(folder: Path, sent: list[Sent]) -> Path:
+    (write_bag(folder, sent) / "metadata.yaml").unlink()
+    return folder
+
+
+def _one_topic_after_the_other(path: Path, sent: list[Sent]) -> Path:
+    return write_mcap(path, sorted(sent, key=lambda one: one[0]))
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda path, sent: write_mcap(path, sent, CompressionType.NONE),
+        lambda path, sent: write_mcap(path, sent, CompressionType.LZ4),
+        lambda path, sent: write_mcap(path, sent, CompressionType.ZSTD),
+        _one_topic_after_the_other,
+        write_db3,
+        write_bag,
+        lambda path, sent: write_bag(path, sent) / "metadata.yaml",
+        lambda path, sent: write_bag(path, sent, StoragePlugin.MCAP),
+        lambda path, sent: write_bag(path, sent, compression=CompressionMode.FILE),
+        lambda path, sent: write_bag(path, sent, compression=CompressionMode.MESSAGE),
+        _unnamed,
+    ],
+    ids=["mcap", "lz4", "zstd", "unsorted", "db3", "folder", "metadata", "folder of mcap",
+         "compressed file", "compressed messages", "no metadata"],
+)  # fmt: skip
+def test_each_kind_of_file_plays(tmp_path, write):
+    seen = play(write(tmp_path / "robot", plain()))
+    assert seen.stamps == EVERY
+    assert [o.pose.x_m for o in seen.observations] == pytest.approx([x_m(k) for k in range(N)])
+
+
+def _png(
+    topic: str, ending: str, words: str, array: np.ndarray, head: bytes = b""
+) -> Iterator[Sent]:
+    for _, ns in stamps():
+        data = head + cv2.imencode(".png", array)[1].tobytes()
+        yield f"{topic}{ending}", COMPRESSED, ns, compressed_image(ns, OPTICAL, words, data)
+
+
+def _info(topic: str) -> Iterator[Sent]:
+    for _, ns in stamps():
+        info = messages.encode_camera_info(ns, OPTICAL, CAMERA)
+        yield topic, "sensor_msgs/msg/CameraInfo", ns, info
+
+
+GREY = np.full((12, 16, 3), 90, np.uint8)
+NAMES: dict[str, tuple[list[Sent], dict[str, str], dict[str, str]]] = {
+    "ours": (
+        together(odometry(), camera("/camera/rgb", "/camera/depth", "/camera/info")),
+        {},
+        {"camera/rgb": "/camera/rgb", "camera/depth": "/camera/depth", "odom": "/odom"},
+    ),
+    "of drivers": (
+        together(
+            odometry("/rover/odometry/filtered"), odometry("/rover/gps/odom"), camera(),
+            camera("/rear/color/image_raw", "/rear/depth/aligned", "/rear/color/camera_info"),
+        ),
+        {},
+        {"camera/rgb": RGB, "camera/depth": DEPTH, "camera/info": INFO,
+         "odom": "/rover/odometry/filtered"},
+    ),
+    "configured": (
+        together(odometry(), camera(), camera("/rear/a", "/rear/b", "/rear/c")),
+        {"camera/rgb": "/rear/a", "camera/depth": "/rear/b", "camera/info": "/rear/c"},
+        {"camera/rgb": "/rear/a", "camera/depth": "/rear/b", "camera/info": "/rear/c"},
+    ),
+    "configured, but not there": (
+        plain(), {"camera/rgb": "/other/image"}, {"camera/rgb": RGB},
+    ),
+    "compressed": (
+        together(
+            odometry(), _info("/cam/camera_info"),
+            _png("/cam/image", "/compressed", "rgb8; png compressed", GREY),
+            _png("/cam/distances", "/compressedDepth", "16UC1; compressedDepth png", DEPTH_MM,
+                 bytes(12)),
+        ),
+        {},
+        {"camera/rgb": "/cam/image/compressed", "camera/depth": "/cam/distances/compressedDepth",
+         "camera/info": "/cam/camera_info"},
+    ),
+    "known by what they hold": (
+        together(odometry("/a"), camera("/b", "/c", "/d")),
+        {},
+        {"odom": "/a", "camera/rgb": "/b", "camera/depth": "/c", "camera/info": "/d"},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_topics_are_found_and_told(tmp_path, name):
+    sent, configured, found = NAMES[name]
+    config = simulated({"ros2": {"topics": configured}})
+    seen = play(write_mcap(tmp_path / "robot.mcap", sent), config)
+    assert seen.stamps == EVERY
+    assert {name: seen.matched.topics[name] for name in found} == found
+    for ours, topic in found.items():
+        assert any(line.split()[:2] == [ours, topic] for line in seen.lines.splitlines())
+
+
+BASE, FOOT = ("base_link", OPTICAL, MOUNT), ("base_footprint", "base_link", se3(z_m=0.1))
+FRAMES: dict[str, tuple[list[Sent], float, str]] = {
+    # What is sent, x in the map at first, and what is told.
+    "no tf": (plain(), 0.0, "no tf in it"),
+    "map from odom": (
+        together(odometry(frame="odom"), camera(), static(BASE), moving("map", "odom", 3.0)),
+        3.0, "base_link in map, by tf",
+    ),
+    "no map": (
+        together(odometry(frame="odom"), camera(), static(BASE)), 0.0,
+        "map: odom instead of ros2.map_frame (map)",
+    ),
+    "another base": (
+        together(odometry(child="chassis"), camera(), static(("chassis", OPTICAL, MOUNT))), 0.0,
+        "base: chassis instead of ros2.base_frame (base_link)",
+    ),
+    "poses by tf": (
+        together(camera(), static(BASE, FOOT), moving("odom", "base_footprint"),
+                 moving("map", "odom", 3.0)),
+        3.0, "tf, of base_footprint",
+    ),
+    "odometry elsewhere": (
+        together(odometry(frame="visual"), camera(), static(BASE), moving("map", "base_link")),
+        0.0, "tf does not lead from visual to map",
+    ),
+    "handheld": (
+        together(camera(), static(("kinect", OPTICAL, MOUNT)), moving("world", "kinect")), 0.0,
+        "base: kinect instead of ros2.base_frame (base_link)",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_frames_are_followed_and_told(tmp_path, name):
+    sent, first_m, told = FRAMES[name]
+    camera = {"x_m": 0.2, "z_m": 0.5, "pitch_deg": 0}
+    config = simulated({"sensors": {"camera": camera}})
+    seen = play(write_mcap(tmp_path / "robot.mcap", sent), config)
+    assert told in seen.lines
+    assert len(seen.stamps) >= N - 1
+    xs_m = [o.pose.x_m for o in seen.observations]
+    assert xs_m == pytest.approx([first_m + (ns - START_NS) / STEP_NS * 0.05 for ns in seen.stamps])
+    for observation in seen.observations:
+        np.testing.assert_allclose(observation.T_base_camera, MOUNT, atol=1e-6)
+
+
+def test_sensors_that_tf_does_not_know_sit_where_the_configuration_says(tmp_path):
+    sent = together(odometry(frame="odom"), camera(), moving("map", "odom", 1.0))
+    seen = play(write_mcap(tmp_path / "robot.mcap", sent))
+    assert f"tf does not lead from base_link to {OPTICAL}" in seen.lines
+    expected = CONFIG.sensors.camera.T_base_camera()
+    np.testing.assert_allclose(seen.observations[-1].T_base_camera, expected)
+
+
+def test_what_is_fixed_is_known_from_the_start(tmp_path):
+    late = static(BASE, ns=START_NS + (N - 1) * STEP_NS)
+    sent = together(odometry(), camera(), late, moving("world", "map", 1.0))
+    assert play(write_mcap(tmp_path / "robot.mcap", sent)).stamps == EVERY
+
+
+def test_one_lidar_maps(tmp_path):
+    def scans() -> Iterator[Sent]:
+        for _, ns in stamps():
+            ranges = np.full(8, 2.0, np.float32)
+            scan = messages.encode_laser_scan(ns, "laser", -1.0, 0.25, 10.0, ranges)
+            yield "/base/scan", "sensor_msgs/msg/LaserScan", ns, scan
+            yield "/base/scan_rear", "sensor_msgs/msg/LaserScan", ns, scan
+
+    config = simulated(
+        {"mapping": {"input": "cloud"}, "sensors": {"lidar": {"z_m": 0.3}},
+         "perception": {"lift": "cloud"}}
+    )  # fmt: skip
+    seen = play(write_db3(tmp_path / "robot.db3", together(odometry(), scans())), config)
+    assert seen.matched.topics["lidar/scan"] == "/base/scan"
+    assert "not used: /base/scan_rear" in seen.lines
+    assert len(seen.stamps) == N
+
+
+@pytest.mark.parametrize(
+    ("sent", "why"),
+    [
+        (together(odometry()), "found no camera/depth, camera/rgb, camera/info; there are /odom"),
+        (together(camera()), "found no odom; there are"),
+        (
+            [("/imu", "sensor_msgs/msg/Imu", 5, bytes(8))],
+            r"there are /imu \(sensor_msgs/msg/Imu, 1",
+        ),
+    ],
+)
+def test_what_is_missing_is_told_with_what_is_there(tmp_path, sent, why):
+    with pytest.raises(RecordingError, match=why) as caught:
+        play(write_mcap(tmp_path / "robot.mcap", sent))
+    assert "looked for camera/rgb, camera/depth, camera/info, odom" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_cannot_be_used_is_told_in_the_end(tmp_path):
+    config = simulated({"ros2": {"mounts": "tf"}})
+    sent = together(odometry(frame=""), camera(), static(BASE))
+    with pytest.raises(RecordingError, match=r"left out .*odom \(/odom\): 12 no_transform"):
+        play(write_mcap(tmp_path / "robot.mcap", sent), config)
+
+
+def test_bad_messages_are_counted_and_the_others_used(tmp_path):
+    sent = plain()
+    bad = [(topic, kind, ns, payload[:30]) for topic, kind, ns, payload in sent[:4]]
+    seen = play(write_mcap(tmp_path / "robot.mcap", [*bad, *sent]))
+    assert len(seen.stamps) >= N - 1
+    assert seen.counters["malformed"] == 4
+
+
+# -- damage -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("write", [write_mcap, write_db3])
+@pytest.mark.parametrize("left", [0.02, 0.3, 0.7, 0.97, -9, -1])
+def test_a_file_that_was_cut_off_plays_to_there_or_is_refused(tmp_path, write, left):
+    whole = write(tmp_path / "whole", plain()).read_bytes()
+    path = tmp_path / "cut"
+    path.write_bytes(whole[: int(left * len(whole)) if left > 0 else int(left)])
+    seen, why = attempt(path)
+    assert "\n" not in why
+    if seen is not None and seen.stamps != EVERY:
+        assert seen.notes[0] in seen.lines
+    if left < 0:  # all messages are there
+        assert seen is not None
+        assert seen.stamps == EVERY
+
+
+@pytest.mark.parametrize("write", [write_mcap, write_db3])
+def test_a_damaged_file_raises_nothing_else(tmp_path, write):
+    whole, path = write(tmp_path / "whole", plain()).read_bytes(), tmp_path / "damaged"
+    rng = random.Random(3)
+    for _ in range(40):
+        data = bytearray(whole)
+        for _ in range(rng.choice([1, 10, 300])):
+            data[rng.randrange(len(data))] = rng.randrange(256)
+        path.write_bytes(data)
+        assert "\n" not in attempt(path)[1]
+
+
+def _folder(path: Path, *files: str) -> Path:
+    path.mkdir()
+    for file in files:
+        (path / file).write_bytes(b"")
+    return path
+
+
+def _metadata(path: Path) -> Path:
+    write_bag(path, plain())
+    next(path.glob("*.db3")).unlink()
+    return path
+
+
+def _view(path: Path) -> Path:
+    endless = (
+        "CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id FROM n) "
+        "SELECT id, 1 AS topic_id, 1 AS timestamp, x'00' AS data FROM n"
+    )
+    return write_db3(path, [], endless)
+
+
+def _computed(path: Path) -> Path:
+    table = (
+        "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
+        "data BLOB AS (zeroblob(900000000)))"
+    )
+    return write_db3(path, [], table)
+
+
+def _bytes(data: bytes):
+    def write(path: Path) -> Path:
+        path.write_bytes(data)
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("write", "why"),
+    [
+        (lambda path: path, "No such file"),
+        (_bytes(b""), "empty"),
+        (_bytes(b"junk" * 100), "neither an MCAP file nor rosbag2's"),
+        (_bytes(b"#ROSBAG V2.0\n"), "a bag of ROS 1: convert it first"),
+        (_bytes(b"SQLite format 3\0" + bytes(200)), "not a rosbag2 file"),
+        (_bytes(b"\x28\xb5\x2f\xfdjunk"), "empty"),
+        (_folder, "no recording in this folder"),
+        (lambda path: _folder(path, "a.txt"), "no recording in this folder"),
+        (lambda path: _folder(path, "a_0.mcap"), "a_0.mcap: empty"),
+        (_metadata, "no recording in this folder"),
+        (_view, "no table of messages"),
+        (_computed, "no table of messages"),
+    ],
+)
+def test_what_is_no_recording_is_refused_in_one_line(tmp_path, write, why):
+    with pytest.raises(RecordingError, match=why) as caught:
+        play(write(tmp_path / "robot"))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_plays_without_the_files_that_are_missing(tmp_path):
+    folder = write_bag(tmp_path / "robot", plain())
+    metadata = folder / "metadata.yaml"
+    name = next(folder.glob("*.db3")).name
+    metadata.write_text(metadata.read_text().replace(f"- {name}", f"- ../{name}\n  - gone.db3"))
+    seen = play(folder)
+    assert seen.stamps == EVERY
+    assert "names gone.db3, which is not there" in seen.lines
+
+
+def test_nothing_is_decompressed_beyond_its_limit(tmp_path, monkeypatch):
+    folder = write_bag(tmp_path / "a", plain(), compression=CompressionMode.MESSAGE)
+    packed = write_bag(tmp_path / "b", plain(), compression=CompressionMode.FILE)
+    plain_db3 = write_db3(tmp_path / "c", plain())
+    monkeypatch.setattr(bag, "MAX_RECORD_BYTES", 500)
+    for path in (folder, plain_db3):
+        with pytest.raises(RecordingError, match="found no camera/depth"):
+            play(path)
+    monkeypatch.setattr(bag.shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
+    with pytest.raises(RecordingError, match="too large"):
+        play(packed)
+
+
+# -- in real time -------------------------------------------------------------------------------
+
+
+class Clock(SimpleNamespace):
+    """A clock that goes on by 10 ms at each look."""
+
+    now_ns = 0
+
+    def monotonic_ns(self) -> int:
+        self.now_ns += 10_000_000
+        return self.now_ns
+
+
+@pytest.mark.parametrize(("rate", "looks"), [(1.0, 110), (4.0, 28)])
+def test_it_is_played_at_its_own_pace(tmp_path, monkeypatch, rate, looks):
+    clock = Clock()
+    monkeypatch.setattr(played.time, "monotonic_ns", clock.monotonic_ns)
+    seen = play(write_mcap(tmp_path / "robot.mcap", plain()), rate=rate)
+    assert seen.stamps == EVERY
+    rest = bag.WINDOW_NS / 10_000_000 / rate
+    assert clock.now_ns / 10_000_000 == pytest.approx(looks + rest, abs=8)
+
+
+def test_frames_that_are_late_give_way_and_pauses_are_skipped(tmp_path, monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(played.time, "monotonic_ns", clock.monotonic_ns)
+    pause_ns = 3600 * 10**9
+    sent = [(topic, kind, ns + pause_ns * (k >= len(plain()) // 2), payload)
+            for k, (topic, kind, ns, payload) in enumerate(plain())]  # fmt: skip
+    path = write_mcap(tmp_path / "robot.mcap", sent)
+    seen = play(path, rate=40.0)
+    assert 2 < len(seen.stamps) < N
+    assert seen.stamps[-1] == EVERY[-1]
+    assert clock.now_ns < 10**9
