@@ -1,18 +1,36 @@
-"""Recordings of robots, written by the libraries `mcap` and `rosbags`, and by SQL alone."""
+"""Recordings of robots, written by the libraries `mcap` and `rosbags`, and by SQL alone; and what
+a robot says that drives ahead and sees a wall."""
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from ros_messages import STORE
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 
+from edge.bus.wire import messages
+from edge.bus.wire.cdr import U32
+from edge.bus.wire.cdr import Writer as CdrWriter
+from edge.bus.wire.transforms import Transform, encode_transforms
+from edge.geometry import SE2, CameraModel, optical, se3
+
+N = 12
+START_NS = 1_600_000_000_000_000_000
+STEP_NS = 100_000_000
+CAMERA = CameraModel(16, 12, 12.0, 12.0, 7.5, 5.5)
+RGB, DEPTH, INFO = "/front/color/image_raw", "/front/depth/aligned", "/front/color/camera_info"
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+TF = "tf2_msgs/msg/TFMessage"
+OPTICAL = "front_color_optical"
+MOUNT = optical(se3(0.2, 0.0, 0.5))
+DEPTH_MM = np.full((12, 16), 2000, np.uint16)
 Sent = tuple[str, str, int, bytes]
 """Topic, type (`sensor_msgs/msg/Image`), the time at which it was heard, and CDR."""
 
@@ -74,3 +92,65 @@ def write_db3(path: Path, sent: Iterable[Sent], messages: str = "") -> Path:
                        (numbers[topic], time_ns, payload))  # fmt: skip
         db.commit()
     return path
+
+
+def stamps() -> Iterator[tuple[int, int]]:
+    return ((k, START_NS + k * STEP_NS) for k in range(N))
+
+
+def camera(rgb: str = RGB, depth: str = DEPTH, info: str = INFO) -> Iterator[Sent]:
+    """A camera that sees a wall."""
+    for k, ns in stamps():
+        described = messages.encode_camera_info(ns, OPTICAL, CAMERA)
+        yield info, "sensor_msgs/msg/CameraInfo", ns, described
+        yield depth, IMAGE, ns, messages.encode_image(ns, OPTICAL, DEPTH_MM)
+        picture = np.full((12, 16, 3), k, np.uint8)
+        yield rgb, IMAGE, ns, messages.encode_image(ns, OPTICAL, picture)
+
+
+def x_m(k: int, speed_mps: float = 0.5) -> float:
+    return speed_mps * k * STEP_NS * 1e-9
+
+
+def odometry(
+    topic: str = "/odom", frame: str = "map", child: str = "base_link", speed_mps: float = 0.5
+) -> Iterator[Sent]:
+    """The robot drives ahead."""
+    for k, ns in stamps():
+        at = SE2(x_m(k, speed_mps), 0.0, 0.0).matrix()
+        payload = _renamed(messages.encode_odometry(ns, at, 0.0, 0.0), frame, child)
+        yield topic, "nav_msgs/msg/Odometry", ns, payload
+
+
+def _renamed(payload: bytes, frame: str, child: str) -> bytes:
+    """Odometry between other frames."""
+    sample = messages.decode_odometry(payload)
+    writer = CdrWriter().header(sample.stamp_ns, frame).string(child)
+    messages.write_pose(writer, sample.T_map_base).floats((0.0,) * 36, "d")
+    return writer.floats((0.0,) * 6, "d").floats((0.0,) * 36, "d").bytes()
+
+
+def static(*transforms: tuple[str, str, np.ndarray], ns: int = START_NS) -> Iterator[Sent]:
+    payload = encode_transforms([Transform(ns, *t) for t in transforms])
+    yield "/tf_static", TF, ns, payload
+
+
+def moving(parent: str, child: str, dx_m: float = 0.0) -> Iterator[Sent]:
+    """A frame that drives as the robot does, or stands if it is moved."""
+    for k, ns in stamps():
+        T = se3(dx_m) if dx_m else se3(x_m(k))
+        yield "/tf", TF, ns, encode_transforms([Transform(ns, parent, child, T)])
+
+
+def together(*parts: Iterator[Sent]) -> list[Sent]:
+    return sorted((sent for part in parts for sent in part), key=lambda sent: sent[2])
+
+
+def plain() -> list[Sent]:
+    return together(odometry(), camera())
+
+
+def compressed_image(stamp_ns: int, frame_id: str, words: str, data: bytes) -> bytes:
+    """sensor_msgs/CompressedImage."""
+    writer = CdrWriter().header(stamp_ns, frame_id).string(words).write(U32, 4, len(data))
+    return writer.bytes(memoryview(data))

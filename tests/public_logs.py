@@ -16,16 +16,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from bags import Sent, write_mcap
+from bags import COMPRESSED, IMAGE, TF, Sent, compressed_image, write_mcap
 
 from edge.bus.wire import messages
-from edge.bus.wire.cdr import U32, Writer
 from edge.bus.wire.transforms import Transform, encode_transforms
 from edge.geometry import SE2, CameraModel, invert, se3
 
 START_NS = 1_700_000_000_000_000_000
-IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-TF = "tf2_msgs/msg/TFMessage"
 # y is up in Redwood's world, and its floor lies at 0.13 m.
 T_MAP_REDWOOD = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, -0.13], [0, 0, 0, 1]], float)
 _OPTICAL = "camera_rgb_optical_frame"
@@ -60,12 +57,6 @@ def _forward(T_map_camera: np.ndarray) -> tuple[float, float, float]:
     x_m, y_m = T_map_camera[:2, 3]
     ahead = T_map_camera[:2, 2]
     return float(x_m), float(y_m), math.atan2(ahead[1], ahead[0])
-
-
-def compressed_image(stamp_ns: int, frame_id: str, words: str, data: bytes) -> bytes:
-    """sensor_msgs/CompressedImage."""
-    writer = Writer().header(stamp_ns, frame_id).string(words).write(U32, 4, len(data))
-    return writer.bytes(memoryview(data))
 
 
 def carmen(log: Path) -> Iterator[Sent]:

@@ -110,11 +110,10 @@ def run_bench(
     with ExitStack() as stack:
         playback = stack.enter_context(Playback(recording, config, 1.0))
         began += playback.read_s
+        playback.check()
         own = playback.as_on_the_bus
-        if not own:
-            for line in playback.opening():
-                log.info("%s", line)
-            playback.check()
+        for line in () if own else playback.opening():
+            log.info("%s", line)
         make_source = None if own else playback.open
         running = stack.enter_context(open_service(config, [], stop=stop, make_source=make_source))
         ready_s = time.perf_counter() - began
@@ -140,7 +139,8 @@ def run_bench(
     if tick.n == 0 or report.stage("detect").n == 0:
         raise UserError(
             f"bench: nothing measured in {seconds:g} s ({tick.n} ticks, "
-            f"{report.stage('detect').n} detections): give it more --seconds; counters: {counters}"
+            f"{report.stage('detect').n} detections): "
+            f"{'give it more --seconds' if own else 'the log says why'}; counters: {counters}"
         )
     return {
         "table": report.table(),

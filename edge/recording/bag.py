@@ -138,6 +138,8 @@ class Bag:
         self._files: list[Path] = []
 
     def __enter__(self) -> Bag:
+        if not self.path.exists():
+            raise RecordingError(f"{self.path}: no such file")
         with ExitStack() as stack:
             files = _files_of(self.path, self.notes) if self.path.is_dir() else [self.path]
             self._files = [_unpacked(path, stack) for path in files]

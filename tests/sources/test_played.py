@@ -11,92 +11,47 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from bags import Sent, write_bag, write_db3, write_mcap
+from bags import (
+    CAMERA,
+    COMPRESSED,
+    DEPTH,
+    DEPTH_MM,
+    INFO,
+    MOUNT,
+    OPTICAL,
+    RGB,
+    START_NS,
+    STEP_NS,
+    N,
+    Sent,
+    camera,
+    compressed_image,
+    moving,
+    odometry,
+    plain,
+    stamps,
+    static,
+    together,
+    write_bag,
+    write_db3,
+    write_mcap,
+    x_m,
+)  # fmt: skip
 from fake_zenoh import Flooded
 from mcap.writer import CompressionType
-from public_logs import compressed_image
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from simulated import simulated
 
 from edge.bus.wire import messages
-from edge.bus.wire.cdr import Writer
-from edge.bus.wire.transforms import Transform, encode_transforms
 from edge.config import Config
-from edge.geometry import SE2, CameraModel, optical, se3
+from edge.geometry import se3
 from edge.recording import bag
 from edge.recording.file import RecordingError
 from edge.sources import played
 from edge.sources.played import Playback
 from edge.types import Observation
 
-N = 12
-START_NS = 1_600_000_000_000_000_000
-STEP_NS = 100_000_000
-CAMERA = CameraModel(16, 12, 12.0, 12.0, 7.5, 5.5)
-RGB, DEPTH, INFO = "/front/color/image_raw", "/front/depth/aligned", "/front/color/camera_info"
-IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-TF = "tf2_msgs/msg/TFMessage"
-OPTICAL = "front_color_optical"
-MOUNT = optical(se3(0.2, 0.0, 0.5))
 CONFIG = simulated({"perception": {"detector": {"kind": "sim"}}})
-DEPTH_MM = np.full((12, 16), 2000, np.uint16)
-
-
-def stamps() -> Iterator[tuple[int, int]]:
-    return ((k, START_NS + k * STEP_NS) for k in range(N))
-
-
-def camera(rgb: str = RGB, depth: str = DEPTH, info: str = INFO) -> Iterator[Sent]:
-    """A camera that sees a wall."""
-    for k, ns in stamps():
-        described = messages.encode_camera_info(ns, OPTICAL, CAMERA)
-        yield info, "sensor_msgs/msg/CameraInfo", ns, described
-        yield depth, IMAGE, ns, messages.encode_image(ns, OPTICAL, DEPTH_MM)
-        picture = np.full((12, 16, 3), k, np.uint8)
-        yield rgb, IMAGE, ns, messages.encode_image(ns, OPTICAL, picture)
-
-
-def x_m(k: int) -> float:
-    return 0.05 * k
-
-
-def odometry(
-    topic: str = "/odom", frame: str = "map", child: str = "base_link", every: int = 1
-) -> Iterator[Sent]:
-    """The robot drives ahead."""
-    for k, ns in stamps():
-        if k % every == 0:
-            payload = messages.encode_odometry(ns, SE2(x_m(k), 0.0, 0.0).matrix(), 0.0, 0.0)
-            payload = _renamed(payload, frame, child)
-            yield topic, "nav_msgs/msg/Odometry", ns, payload
-
-
-def _renamed(payload: bytes, frame: str, child: str) -> bytes:
-    """Odometry between other frames."""
-    sample = messages.decode_odometry(payload)
-    writer = Writer().header(sample.stamp_ns, frame).string(child)
-    messages.write_pose(writer, sample.T_map_base).floats((0.0,) * 36, "d")
-    return writer.floats((0.0,) * 6, "d").floats((0.0,) * 36, "d").bytes()
-
-
-def static(*transforms: tuple[str, str, np.ndarray], ns: int = START_NS) -> Iterator[Sent]:
-    payload = encode_transforms([Transform(ns, *t) for t in transforms])
-    yield "/tf_static", TF, ns, payload
-
-
-def moving(parent: str, child: str, dx_m: float = 0.0) -> Iterator[Sent]:
-    """A frame that drives as the robot does, or stands if it is moved."""
-    for k, ns in stamps():
-        T = se3(dx_m) if dx_m else se3(x_m(k))
-        yield "/tf", TF, ns, encode_transforms([Transform(ns, parent, child, T)])
-
-
-def together(*parts: Iterator[Sent]) -> list[Sent]:
-    return sorted((sent for part in parts for sent in part), key=lambda sent: sent[2])
-
-
-def plain() -> list[Sent]:
-    return together(odometry(), camera())
 
 
 class Seen(SimpleNamespace):
@@ -418,7 +373,7 @@ def _bytes(data: bytes):
 @pytest.mark.parametrize(
     ("write", "why"),
     [
-        (lambda path: path, "No such file"),
+        (lambda path: path, "no such file"),
         (_bytes(b""), "empty"),
         (_bytes(b"junk" * 100), "neither an MCAP file nor rosbag2's"),
         (_bytes(b"#ROSBAG V2.0\n"), "a bag of ROS 1: convert it first"),
