@@ -97,7 +97,11 @@ def _unnamed(folder: Path, sent: list[Sent]) -> Path:
 
 
 def _one_topic_after_the_other(path: Path, sent: list[Sent]) -> Path:
-    return write_mcap(path, sorted(sent, key=lambda one: one[0]))
+    """Heard over a minute, so that a topic's end lies far from the next one's beginning."""
+    slow = [
+        (topic, kind, START_NS + 50 * (ns - START_NS), payload) for topic, kind, ns, payload in sent
+    ]
+    return write_mcap(path, sorted(slow, key=lambda one: one[0]))
 
 
 @pytest.mark.parametrize(
@@ -172,6 +176,12 @@ NAMES: dict[str, tuple[list[Sent], dict[str, str], dict[str, str]]] = {
         {},
         {"camera/rgb": "/cam/image/compressed", "camera/depth": "/cam/distances/compressedDepth",
          "camera/info": "/cam/camera_info"},
+    ),
+    "masks": (
+        together(odometry("/odometry"), camera("/b/image_raw", "/b/range"),
+                 camera("/z/mask/image_raw", "/z/confidence"), odometry("/z/gps/odometry")),
+        {},
+        {"camera/rgb": "/b/image_raw", "camera/depth": "/b/range", "odom": "/odometry"},
     ),
     "known by what they hold": (
         together(odometry("/a"), camera("/b", "/c", "/d")),
@@ -252,21 +262,27 @@ def test_what_is_fixed_is_known_from_the_start(tmp_path):
     assert play(write_mcap(tmp_path / "robot.mcap", sent)).stamps == EVERY
 
 
-def test_one_lidar_maps(tmp_path):
+@pytest.mark.parametrize(
+    ("cloud", "used"), [("", {"lidar/scan": "/base/scan"}), ("/rig", {"lidar/points": "/rig"})]
+)
+def test_one_lidar_maps(tmp_path, cloud, used):
     def scans() -> Iterator[Sent]:
         for _, ns in stamps():
             ranges = np.full(8, 2.0, np.float32)
             scan = messages.encode_laser_scan(ns, "laser", -1.0, 0.25, 10.0, ranges)
             yield "/base/scan", "sensor_msgs/msg/LaserScan", ns, scan
             yield "/base/scan_rear", "sensor_msgs/msg/LaserScan", ns, scan
+            if cloud:
+                points = messages.encode_point_cloud(ns, "rig", np.ones((9, 3), np.float32))
+                yield cloud, "sensor_msgs/msg/PointCloud2", ns, points
 
     config = simulated(
         {"mapping": {"input": "cloud"}, "sensors": {"lidar": {"z_m": 0.3}},
          "perception": {"lift": "cloud"}}
     )  # fmt: skip
     seen = play(write_db3(tmp_path / "robot.db3", together(odometry(), scans())), config)
-    assert seen.matched.topics["lidar/scan"] == "/base/scan"
-    assert "not used: /base/scan_rear" in seen.lines
+    assert {n: t for n, t in seen.matched.topics.items() if n.startswith("lidar")} == used
+    assert "/base/scan_rear" in seen.lines.partition("not used: ")[2]
     assert len(seen.stamps) == N
 
 
