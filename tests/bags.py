@@ -94,13 +94,13 @@ def write_db3(path: Path, sent: Iterable[Sent], messages: str = "") -> Path:
     return path
 
 
-def stamps() -> Iterator[tuple[int, int]]:
-    return ((k, START_NS + k * STEP_NS) for k in range(N))
+def stamps(n: int = N) -> Iterator[tuple[int, int]]:
+    return ((k, START_NS + k * STEP_NS) for k in range(n))
 
 
-def camera(rgb: str = RGB, depth: str = DEPTH, info: str = INFO) -> Iterator[Sent]:
+def camera(rgb: str = RGB, depth: str = DEPTH, info: str = INFO, n: int = N) -> Iterator[Sent]:
     """A camera that sees a wall."""
-    for k, ns in stamps():
+    for k, ns in stamps(n):
         described = messages.encode_camera_info(ns, OPTICAL, CAMERA)
         yield info, "sensor_msgs/msg/CameraInfo", ns, described
         yield depth, IMAGE, ns, messages.encode_image(ns, OPTICAL, DEPTH_MM)
@@ -108,16 +108,16 @@ def camera(rgb: str = RGB, depth: str = DEPTH, info: str = INFO) -> Iterator[Sen
         yield rgb, IMAGE, ns, messages.encode_image(ns, OPTICAL, picture)
 
 
-def x_m(k: int, speed_mps: float = 0.5) -> float:
-    return speed_mps * k * STEP_NS * 1e-9
+def x_m(k: int) -> float:
+    return 0.05 * k
 
 
 def odometry(
-    topic: str = "/odom", frame: str = "map", child: str = "base_link", speed_mps: float = 0.5
+    topic: str = "/odom", frame: str = "map", child: str = "base_link", n: int = N
 ) -> Iterator[Sent]:
-    """The robot drives ahead."""
-    for k, ns in stamps():
-        at = SE2(x_m(k, speed_mps), 0.0, 0.0).matrix()
+    """The robot drives ahead, and stands in the end."""
+    for k, ns in stamps(n):
+        at = SE2(x_m(min(k, N)), 0.0, 0.0).matrix()
         payload = _renamed(messages.encode_odometry(ns, at, 0.0, 0.0), frame, child)
         yield topic, "nav_msgs/msg/Odometry", ns, payload
 

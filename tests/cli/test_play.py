@@ -71,15 +71,17 @@ def test_it_is_the_same_again_as_fast_as_it_goes(play, config, tmp_path):
 
 
 def test_nothing_is_published_or_kept_and_nobody_is_held_up(play, tmp_path):
-    """The robot stands for a long time: it was not sent anywhere."""
+    """The robot drives and then stands for a long time: nobody sent it anywhere."""
     kept = tmp_path / "checkpoint.json"
-    mission = {"target": "chair", "checkpoint": str(kept), "stuck_s": 0.2, "time_limit_s": 0.2}
+    mission = {"target": "chair", "checkpoint": str(kept), "stuck_s": 0.5, "time_limit_s": 0.5}
     sinks = [{"kind": "mcap", "options": {"folder": str(tmp_path / "sink")}}]
     path = tmp_path / "mine.yaml"
     path.write_text(json.dumps({**OURS, "mission": mission, "sinks": sinks}))
-    standing = together(camera(), odometry(speed_mps=0.0))
-    code, told, _ = play(write_mcap(tmp_path / "robot.mcap", standing), path, "--fast")
+    robot = write_mcap(tmp_path / "robot.mcap", together(camera(n=90), odometry(n=90)))
+    code, told, _ = play(robot, path, "--fast", "--report", tmp_path)
     assert code == os.EX_OK
+    page = (tmp_path / "report.html").read_text()
+    assert "stuck: goal discarded" not in page
     assert "stopped while searching: chair" in told
     assert not kept.exists()
     assert not (tmp_path / "sink").exists()
