@@ -36,7 +36,10 @@ Sent = tuple[str, str, int, bytes]
 
 
 def write_mcap(
-    path: Path, sent: Iterable[Sent], compression: CompressionType = CompressionType.ZSTD
+    path: Path,
+    sent: Iterable[Sent],
+    compression: CompressionType = CompressionType.ZSTD,
+    encoding: str = "cdr",
 ) -> Path:
     """As `ros2 bag record` writes it."""
     with path.open("wb") as file:
@@ -46,7 +49,7 @@ def write_mcap(
         for n, (topic, kind, time_ns, payload) in enumerate(sent):
             if topic not in channels:
                 schema = writer.register_schema(kind, "ros2msg", b"")
-                channels[topic] = writer.register_channel(topic, "cdr", schema)
+                channels[topic] = writer.register_channel(topic, encoding, schema)
             writer.add_message(channels[topic], time_ns, payload, time_ns, n)
         writer.finish()
     return path

@@ -253,7 +253,7 @@ def run_play(
     if live is not None:
         config = _with_live_view(config, live)
     _prepare(config, report)
-    with Playback(file, config, rate) as playback:
+    with Playback(file, config, rate, stop) as playback:
         for line in playback.opening():
             print(line, flush=True)
         playback.check()

@@ -108,7 +108,7 @@ def run_bench(
     )
     raise_if_stopped(stop)
     with ExitStack() as stack:
-        playback = stack.enter_context(Playback(recording, config, 1.0))
+        playback = stack.enter_context(Playback(recording, config, 1.0, stop))
         began += playback.read_s
         playback.check()
         own = playback.as_on_the_bus

@@ -37,17 +37,24 @@ _SQLITE = b"SQLite format 3\0"
 _ROS1 = b"#ROSBAG V"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _BLOCK_BYTES = 1 << 20
+_LONGEST_NAMES = 2000  # of a topic and its type together
 _STORED = (".mcap", ".mcap.zstd", ".db3", ".db3.zstd")
 
 
-def in_order(messages: Iterable[Recorded]) -> Iterator[Recorded]:
-    """Yield messages by the time at which they were heard; they are written nearly so."""
+def in_order(
+    messages: Iterable[Recorded], most_bytes: int = _MOST_WAITING_BYTES
+) -> Iterator[Recorded]:
+    """Yield messages by the time at which they were heard; they are written nearly so.
+
+    Args:
+        most_bytes: that wait to be put in order.
+    """
     waiting: list[tuple[int, int, Recorded]] = []
     size = 0
     for n, message in enumerate(messages):
         heapq.heappush(waiting, (message.log_ns, n, message))
         size += len(message.payload) + _MESSAGE_BYTES
-        while size > _MOST_WAITING_BYTES or message.log_ns - waiting[0][0] > WINDOW_NS:
+        while size > most_bytes or message.log_ns - waiting[0][0] > WINDOW_NS:
             first = heapq.heappop(waiting)[2]
             size -= len(first.payload) + _MESSAGE_BYTES
             yield first
@@ -80,8 +87,9 @@ class Db3Reading:
                 topics = {
                     number: (str(name), str(kind), str(encoding))
                     for number, name, kind, encoding in db.execute(
-                        "SELECT id, name, type, serialization_format FROM topics LIMIT ?",
-                        (MAX_KEPT,),
+                        "SELECT id, name, type, serialization_format FROM topics "
+                        "WHERE length(name) + length(type) <= ? LIMIT ?",
+                        (_LONGEST_NAMES, MAX_KEPT),
                     )
                 }
                 begun = True
@@ -171,7 +179,8 @@ class Bag:
         """
         if sorted_nearly:
             return in_order(m for m in self if m.topic in topics)
-        each = (in_order(self._of(topic)) for topic in sorted(topics))
+        most_bytes = _MOST_WAITING_BYTES // max(1, len(topics))
+        each = (in_order(self._of(topic), most_bytes) for topic in sorted(topics))
         return heapq.merge(*each, key=lambda m: m.log_ns)
 
     def _of(self, topic: str) -> Iterator[Recorded]:

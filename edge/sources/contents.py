@@ -7,6 +7,7 @@ type, content and words of its name. Every choice is a line for the user.
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
@@ -16,6 +17,7 @@ from edge.bus.wire import DecodeError, compressed, messages
 from edge.bus.wire.transforms import decode_transforms
 from edge.config import Config
 from edge.config.ros2 import DEFAULT_TOPICS
+from edge.host.interruptible import raise_if_stopped
 from edge.recording.bag import WINDOW_NS, Bag
 from edge.recording.file import Recorded
 from edge.sources.decoder import KINDS
@@ -32,7 +34,8 @@ TF, TF_STATIC = "tf", "tf_static"
 _DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 _BASES = ("base_link", "base_footprint", "base", "base_frame")
 _WORLDS = ("map", "odom", "world")
-_MOST_TOPICS = _MOST_STATIC = 10_000
+_MOST_TOPICS = 10_000
+_MOST_STATIC_BYTES = 1 << 23
 _MOST_FRAMES = 4096
 _SHOWN = 12
 
@@ -92,7 +95,8 @@ class Contents:
         topics: those with messages, by name.
         first_ns, last_ns: when the first and the last message were heard.
         sorted_nearly: see `Bag.by_time`.
-        static: the payloads of each `tf_static`, by topic: whoever subscribes gets them at once.
+        static: the payloads of each `tf_static`, by topic: whoever subscribes gets them at once;
+            `static_bytes`: of all that came.
         parents: of each frame in tf, its parent.
         moving: frames whose transform is published again and again, on `tf`.
     """
@@ -102,6 +106,7 @@ class Contents:
     last_ns: int = 0
     sorted_nearly: bool = True
     static: dict[str, list[bytes]] = field(default_factory=dict)
+    static_bytes: int = 0
     parents: dict[str, str] = field(default_factory=dict)
     moving: set[str] = field(default_factory=set)
 
@@ -133,22 +138,29 @@ class Contents:
     def there(self) -> str:
         """List the topics in one line."""
         told = [
-            f"{one_line(name, 80)} ({one_line(facts.type, 60)}, {facts.count})"
+            f"{one_line(name, 80)} ({_of_type(facts)}, {facts.count})"
             for name, facts in sorted(self.topics.items())
         ]
         left = len(told) - _SHOWN
         return ", ".join(told[:_SHOWN] + [f"{left} more"] * (left > 0)) or "nothing"
 
 
-def read_contents(bag: Bag) -> Contents:
+def _of_type(facts: TopicFacts) -> str:
+    as_what = "" if facts.encoding == "cdr" else f" as {facts.encoding}"
+    return one_line(f"{facts.type}{as_what}", 60)
+
+
+def read_contents(bag: Bag, stop: threading.Event) -> Contents:
     """Read a recording once.
 
     Raises:
         RecordingError: see `Bag`.
+        Stopped: `stop` was set.
     """
     found = Contents()
     latest_ns = 0
     for message in bag:
+        raise_if_stopped(stop)
         facts = found.topics.get(message.topic)
         if facts is None:
             if len(found.topics) >= _MOST_TOPICS:
@@ -197,9 +209,9 @@ def _describe(facts: TopicFacts, message: Recorded) -> None:
 def _take_frames(found: Contents, message: Recorded) -> None:
     static = _is_static(message.topic)
     if static:
-        kept = found.static.setdefault(message.topic, [])
-        if len(kept) < _MOST_STATIC:
-            kept.append(message.payload)
+        found.static_bytes += len(message.payload)
+        if found.static_bytes <= _MOST_STATIC_BYTES:
+            found.static.setdefault(message.topic, []).append(message.payload)
     try:
         transforms = decode_transforms(message.payload)
     except DecodeError:
@@ -268,7 +280,7 @@ def match(config: Config, contents: Contents, wanted: Collection[str]) -> Matche
         choose.how[ODOMETRY] = f"tf, of {frames.mover}"
     rows = [(name, found.get(name, "-"), choose.how[name]) for name in choose.how]
     rows = [(name, one_line(topic, 80), one_line(how, 200)) for name, topic, how in rows]
-    lines = (*aligned(rows, left=3).splitlines(), *frames.lines)
+    lines = (*aligned(rows, left=3).splitlines(), *(one_line(line, 300) for line in frames.lines))
     return Matched(found, frames.config, frames.by_tf, frames.mover, lines)
 
 

@@ -7,7 +7,9 @@ at which messages were heard. So nothing depends on how fast it is played.
 from __future__ import annotations
 
 import logging
+import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -44,6 +46,7 @@ log = logging.getLogger("edge.sources.played")
 _TOPICS = {topic.key: topic for topic in topics.ALL if topic.writer == "sensors"}
 _LONGEST_GAP_NS = 30_000_000_000
 _REST_NS = 1_000_000_000  # after the last message: frames wait for their poses
+_AHEAD_BYTES = 1 << 26  # that were read and wait for their time
 _MOST_AT_ONCE = 256  # messages, so that the loop hears of signals
 _ABSENT = "not in the recording"
 
@@ -76,6 +79,9 @@ class PlayedSource(PolledSource):
         self._names = {topic: name for name, topic in matched.topics.items()}
         self._types = {topic: contents.topics[topic].type for topic in self._names}
         self._messages = playback.bag.by_time(self._names.keys(), contents.sorted_nearly)
+        self._ahead = None if rate is None else _ReadAhead(self._messages)
+        if self._ahead is not None:
+            self._messages = self._ahead
         self._next = next(self._messages, None)
         self._began_ns: int | None = None
         self._skipped_ns = 0
@@ -95,6 +101,11 @@ class PlayedSource(PolledSource):
             self._began_ns = time.monotonic_ns()
         passed_ns = int((time.monotonic_ns() - self._began_ns) * self._rate)
         return self._first_ns + passed_ns + self._skipped_ns
+
+    def close(self) -> None:
+        super().close()
+        if self._ahead is not None:
+            self._ahead.close()
 
     def wait(self, timeout_s: float) -> bool:
         """See `edge.loop.source.Source`."""
@@ -166,12 +177,66 @@ class PlayedSource(PolledSource):
                     self._decoder.move(sample)
 
 
+class _ReadAhead:
+    """Reads messages on a thread of its own: decompressing a large chunk must hold no tick up."""
+
+    def __init__(self, messages: Iterator[Recorded]) -> None:
+        self._read: deque[Recorded] = deque()
+        self._bytes = 0
+        self._over = self._closed = False
+        self._error: Exception | None = None
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(
+            target=self._run, args=(messages,), name="recording", daemon=True
+        )
+        self._thread.start()
+
+    def __iter__(self) -> Iterator[Recorded]:
+        return self
+
+    def __next__(self) -> Recorded:
+        with self._changed:
+            self._changed.wait_for(lambda: self._read or self._over)
+            if not self._read:
+                error, self._error = self._error, None
+                raise error or StopIteration
+            message = self._read.popleft()
+            self._bytes -= len(message.payload)
+            self._changed.notify()
+            return message
+
+    def close(self) -> None:
+        """Read no more."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+
+    def _run(self, messages: Iterator[Recorded]) -> None:
+        try:
+            for message in messages:
+                with self._changed:
+                    self._changed.wait_for(lambda: self._bytes < _AHEAD_BYTES or self._closed)
+                    if self._closed:
+                        return
+                    self._read.append(message)
+                    self._bytes += len(message.payload)
+                    self._changed.notify()
+        except Exception as error:
+            self._error = error
+        finally:
+            with self._changed:
+                self._over = True
+                self._changed.notify()
+
+
 class Playback:
     """A recording, and how a configuration plays it: a context manager.
 
     Args:
         config: of the service that it is played into.
         rate: see `PlayedSource`.
+        stop: once set, reading is broken off.
 
     Attributes:
         contents: what is in it.
@@ -184,14 +249,22 @@ class Playback:
         RecordingError: it cannot be read; one line.
     """
 
-    def __init__(self, path: Path, config: Config, rate: float | None) -> None:
+    def __init__(
+        self, path: Path, config: Config, rate: float | None, stop: threading.Event | None = None
+    ) -> None:
         self.bag, self._config, self._rate = Bag(path), _timed(config), rate
+        self._stop = stop or threading.Event()
         self.source: PlayedSource | None = None
 
     def __enter__(self) -> Playback:
-        self.bag.__enter__()
         began = time.perf_counter()
-        self.contents = read_contents(self.bag)
+        log.info("reading %s", self.bag.path)
+        self.bag.__enter__()
+        try:
+            self.contents = read_contents(self.bag, self._stop)
+        except BaseException:
+            self.bag.__exit__()
+            raise
         self.read_s = time.perf_counter() - began
         heard = streams_of(self._config)
         self.wanted = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -44,6 +45,7 @@ from simulated import simulated
 
 from edge.bus.wire import messages
 from edge.config import Config
+from edge.errors import Stopped
 from edge.geometry import se3
 from edge.recording import bag
 from edge.recording.file import RecordingError
@@ -67,6 +69,7 @@ def play(path: Path, config: Config = CONFIG, rate: float | None = None) -> Seen
             if (observation := source.poll()) is not None:
                 seen.append(replace(observation, rgb=None, depth_m=None))
                 observation.release()
+        source.close()
         lines = [*playback.opening(), *playback.outcome()]
     return Seen(
         observations=seen, stamps=[o.stamp_ns for o in seen], matched=playback.matched,
@@ -304,6 +307,12 @@ def test_what_is_missing_is_told_with_what_is_there(tmp_path, sent, why):
     assert "\n" not in str(caught.value)
 
 
+def test_messages_of_another_encoding_are_no_cdr(tmp_path):
+    path = write_mcap(tmp_path / "robot.mcap", plain(), encoding="ros1")
+    with pytest.raises(RecordingError, match=r"/odom \(nav_msgs/msg/Odometry as ros1, 12\)"):
+        play(path)
+
+
 def test_what_cannot_be_used_is_told_in_the_end(tmp_path):
     config = simulated({"ros2": {"mounts": "tf"}})
     sent = together(odometry(frame=""), camera(), static(BASE))
@@ -443,6 +452,25 @@ class Clock(SimpleNamespace):
     def monotonic_ns(self) -> int:
         self.now_ns += 10_000_000
         return self.now_ns
+
+
+def test_little_is_read_ahead(tmp_path, monkeypatch):
+    """And all is played, and nothing is left that reads."""
+    monkeypatch.setattr(played, "_AHEAD_BYTES", 1)
+    path = write_mcap(tmp_path / "robot.mcap", plain())
+    monkeypatch.setattr(played.time, "monotonic_ns", Clock().monotonic_ns)
+    assert play(path, rate=1.0).stamps == EVERY
+    with Playback(path, CONFIG, 1.0) as playback:
+        playback.open(CONFIG, Flooded("", ())).close()  # long before its end
+    assert "recording" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_reading_is_broken_off(tmp_path):
+    stop = threading.Event()
+    stop.set()
+    path = write_mcap(tmp_path / "robot.mcap", plain())
+    with pytest.raises(Stopped), Playback(path, CONFIG, None, stop):
+        pass
 
 
 @pytest.mark.parametrize(("rate", "looks"), [(1.0, 110), (4.0, 28)])
