@@ -13,7 +13,7 @@ import shutil
 import sqlite3
 import tempfile
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -150,7 +150,11 @@ class Bag:
             raise RecordingError(f"{self.path}: no such file")
         with ExitStack() as stack:
             files = _files_of(self.path, self.notes) if self.path.is_dir() else [self.path]
-            self._files = [_unpacked(path, stack) for path in files]
+            for path in files:
+                with self._noted(alone=len(files) == 1):
+                    self._files.append(_unpacked(path, stack))
+            if not self._files:
+                raise RecordingError(f"{self.path}: nothing to read: {'; '.join(self.notes)}")
             self._stack = stack.pop_all()
         return self
 
@@ -160,15 +164,33 @@ class Bag:
     def __iter__(self) -> Iterator[Recorded]:
         """Yield every message, in the order of the files. Damage ends a file, and is noted."""
         for path in self._files:
-            reading = Db3Reading(path) if _begins(path, _SQLITE) else McapReading(path)
-            for message in reading:
-                payload = _payload(message.payload)
-                if payload is None:
-                    reading.cut = f"damaged: a message of {one_line(message.topic, 80)}"
-                    break
-                yield message._replace(payload=payload)
-            if reading.cut and (note := f"{path.name}: {reading.cut}") not in self.notes:
-                self.notes.append(note)
+            with self._noted(alone=len(self._files) == 1):
+                yield from self._messages(path)
+
+    def _messages(self, path: Path) -> Iterator[Recorded]:
+        reading = Db3Reading(path) if _begins(path, _SQLITE) else McapReading(path)
+        for message in reading:
+            payload = _payload(message.payload)
+            if payload is None:
+                reading.cut = f"damaged: a message of {one_line(message.topic, 80)}"
+                break
+            yield message._replace(payload=payload)
+        if reading.cut:
+            self._note(f"{path.name}: {reading.cut}")
+
+    @contextmanager
+    def _noted(self, alone: bool) -> Iterator[None]:
+        """Go on without a file that cannot be read, unless it is `alone`."""
+        try:
+            yield
+        except RecordingError as error:
+            if alone:
+                raise
+            self._note(str(error))
+
+    def _note(self, note: str) -> None:
+        if note not in self.notes:
+            self.notes.append(note)
 
     def by_time(self, topics: Collection[str], sorted_nearly: bool) -> Iterator[Recorded]:
         """Yield the messages of some topics by the time at which they were heard.

@@ -428,6 +428,21 @@ def test_a_folder_plays_without_the_files_that_are_missing(tmp_path):
     assert "names gone.db3, which is not there" in seen.lines
 
 
+@pytest.mark.parametrize("data", [b"", b"SQLite format 3\0" + bytes(500)])
+def test_a_folder_plays_without_the_files_that_are_damaged(tmp_path, data):
+    """As a robot leaves it whose power went."""
+    folder = write_bag(tmp_path / "robot", plain())
+    (folder / "metadata.yaml").unlink()
+    (folder / "robot_10.db3").write_bytes(data)
+    seen = play(folder)
+    assert seen.stamps == EVERY
+    assert "robot_10.db3: " in seen.lines
+    for path in folder.glob("robot*"):
+        path.write_bytes(data)
+    with pytest.raises(RecordingError):
+        play(folder)
+
+
 def test_nothing_is_decompressed_beyond_its_limit(tmp_path, monkeypatch):
     folder = write_bag(tmp_path / "a", plain(), compression=CompressionMode.MESSAGE)
     packed = write_bag(tmp_path / "b", plain(), compression=CompressionMode.FILE)
