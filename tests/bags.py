@@ -41,7 +41,7 @@ def write_mcap(
     compression: CompressionType = CompressionType.ZSTD,
     encoding: str = "cdr",
 ) -> Path:
-    """As `ros2 bag record` writes it."""
+    """Write an MCAP file as `ros2 bag record` does."""
     with path.open("wb") as file:
         writer = McapWriter(file, compression=compression)
         writer.start("ros2")

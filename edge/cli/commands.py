@@ -1,4 +1,4 @@
-"""What `edge run`, `edge demo`, `edge play` and `edge sim` do."""
+"""Handlers of `edge run`, `edge demo`, `edge play` and `edge sim`."""
 
 from __future__ import annotations
 

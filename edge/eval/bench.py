@@ -165,7 +165,7 @@ def _stopwatch(
     It is set as well when the recording is `over`, or takes too long to start.
 
     Args:
-        over: whether nothing more comes; is told whether an observation came.
+        over: returns whether nothing more comes, given whether an observation came.
     """
     end_s, seen = time.monotonic() + _PLAYER_S, False
 
@@ -180,7 +180,7 @@ def _stopwatch(
 
 
 def _is_over(player: Popen[bytes], seen: bool) -> bool:
-    """Whether the player ended before anything was seen."""
+    """Return whether the player ended before anything was seen."""
     return not seen and player.poll() is not None
 
 

@@ -58,7 +58,10 @@ _BAD: dict[str, Words] = {
         "labels": 6, "segmentation": 6, "semantic": 6, "disparity": 6, "confidence": 6,
         "debug": 3, "overlay": 3, "annotated": 3, "rear": 2, "back": 2,
     },
-    DEPTH: {"ir": 4, "infra": 4, "mask": 6, "labels": 6, "confidence": 6, "rear": 2, "back": 2},
+    DEPTH: {
+        "ir": 4, "infra": 4, "mask": 6, "label": 6, "labels": 6, "segmentation": 6, "semantic": 6,
+        "disparity": 6, "confidence": 6, "rear": 2, "back": 2,
+    },
     CLOUD: {
         "map": 4, "camera": 2, "depth": 2, "costmap": 6, "obstacles": 4, "ground": 3, "rear": 2,
         "back": 2, "octomap": 6,
@@ -95,7 +98,7 @@ class Contents:
         topics: those with messages, by name.
         first_ns, last_ns: when the first and the last message were heard.
         sorted_nearly: see `Bag.by_time`.
-        static: the payloads of each `tf_static`, by topic: whoever subscribes gets them at once;
+        static: the payloads of each `tf_static`, by topic: a subscriber gets them at once;
             `static_bytes`: of all that came.
         parents: of each frame in tf, its parent.
         moving: frames whose transform is published again and again, on `tf`.
@@ -311,7 +314,7 @@ class _Choice:
         self.how[name] = how
 
     def _by_name(self, name: str, there: dict[str, TopicFacts]) -> tuple[str, str]:
-        """The topic with the configured, our own or the usual name, and where the name is from."""
+        """Return the topic with the configured, our own or the usual name, and how it was found."""
         said = self._config.ros2.topics.get(name)
         if said is not None:
             if topic := next((t for t in _transported(said) if t in there), ""):
@@ -369,7 +372,7 @@ def _transported(topic: str) -> list[str]:
 
 
 def _shared(topic: str, other: str) -> int:
-    """How many parts two names begin with alike."""
+    """Count the parts that two names begin with alike."""
     n = 0
     for a, b in zip(topic.split("/")[1:], other.split("/")[1:], strict=False):
         if a != b:

@@ -87,7 +87,7 @@ class PlayedSource(PolledSource):
         self._skipped_ns = 0
 
     def _take_static(self, contents: Contents) -> None:
-        """Whoever subscribes to tf_static gets what was published before."""
+        """Take all of tf_static at once, as a subscriber gets it."""
         if self._played_frames is not None:
             for payload in contents.static.get(self._matched.topics.get(TF_STATIC, ""), ()):
                 with suppress(DecodeError):  # it is counted when its turn comes
@@ -289,8 +289,8 @@ class Playback:
 
     @property
     def as_on_the_bus(self) -> bool:
-        """Whether each topic is what the source `zenoh` listens to, so that it can be sent as it
-        is, and nothing is damaged."""
+        """True if the file is whole and each topic is one of the source `zenoh`, which can be sent
+        as it is."""
         found, matched = self.contents.topics, self.matched
         alike = (
             topic == f"/{name}" and found[topic].type == full_name(_TOPICS[name].type)
@@ -300,7 +300,7 @@ class Playback:
 
     @property
     def over(self) -> bool:
-        """Whether all of it was played."""
+        """True once all of it was played."""
         return self.source is not None and self.source.over
 
     def check(self) -> None:

@@ -130,7 +130,7 @@ def _taps(session: zenoh.Session, config: Config) -> list[_Tap]:
 
 
 class _ZenohTap:
-    """Everything on Zenoh's topics, whoever writes it."""
+    """Listens to all of Zenoh's topics."""
 
     def __init__(self, session: zenoh.Session, config: Config) -> None:
         self._rings = [

@@ -232,8 +232,7 @@ class ZmqSource(ZenohSource):
 
 
 class ZmqTap:
-    """What a camera sends over ZeroMQ, as the messages of the bus that say the same; for
-    recordings.
+    """The pictures of a camera over ZeroMQ as messages of the bus, for recordings.
 
     Raises:
         ConfigError: see `ZmqSource`.

@@ -57,7 +57,7 @@ CONFIG = simulated({"perception": {"detector": {"kind": "sim"}}})
 
 
 class Seen(SimpleNamespace):
-    """What came of a recording: observations, and the playback."""
+    """The observations of a recording, and all that was told."""
 
 
 def play(path: Path, config: Config = CONFIG, rate: float | None = None) -> Seen:
@@ -78,7 +78,7 @@ def play(path: Path, config: Config = CONFIG, rate: float | None = None) -> Seen
 
 
 def attempt(path: Path) -> tuple[Seen | None, str]:
-    """What came of it, or why nothing."""
+    """Play a file that may be damaged; return why it was refused, if it was."""
     try:
         return play(path), ""
     except RecordingError as error:
@@ -430,7 +430,6 @@ def test_a_folder_plays_without_the_files_that_are_missing(tmp_path):
 
 @pytest.mark.parametrize("data", [b"", b"SQLite format 3\0" + bytes(500)])
 def test_a_folder_plays_without_the_files_that_are_damaged(tmp_path, data):
-    """As a robot leaves it whose power went."""
     folder = write_bag(tmp_path / "robot", plain())
     (folder / "metadata.yaml").unlink()
     (folder / "robot_10.db3").write_bytes(data)
@@ -470,7 +469,6 @@ class Clock(SimpleNamespace):
 
 
 def test_little_is_read_ahead(tmp_path, monkeypatch):
-    """And all is played, and nothing is left that reads."""
     monkeypatch.setattr(played, "_AHEAD_BYTES", 1)
     path = write_mcap(tmp_path / "robot.mcap", plain())
     monkeypatch.setattr(played.time, "monotonic_ns", Clock().monotonic_ns)

@@ -1,4 +1,4 @@
-"""`edge record` beside robots whose sensors come by other means than Zenoh's topics."""
+"""`edge record` with robots on ROS 2, and with a camera over ZeroMQ."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ _SENSORS = (
 _TF = "tf2_msgs/msg/TFMessage"
 _IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 COMPRESSED_ENDINGS = ("/compressed", "/compressedDepth")
-"""What image_transport puts behind the name of a topic of pictures."""
+"""Endings of a topic of pictures that image_transport compresses."""
 
 HEARD: dict[str, str] = {t.key: full_name(t.type) for t in _SENSORS} | {"tf": _TF, "tf_static": _TF}
 """The type of each topic that the robot publishes."""
