@@ -34,6 +34,7 @@ from edge.loop.result import Sink
 from edge.loop.runner import Running
 from edge.loop.scorers import make_scorers
 from edge.loop.service import Service
+from edge.loop.source import Source
 from edge.loop.warmup import warm_up
 from edge.perception.cards import ModelError
 from edge.perception.detector import Detector, Health, log_progress
@@ -70,6 +71,7 @@ def open_service(
     stop: threading.Event | None = None,
     progress: Callable[[str], None] = lambda what: None,
     amiss: Callable[[], Sequence[str]] = tuple,
+    make_source: Callable[..., Source] | None = None,
 ) -> Iterator[Launched]:
     """Prepare the mission, open Zenoh, load the detector, compile kernels; all closed at exit.
 
@@ -87,6 +89,7 @@ def open_service(
         progress: told what is begun, by any thread: each takes minutes at most, and what takes
             longer is told again and again.
         amiss: why nobody can count on the service now, for whoever asks on the bus.
+        make_source: makes another source than the configuration names; see `find_source`.
 
     Raises:
         Stopped: `stop` was set before the service was ready.
@@ -98,7 +101,7 @@ def open_service(
         BusError: the endpoint cannot be listened on, or another service has the prefix.
     """
     stop = stop or threading.Event()
-    make_source, make_sinks = find_source(config), find_sinks(config)
+    make_source, make_sinks = make_source or find_source(config), find_sinks(config)
     make_policy = find_policy(config.policy, config.origin("policy"))
     with ExitStack() as stack:
         mission, keeper, brief = config.mission, None, None
@@ -200,9 +203,12 @@ def _load(
 
 
 def on_a_free_port(config: Config) -> Config:
-    """The configuration, with an endpoint on this machine that nobody has, which needs none of the
-    certificates that `zenoh.file` may ask for."""
-    change = {"endpoint": f"tcp/127.0.0.1:{free_port()}", "file": None, "client_file": None}
+    """The configuration, with an endpoint on this machine that nobody has. It needs no router, and
+    none of the certificates that `zenoh.file` may ask for."""
+    change = {
+        "endpoint": f"tcp/127.0.0.1:{free_port()}", "mode": "peer", "file": None,
+        "client_file": None,
+    }  # fmt: skip
     return config.model_copy(update={"zenoh": config.zenoh.model_copy(update=change)})
 
 

@@ -1,4 +1,4 @@
-"""What `edge run`, `edge demo` and `edge sim` do."""
+"""Handlers of `edge run`, `edge demo`, `edge play` and `edge sim`."""
 
 from __future__ import annotations
 
@@ -27,11 +27,14 @@ from edge.loop.vitals import PROBES, Vitals
 from edge.recording.trace import TracePage
 from edge.report.record import RunRecord
 from edge.report.recorder import Recorder
+from edge.sources.played import Playback
 from edge.text import one_line
 from edge.types import MissionStatus
 
 log = logging.getLogger("edge")
 
+_NEVER_S = 1e6
+_MOST_OBJECTS = 20
 LIVE_PORT = 7480
 """Default port of the demo's live view: the same each time, so that a browser's tab can stay."""
 
@@ -91,12 +94,14 @@ def _serve(
     task: str | None,
     reload: Reload | None = None,
     stay: bool = False,
+    playback: Playback | None = None,
 ) -> RunRecord:
     """Run the service; return the record of its run.
 
     Args:
-        stay: after a mission's end go on until `stop` is set, so that the live view can still be
-            looked at. The record is then that of the mission's end.
+        stay: after the end of the mission, or of the recording, go on until `stop` is set, so that
+            the live view can still be looked at. The record is then that of the end.
+        playback: a recording to play instead of the configured source.
     """
     recorder, vitals = Recorder(config), Vitals(ServiceManager())
     live, metrics, traced = LiveView(config, vitals), Metrics(vitals), TracePage()
@@ -105,7 +110,15 @@ def _serve(
     with (
         _served(pages, live.forms(), config.http) as url,
         open_service(
-            config, sinks, asked, formula, task, stop, vitals.starting, vitals.amiss
+            config,
+            sinks,
+            asked,
+            formula,
+            task,
+            stop,
+            vitals.starting,
+            vitals.amiss,
+            None if playback is None else playback.open,
         ) as running,
     ):
         live.open({key: server.queue for key, server in running.servers.items()})
@@ -118,6 +131,11 @@ def _serve(
         log.info("ready: %s, on %s", doing, config.zenoh.address)
         vitals.ready()
         ended: RunRecord | None = None
+        if playback is not None:
+            running.clock = playback.clock
+
+        def over() -> bool:
+            return running.service.status.done if playback is None else playback.over
 
         def record() -> RunRecord:
             return recorder.record(running.service.result(), running.source.counters)
@@ -125,11 +143,14 @@ def _serve(
         def each() -> None:
             nonlocal ended
             vitals.beat(running)
-            if not stay or not running.service.status.done:
+            if not over():
                 ended = None
-            elif ended is None:
+            elif stay and ended is None:
                 ended = record()
-                log.info("%s; %s stays until Ctrl-C", running.service.status.phase, url)
+                what = running.service.status.phase if playback is None else "played"
+                log.info("%s; %s stays until Ctrl-C", what, url)
+            elif playback is not None and not stay:
+                stop.set()
 
         loop(running, stop, once and not stay, each)
         vitals.stopping()
@@ -192,9 +213,7 @@ def run_demo(
     """
     config = on_a_free_port(config)
     if live is not None:
-        port = live or config.http.port or _live_port(config.http.host)
-        http = config.http.model_copy(update={"port": port})
-        config = config.model_copy(update={"http": http})
+        config = _with_live_view(config, live)
     _prepare(config, report)
     record = None
     try:
@@ -205,6 +224,87 @@ def run_demo(
     finally:  # a child's failure must not cost the report
         code = 0 if record is None else _conclude(record, report)
     return code
+
+
+def run_play(
+    config: Config,
+    file: Path,
+    stop: threading.Event,
+    rate: float | None,
+    report: str | None,
+    live: int | None = None,
+    asked: str | None = None,
+    formula: str | None = None,
+    task: str | None = None,
+) -> int:
+    """Play a recording of any robot into the service; print what is in it, and what came of it.
+
+    Nobody drives: goals are chosen and shown, and nothing is published.
+
+    Args:
+        rate: see `edge.sources.played.PlayedSource`.
+        live: see `run_demo`; None: no live view.
+        asked, formula, task: see `run_service`.
+
+    Raises:
+        UserError: see `run_service`; or the recording cannot be read, or nothing came of it.
+    """
+    config = _undriven(on_a_free_port(config), lockstep=rate is None)
+    if live is not None:
+        config = _with_live_view(config, live)
+    _prepare(config, report)
+    with Playback(file, config, rate, stop) as playback:
+        for line in playback.opening():
+            print(line, flush=True)
+        playback.check()
+        stay = live is not None
+        record = _serve(config, stop, False, asked, formula, task, stay=stay, playback=playback)
+        lines = [*playback.outcome(), *_mapped(record)]
+    _conclude(record, report)
+    print("\n".join(lines))
+    return os.EX_OK
+
+
+def _undriven(config: Config, lockstep: bool) -> Config:
+    """The configuration of a service whose robot goes its own way, and that nobody listens to.
+
+    A robot that stands while it has a goal is not held up, and no mission takes too long. What is
+    kept between runs is left as it is.
+    """
+    mission = {
+        "time_limit_s": _NEVER_S, "path_limit_m": _NEVER_S, "stuck_s": _NEVER_S,
+        "search_limit_s": None, "checkpoint": None, "on_request": False,
+    }  # fmt: skip
+    update = {
+        "mission": config.mission.model_copy(update=mission),
+        "loop": config.loop.model_copy(update={"lockstep": lockstep}),
+        "source": config.source.model_copy(update={"kind": "zenoh", "options": {}}),
+        "http": config.http.model_copy(update={"port": None}),
+        "sinks": (),
+    }
+    return config.model_copy(update=update)
+
+
+def _mapped(record: RunRecord) -> Iterator[str]:
+    """Yield lines on the map and the things that were found."""
+    from edge.report.raster import known_m2
+
+    area_m2 = 0.0 if record.map is None else known_m2(record.map)
+    yield f"map: {area_m2:.0f} m2; driven: {record.mission.path_m:.1f} m"
+    for found in record.instances[:_MOST_OBJECTS]:
+        x_m, y_m, z_m = found.center_m
+        yield (
+            f"object: {one_line(found.label)} at ({x_m:.2f}, {y_m:.2f}, {z_m:.2f}) m, "
+            f"{found.hits} hits, score {found.score:.2f}"
+        )
+    left = len(record.instances) - _MOST_OBJECTS
+    yield f"{left} more objects" if left > 0 else f"{len(record.instances)} objects"
+
+
+def _with_live_view(config: Config, live: int) -> Config:
+    port = live or config.http.port or _live_port(config.http.host)
+    http = config.http.model_copy(update={"port": port})
+    return config.model_copy(update={"http": http})
 
 
 def _live_port(host: str) -> int:

@@ -35,7 +35,14 @@ log = logging.getLogger("edge")
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point of the `edge` command; returns the exit code."""
-    handlers = {"run": _run, "demo": _demo, "sim": _sim, "motion": _motion, "config": _config}
+    handlers = {
+        "run": _run,
+        "demo": _demo,
+        "sim": _sim,
+        "motion": _motion,
+        "config": _config,
+        "play": _play,
+    }
     args = make_parser(__doc__.splitlines()[0], handlers).parse_args(argv)
     setup(args.log_level, args.log_json)
     # Before it ends, Python looks for garbage among all objects: a service stops 0.3 s later by it.
@@ -145,6 +152,17 @@ def _demo(args: argparse.Namespace) -> int:
 
     config, asked = load_config(args), args.target or args.mission
     return run_demo(config, stop, args.report, asked, args.formula, args.task, args.live)
+
+
+def _play(args: argparse.Namespace) -> int:
+    """Handle `edge play`."""
+    stop = stop_on_signals()
+    from edge.cli.commands import run_play
+
+    config, asked = load_config(args), args.target or args.mission
+    rate = None if args.fast else args.rate
+    what = asked, args.formula, args.task
+    return run_play(config, args.file, stop, rate, args.report, args.live, *what)
 
 
 def _sim(args: argparse.Namespace) -> int:

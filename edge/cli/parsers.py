@@ -170,6 +170,29 @@ def _record(commands) -> None:  # type: ignore[no-untyped-def]
     record.set_defaults(handler=lazy("edge.sources.recording", "run"))
 
 
+def _play(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
+    text = "play a recording of any robot (MCAP, rosbag2) into the service; what comes of it"
+    play = commands.add_parser("play", help=text)
+    play.add_argument("file", type=Path, metavar="FILE", help="an MCAP file, a .db3, or the folder "
+                      "of a rosbag2")  # fmt: skip
+    play.add_argument("config", help=CONFIG)
+    _what(play)
+    pace = play.add_mutually_exclusive_group()
+    pace.add_argument(
+        "--rate", type=positive, default=1.0, metavar="N", help="times as fast as it was recorded; "
+        "what is late is dropped, as on a robot (default: %(default)g)"
+    )  # fmt: skip
+    pace.add_argument(
+        "--fast", action="store_true", help="as fast as it goes, and nothing is dropped for being "
+        "late"
+    )  # fmt: skip
+    play.add_argument("--report", metavar="DIR", help="write a picture and a page there at the end")
+    text = "show a page of what happens until Ctrl-C, on this port (default: as of edge demo)"
+    play.add_argument("--live", metavar="PORT", nargs="?", type=port, const=0, help=text)
+    _trust(play)
+    return play
+
+
 def _replay(commands) -> None:  # type: ignore[no-untyped-def]
     replay = commands.add_parser(
         "replay", help="feed a recorded run through the service again, and compare what it says"
@@ -336,4 +359,11 @@ def _doctor(commands) -> None:  # type: ignore[no-untyped-def]
     doctor.set_defaults(handler=lazy("edge.cli.doctor", "run"))
 
 
-_OWN = {"run": _run, "demo": _demo, "sim": _sim, "motion": _motion, "config": _config}
+_OWN = {
+    "run": _run,
+    "demo": _demo,
+    "sim": _sim,
+    "motion": _motion,
+    "config": _config,
+    "play": _play,
+}

@@ -1,7 +1,8 @@
 """`edge bench`: a recorded run through the real service, and the latency table it leaves.
 
-The recording is played by another process over Zenoh at its own pace; nothing in the service
-knows that it is being measured.
+The recording is played by another process over Zenoh at its own pace, again and again; nothing in
+the service knows that it is being measured. A robot's own recording, which Zenoh's topics have no
+place for, is played once and in this process (`edge.sources.played`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from subprocess import Popen
 
@@ -21,6 +24,7 @@ from edge.bus.topics import Topic
 from edge.config import Config, load
 from edge.errors import Stopped, UserError
 from edge.host import calibration, resources
+from edge.host.interruptible import raise_if_stopped
 from edge.host.signals import stop_on_signals
 from edge.loop import stages
 
@@ -85,13 +89,15 @@ def run_bench(
         name → (value, unit, budget); with a swap, `swap` (see `edge.eval.swap_bench`) too.
 
     Raises:
-        UserError: no tick, or no detection, came about, or the swap did not end.
+        UserError: the recording cannot be read; no tick, or no detection, came about, or the swap
+            did not end.
         Stopped: `stop` was set before the service was ready.
     """
     began = time.perf_counter() - started_s  # imports are part of getting ready
     from edge.eval import swap_bench
     from edge.launch import on_a_free_port, open_service
     from edge.loop.runner import loop
+    from edge.sources.played import Playback
     from edge.sources.recording import player
 
     config = on_a_free_port(config).model_copy(
@@ -100,24 +106,41 @@ def run_bench(
             "mission": config.mission.model_copy(update={"time_limit_s": 1e6, "path_limit_m": 1e6}),
         }
     )
-    with open_service(config, [], stop=stop) as running:
+    raise_if_stopped(stop)
+    with ExitStack() as stack:
+        playback = stack.enter_context(Playback(recording, config, 1.0, stop))
+        began += playback.read_s
+        playback.check()
+        own = playback.as_on_the_bus
+        for line in () if own else playback.opening():
+            log.info("%s", line)
+        make_source = None if own else playback.open
+        running = stack.enter_context(open_service(config, [], stop=stop, make_source=make_source))
         ready_s = time.perf_counter() - began
         log.info("ready in %.1f s; playing %s for %g s", ready_s, recording.name, seconds)
-        with player(config, recording, loop=True) as process:
-            look = _stopwatch(running.source.counters, process, seconds, stop)
-            swapping = None if swap is None else swap_bench.SwapBench(running, swap, seconds)
-            each = look if swapping is None else lambda: (look(), swapping.beat())
-            loop(running, stop, each=each)
+        if own:
+            process = stack.enter_context(player(config, recording, loop=True))
+            over = partial(_is_over, process)
+        else:
+            running.clock, over = playback.clock, lambda seen: playback.over
+        look = _stopwatch(running.source.counters, over, seconds, stop)
+        swapping = None if swap is None else swap_bench.SwapBench(running, swap, seconds)
+        each = look if swapping is None else lambda: (look(), swapping.beat())
+        loop(running, stop, each=each)
         swap_figures = None if swapping is None else swapping.figures()
         report = running.service.latency.report()
         counters = dict(running.source.counters)
         memory_mb = resident_mb()
+        if not own:
+            for line in playback.outcome():
+                log.info("%s", line)
     tick = report.tick
     slowdown = 1.0 if report.calibration is None else report.calibration.slowdown
     if tick.n == 0 or report.stage("detect").n == 0:
         raise UserError(
             f"bench: nothing measured in {seconds:g} s ({tick.n} ticks, "
-            f"{report.stage('detect').n} detections): give it more --seconds; counters: {counters}"
+            f"{report.stage('detect').n} detections): "
+            f"{'give it more --seconds' if own else 'the log says why'}; counters: {counters}"
         )
     return {
         "table": report.table(),
@@ -135,11 +158,14 @@ def run_bench(
 
 
 def _stopwatch(
-    counters: Mapping[str, int], player: Popen[bytes], seconds: float, stop: threading.Event
+    counters: Mapping[str, int], over: Callable[[bool], bool], seconds: float, stop: threading.Event
 ) -> Callable[[], None]:
     """To be called after every tick: sets `stop` `seconds` after the first observation.
 
-    It is set as well when the player ends before anything was seen, or takes too long to start.
+    It is set as well when the recording is `over`, or takes too long to start.
+
+    Args:
+        over: returns whether nothing more comes, given whether an observation came.
     """
     end_s, seen = time.monotonic() + _PLAYER_S, False
 
@@ -147,10 +173,15 @@ def _stopwatch(
         nonlocal end_s, seen
         if not seen and counters.get("observations"):
             end_s, seen = time.monotonic() + seconds, True
-        if time.monotonic() >= end_s or (not seen and player.poll() is not None):
+        if time.monotonic() >= end_s or over(seen):
             stop.set()
 
     return look
+
+
+def _is_over(player: Popen[bytes], seen: bool) -> bool:
+    """Return whether the player ended before anything was seen."""
+    return not seen and player.poll() is not None
 
 
 def resident_mb() -> float:

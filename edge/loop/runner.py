@@ -42,6 +42,8 @@ class Running:
         now_ns: the loop's time at its newest beat; 0 before there was one.
         epoch: of the source, as the service knows it.
         reloader: changes the service's configuration when it is asked to; None: nobody asks.
+        clock: the loop's time outside lockstep, in ns, as that of a recording that is played;
+            None: the wall clock's.
     """
 
     config: Config
@@ -52,6 +54,7 @@ class Running:
     now_ns: int = field(default=0, init=False)
     epoch: int = field(default=0, init=False)
     reloader: Reloader | None = field(default=None, init=False)
+    clock: Callable[[], int] | None = field(default=None, init=False)
 
 
 def loop(
@@ -96,11 +99,12 @@ def _real_time(running: Running, stop: threading.Event) -> Iterator[None]:
     is set while the robot drives must not end the mission.
     """
     wall_ns = time.time_ns() - time.monotonic_ns()
+    clock = running.clock or (lambda: wall_ns + time.monotonic_ns())
     period_ns = int(1e9 / running.config.loop.hz)
     deadline_ns = perf_counter_ns()
     while not stop.is_set():
-        observation = _hear(running, wall_ns + time.monotonic_ns())
-        now_ns = running.now_ns = wall_ns + time.monotonic_ns()
+        observation = _hear(running, clock())
+        now_ns = running.now_ns = clock()
         _obey(running, now_ns)
         if observation is None:
             _idle(running, now_ns)

@@ -57,7 +57,8 @@ def head_of(path: Path) -> Head:
     said = reading.metadata.get(FORMAT)
     if said is None:
         raise RecordingError(
-            f"{path}: an MCAP file, but not of the sink `mcap`: it has no journal to replay"
+            f"{path}: an MCAP file, but not of the sink `mcap`: it has no journal to replay; "
+            "`edge play FILE CONFIG` plays the recording of any robot"
         )
     if said.get("version") != str(VERSION):
         raise RecordingError(

@@ -117,7 +117,7 @@ class CdrDecoder:
             return
         try:
             if topic is topics.ODOMETRY:
-                self._move(payload)
+                self.move(messages.decode_odometry(payload))
             elif topic is topics.CAMERA_INFO:
                 self._describe(payload)
             else:
@@ -125,8 +125,8 @@ class CdrDecoder:
         except DecodeError as error:
             self._synchronizer.count(topic.key, "malformed", str(error))
 
-    def _move(self, payload: bytes) -> None:
-        sample = messages.decode_odometry(payload)
+    def move(self, sample: messages.Odometry) -> None:
+        """Take a pose, from an odometry message or from tf."""
         if self._frames is None:
             self._synchronizer.offer(Odometry(sample.stamp_ns, sample.T_map_base))
             return

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import zenoh
 
 from edge.bus import topics
 from edge.bus.topics import Topic
+from edge.bus.wire import DecodeError
 from edge.config import Config
 from edge.geometry import SE2
 from edge.loop.source import InputRow
@@ -18,6 +20,7 @@ from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.streams import KEPT
 from edge.sources.synchronizer import TimeSynchronizer, streams_of
 from edge.sources.tf import Frames
+from edge.text import one_line
 from edge.types import Observation
 
 PAUSE_S = 0.0003
@@ -28,17 +31,22 @@ class PolledSource(ABC):
 
     Args:
         frames: see `CdrDecoder`; also where the sensors sit, if that is for tf to say.
+        clock: of arrivals, in ns.
 
     Raises:
         ConfigError: a cloud is asked for and no LiDAR is described.
     """
 
     def __init__(
-        self, config: Config, session: zenoh.Session, frames: Frames | None = None
+        self,
+        config: Config,
+        session: zenoh.Session,
+        frames: Frames | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         mount_at = frames.mount_at if frames is not None and frames.by_tf else None
-        self._synchronizer = TimeSynchronizer(config, mount_at=mount_at)
-        self._decoder = CdrDecoder(self._synchronizer, frames=frames)
+        self._synchronizer = TimeSynchronizer(config, clock, mount_at)
+        self._decoder = CdrDecoder(self._synchronizer, clock, frames)
         self._max_bytes = int(config.source.max_message_mb * 1e6)
         self.inbox = GoalStatusInbox(session, config.zenoh)
         heard = self._synchronizer.streams
@@ -96,7 +104,24 @@ class PolledSource(ABC):
         """Hand what came to the synchronizer, a ring's worth of each topic at most; how many
         messages it was."""
 
-    def _is_too_large(self, name: str, payload: zenoh.ZBytes) -> bool:
+    def _take_transforms(
+        self, name: str, payload: zenoh.ZBytes | bytes, frames: Frames, static: bool
+    ) -> None:
+        """Take a message of tf, that came under this name."""
+        self._synchronizer.received(name)
+        if self._is_too_large(name, payload):
+            return
+        try:
+            untaken = frames.take(bytes(payload), static)
+        except DecodeError as error:
+            self._synchronizer.count(name, "malformed", one_line(error))
+            return
+        if untaken:
+            self._synchronizer.count(name, "malformed", f"{untaken}, that fit nowhere")
+        else:
+            self._synchronizer.inputs.used(name)
+
+    def _is_too_large(self, name: str, payload: zenoh.ZBytes | bytes) -> bool:
         """Counts it too, under this name."""
         size = len(payload)
         if size > self._max_bytes:

@@ -1,45 +1,52 @@
 """Recordings of what goes over the bus, as MCAP: made, and played as if it were live.
 
 The messages are stored as they were on the wire (CDR with `ros2msg` schemas, JSON), so that
-Foxglove and the ROS 2 tools open them.
+Foxglove and the ROS 2 tools open them. They have our own names (`/camera/rgb`), wherever the
+configured source gets them.
 """
 
 from __future__ import annotations
 
 import argparse
-import heapq
+import logging
 import os
 import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import zenoh
 
 from edge.bus import topics
+from edge.bus.ros2.node import open_node
+from edge.bus.ros2.topics import COMPRESSED, COMPRESSED_ENDINGS, HEARD, LATCHED, heard_types
 from edge.bus.session import Ring, declare_publisher, open_session, zenoh_session
 from edge.bus.topics import Topic
 from edge.bus.wire import DecodeError
 from edge.bus.wire.cdr import HEADER, STAMP
 from edge.bus.wire.messages import peek_stamp_ns
 from edge.config import Config, Zenoh, load
-from edge.errors import UnavailableError, UserError
+from edge.errors import FAILED, UnavailableError, UserError
 from edge.host.children import python_module
 from edge.host.signals import stop_on_signals
-from edge.recording.channels import of_topic
+from edge.recording.bag import in_order
+from edge.recording.channels import Channel, of_ros, of_topic
 from edge.recording.file import McapFile, McapReading, RecordingError, is_complete
-from edge.recording.file import Recorded as Message
+from edge.sources.contents import ODOMETRY, TF, TF_STATIC, lacking_inputs
 
+log = logging.getLogger("edge.sources.recording")
+
+_ENDINGS = ("", *COMPRESSED_ENDINGS)
+_WITHOUT_HEADER = (f"/{TF}", f"/{TF_STATIC}")
 _RING = 64
 _PAUSE_S = 0.002
 _SYNC_S = 2.0
-_WINDOW_NS = 1_000_000_000  # messages lie no farther from their place in time
-_MOST_WAITING_BYTES = 1 << 28
-_MESSAGE_BYTES = 1000  # what a message takes besides its payload
 _TOPICS = {f"/{topic.key}": topic for topic in topics.ALL}
 
 
@@ -63,45 +70,125 @@ def record(
     path: str | os.PathLike[str],
     duration_s: float,
     stop: threading.Event | None = None,
-) -> int:
-    """Write everything on the configured topics until time is up or `stop` is set.
+) -> Counter[str]:
+    """Write everything that the configured source listens to, and all on Zenoh's topics, until
+    time is up or `stop` is set.
 
     Returns:
-        How many messages were written.
+        How many messages were written, by channel.
 
     Raises:
         RecordingError: the file cannot be written. What was heard before is in `NAME.partial`,
             as it is where this process is killed.
     """
     stop = stop or threading.Event()
-    rings = [(topic, Ring(session, config.zenoh.key(topic.key), _RING)) for topic in topics.ALL]
+    taps = _taps(session, config)
+    written: Counter[str] = Counter()
     deadline_s = time.monotonic() + duration_s
     sync_s = time.monotonic() + _SYNC_S
     file = McapFile(path, "zstd")
     try:
         file.open()
         while not stop.is_set() and time.monotonic() < deadline_s:
-            for topic, ring in rings:
-                for sample in ring.take():
+            for tap in taps:
+                for channel, payload in tap.take():
                     now_ns = time.time_ns()
-                    payload = sample.payload.to_bytes()
-                    stamp_ns = _stamp_of(topic, payload, now_ns)
-                    file.add(of_topic(topic), now_ns, stamp_ns, payload)
+                    file.add(channel, now_ns, _stamp_of(channel, payload, now_ns), payload)
+                    written[channel.topic] += 1
             if time.monotonic() >= sync_s:
                 sync_s = time.monotonic() + _SYNC_S
                 file.sync()
             stop.wait(_PAUSE_S)
         file.finish()
-        return file.messages
+        return written
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
     finally:
-        for _, ring in rings:
+        for tap in taps:
+            tap.close()
+
+
+class _Tap(Protocol):
+    """Listens along with a source."""
+
+    def take(self) -> Iterator[tuple[Channel, bytes]]:
+        """Yield what came since the last look."""
+
+    def close(self) -> None: ...
+
+
+def _taps(session: zenoh.Session, config: Config) -> list[_Tap]:
+    """The taps of everything that the configured source listens to."""
+    taps: list[_Tap] = [_ZenohTap(session, config)]
+    if config.source.kind == "ros2":
+        taps.append(_Ros2Tap(session, config))
+    elif config.source.kind == "zmq":
+        from edge.sources.zmq import ZmqTap
+
+        taps.append(ZmqTap(config))
+    return taps
+
+
+class _ZenohTap:
+    """Listens to all of Zenoh's topics."""
+
+    def __init__(self, session: zenoh.Session, config: Config) -> None:
+        self._rings = [
+            (topic, Ring(session, config.zenoh.key(topic.key), _RING)) for topic in topics.ALL
+        ]
+
+    def take(self) -> Iterator[tuple[Channel, bytes]]:
+        for topic, ring in self._rings:
+            for sample in ring.take():
+                yield of_topic(topic), sample.payload.to_bytes()
+
+    def close(self) -> None:
+        for _, ring in self._rings:
             ring.close()
 
 
-def _stamp_of(topic: Topic, payload: bytes, otherwise_ns: int) -> int:
-    if topic.type == "json":
+class _Ros2Tap:
+    """The sensors and tf of a ROS 2 graph, as `ros2.topics` names them."""
+
+    def __init__(self, session: zenoh.Session, config: Config) -> None:
+        self._node = open_node(config, session, "record")
+        self._subscriptions = {
+            name: self._node.subscription(
+                config.ros2.topic(name), heard_types(name, config.ros2.topic(name)), _RING,
+                latched=name in LATCHED,
+            )
+            for name in HEARD
+        }  # fmt: skip
+        self._told: set[str] = set()
+
+    def take(self) -> Iterator[tuple[Channel, bytes]]:
+        self._node.look()
+        for name, subscription in self._subscriptions.items():
+            for type_name, payload in subscription.take():
+                if type_name in subscription.types:
+                    yield _channel_of(name, subscription.topic, type_name), payload.to_bytes()
+                elif name not in self._told:
+                    self._told.add(name)
+                    log.warning(
+                        "%s: not recorded: it brings %s, not %s", subscription.topic,
+                        type_name or "what has no type", " or ".join(subscription.types),
+                    )  # fmt: skip
+
+    def close(self) -> None:
+        self._node.close()
+
+
+@cache
+def _channel_of(name: str, ros_name: str, type_name: str) -> Channel:
+    """The channel of a ROS 2 topic: under our name, which says if pictures are compressed."""
+    ending = ""
+    if type_name == COMPRESSED:
+        ending = next((end for end in COMPRESSED_ENDINGS if ros_name.endswith(end)), "/compressed")
+    return of_ros(f"/{name}{ending}", type_name.replace("/msg/", "/"))
+
+
+def _stamp_of(channel: Channel, payload: bytes, otherwise_ns: int) -> int:
+    if channel.encoding != "cdr" or channel.topic in _WITHOUT_HEADER:
         return otherwise_ns
     try:
         return max(0, peek_stamp_ns(payload))
@@ -123,7 +210,7 @@ def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
     """
     reading = McapReading(path)
     if is_complete(path):  # else nothing of it is played
-        for message in _in_order(reading):
+        for message in in_order(reading):
             topic = _TOPICS.get(message.topic)
             if topic is not None:
                 yield Recorded(topic, message.log_ns, message.payload)
@@ -131,21 +218,6 @@ def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
             return
     why = reading.cut or "cut off"
     raise RecordingError(f"{path}: not a complete MCAP file: {why}; `edge recover` makes one of it")
-
-
-def _in_order(messages: Iterable[Message]) -> Iterator[Message]:
-    """Yield messages by the time at which they were heard; they are written nearly so."""
-    waiting: list[tuple[int, int, Message]] = []
-    size = 0
-    for n, message in enumerate(messages):
-        heapq.heappush(waiting, (message.log_ns, n, message))
-        size += len(message.payload) + _MESSAGE_BYTES
-        while size > _MOST_WAITING_BYTES or message.log_ns - waiting[0][0] > _WINDOW_NS:
-            first = heapq.heappop(waiting)[2]
-            size -= len(first.payload) + _MESSAGE_BYTES
-            yield first
-    while waiting:
-        yield heapq.heappop(waiting)[2]
 
 
 class Played(NamedTuple):
@@ -267,15 +339,25 @@ def player(
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge record`; 1 when nothing was heard."""
+    """Handle `edge record`; 1 when a sensor that the map is made of was not heard."""
     config = load(args.config)
     stop = stop_on_signals()
     with zenoh_session(config.zenoh, "connect", stop) as session:
-        n = record(session, config, args.out, args.seconds, stop)
-    print(f"{args.out}: {n} messages")
-    if n == 0:
+        written = record(session, config, args.out, args.seconds, stop)
+    print(f"{args.out}: {written.total()} messages")
+    for topic, n in sorted(written.items()):
+        print(f"{n:8} {topic}")
+    if not written:
         print(f"nothing was heard at {config.zenoh.address}: is the service running?")
-    return 0 if n else 1
+        return FAILED
+    there = {name for name in HEARD if any(f"/{name}{end}" in written for end in _ENDINGS)}
+    if TF in there:  # it has poses, too
+        there.add(ODOMETRY)
+    lacks = list(lacking_inputs(config, there))
+    if lacks:
+        print(f"nothing was heard of {', '.join(lacks)} (source.kind: {config.source.kind}): no "
+              "map can be made of this recording")  # fmt: skip
+    return FAILED if lacks else os.EX_OK
 
 
 def _play_command(args: argparse.Namespace) -> int:

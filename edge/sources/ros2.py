@@ -12,11 +12,9 @@ import zenoh
 from edge.bus.ros2.node import Subscription, open_node
 from edge.bus.ros2.topics import LATCHED, heard_types
 from edge.bus.topics import Topic
-from edge.bus.wire import DecodeError
 from edge.config import Config
 from edge.sources.polled import PolledSource
 from edge.sources.tf import Frames
-from edge.text import one_line
 
 _TF_KEPT = 256
 
@@ -53,7 +51,9 @@ class Ros2Source(PolledSource):
         for name, subscription in self._transforms.items():
             for _, payload in subscription.take():
                 n += 1
-                self._take_transforms(subscription.topic, payload, name == "tf_static")
+                self._take_transforms(
+                    subscription.topic, payload, self._frames, name == "tf_static"
+                )
         for topic, subscription in self._sensors.items():
             for type_name, payload in subscription.take():
                 n += 1
@@ -77,17 +77,3 @@ class Ros2Source(PolledSource):
             )  # fmt: skip
         else:
             self._decoder.offer(topic, payload.to_bytes(), type_name.replace("/msg/", "/"))
-
-    def _take_transforms(self, name: str, payload: zenoh.ZBytes, static: bool) -> None:
-        self._synchronizer.received(name)
-        if self._is_too_large(name, payload):
-            return
-        try:
-            untaken = self._frames.take(payload.to_bytes(), static)
-        except DecodeError as error:
-            self._synchronizer.count(name, "malformed", one_line(error))
-            return
-        if untaken:
-            self._synchronizer.count(name, "malformed", f"{untaken}, that fit nowhere")
-        else:
-            self._synchronizer.inputs.used(name)

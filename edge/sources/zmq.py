@@ -16,7 +16,7 @@ from __future__ import annotations
 import logging
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -28,10 +28,11 @@ import zenoh
 
 from edge.bus import topics
 from edge.bus.topics import Topic
-from edge.bus.wire import images
+from edge.bus.wire import images, messages
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
 from edge.host.interruptible import start_unjoined
+from edge.recording.channels import Channel, of_topic
 from edge.sources.messages import CameraInfo, DepthImage, Frame, Image, WrongSizeError
 from edge.sources.streams import KEPT
 from edge.sources.zenoh import ZenohSource
@@ -44,6 +45,7 @@ log = logging.getLogger("edge.sources.zmq")
 
 MAX_HEADER = 4096
 _LOOK_S = 1.0
+_FRAME_ID = "camera"
 _MOST_PX = 1e7
 _BYTES_PX = {
     "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "16UC1": 2, "32FC1": 4,
@@ -233,6 +235,54 @@ class ZmqSource(ZenohSource):
                 "again (further times are not told)",
                 one_line(self._address), self._max_bytes / 1e6,
             )  # fmt: skip
+
+
+class ZmqTap:
+    """The pictures of a camera over ZeroMQ as messages of the bus, for recordings.
+
+    Raises:
+        ConfigError: see `ZmqSource`.
+    """
+
+    def __init__(self, config: Config) -> None:
+        address = config.source.options.get("address", "")
+        max_bytes = int(config.source.max_message_mb * 1e6)
+        self._zmq, self._context, self._camera = _socket(config, max_bytes)
+        _connect(config, self._camera, address)
+        self._told = False
+
+    def take(self) -> Iterator[tuple[Channel, bytes]]:
+        """Yield what came since the last look."""
+        for _ in range(KEPT):
+            try:
+                parts = self._camera.recv_multipart(self._zmq.NOBLOCK)
+            except self._zmq.Again:
+                return
+            try:
+                yield from _as_on_the_bus(*parts)
+            except (ValueError, TypeError) as error:
+                if not self._told:
+                    self._told = True
+                    log.warning("not recorded: %s; further ones are not told", one_line(error))
+
+    def close(self) -> None:
+        self._context.destroy(linger=0)
+
+
+def _as_on_the_bus(head: bytes, pixels: bytes) -> Iterator[tuple[Channel, bytes]]:
+    """Raises ValueError if it is no picture."""
+    header = parse_header(head, len(pixels))
+    image, topic = header.image, _FRAMES[header.topic].topic
+    if header.camera is not None:
+        info = messages.encode_camera_info(image.stamp_ns, _FRAME_ID, header.camera)
+        yield of_topic(topics.CAMERA_INFO), info
+    shape, is_depth = (image.height, image.width), topic == topics.DEPTH.key
+    out = np.empty(shape if is_depth else (*shape, 3), np.float32 if is_depth else np.uint8)
+    images.decode_image_into(pixels, image, out)
+    yield (
+        of_topic(topics.DEPTH if is_depth else topics.RGB),
+        messages.encode_image(image.stamp_ns, _FRAME_ID, out),
+    )
 
 
 def _socket(config: Config, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socket]:

@@ -268,7 +268,7 @@ def test_the_service_is_told_the_mission_that_was_asked_for(
     """A formula leaves the configuration as it is: later orders are read by its translator."""
     opened = []
 
-    def open_service(config, sinks, asked, formula, task, stop, progress, amiss):
+    def open_service(config, sinks, asked, formula, task, stop, progress, amiss, make_source):
         assert config.mission.translator.kind == "auto"
         mission = config.mission
         opened.append((asked, formula, mission.target, mission.instruction, mission.reading))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -71,7 +72,8 @@ def test_the_time_counts_from_the_first_observation(monkeypatch, observations, p
     clock = SimpleNamespace(now_s=0.0, monotonic=lambda: clock.now_s)
     monkeypatch.setattr(bench, "time", clock)
     counters, stop = {"observations": 0}, threading.Event()
-    look = bench._stopwatch(counters, SimpleNamespace(poll=lambda: player), 20.0, stop)
+    over = partial(bench._is_over, SimpleNamespace(poll=lambda: player))
+    look = bench._stopwatch(counters, over, 20.0, stop)
     for counters["observations"], expected in zip(observations, stopped, strict=True):
         look()
         assert stop.is_set() == expected
@@ -82,7 +84,7 @@ def test_an_observation_is_not_waited_for_for_ever(monkeypatch):
     clock = SimpleNamespace(now_s=0.0, monotonic=lambda: clock.now_s)
     monkeypatch.setattr(bench, "time", clock)
     stop = threading.Event()
-    look = bench._stopwatch({"observations": 0}, SimpleNamespace(poll=lambda: None), 2.0, stop)
+    look = bench._stopwatch({"observations": 0}, lambda seen: False, 2.0, stop)
     clock.now_s = 60.0
     look()
     assert stop.is_set()
@@ -95,5 +97,5 @@ def test_a_process_grows_older():
 def test_nothing_measured_is_an_error(tmp_path):
     path = tmp_path / "empty.mcap"
     recording.record_messages(path, [])
-    with pytest.raises(UserError, match="nothing measured"):
+    with pytest.raises(UserError, match=r"looked for camera/rgb, camera/depth.* there are nothing"):
         bench.run_bench(CONFIG, path, 0.5, threading.Event())

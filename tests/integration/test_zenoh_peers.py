@@ -170,7 +170,8 @@ def record(session, config: Config, path: Path, enough: set[str]) -> None:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recording, "McapFile", File)
-        assert recording.record(session, config, path, PATIENCE_S, stop) == len(heard)
+        written = recording.record(session, config, path, PATIENCE_S, stop)
+        assert written.total() == len(heard)
     assert stop.is_set(), f"only {set(heard)}"
 
 

@@ -9,8 +9,9 @@ _SENSORS = (
     topics.RGB, topics.DEPTH, topics.CAMERA_INFO, topics.CLOUD, topics.SCAN, topics.ODOMETRY,
 )  # fmt: skip
 _TF = "tf2_msgs/msg/TFMessage"
-_IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-_COMPRESSED_ENDINGS = ("/compressed", "/compressedDepth")
+_IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+COMPRESSED_ENDINGS = ("/compressed", "/compressedDepth")
+"""Endings of a topic of pictures that image_transport compresses."""
 
 HEARD: dict[str, str] = {t.key: full_name(t.type) for t in _SENSORS} | {"tf": _TF, "tf_static": _TF}
 """The type of each topic that the robot publishes."""
@@ -35,5 +36,5 @@ def heard_types(name: str, ros_name: str) -> tuple[str, ...]:
     """
     if HEARD[name] != _IMAGE:
         return (HEARD[name],)
-    is_compressed = ros_name.endswith(_COMPRESSED_ENDINGS)
-    return (_COMPRESSED, _IMAGE) if is_compressed else (_IMAGE, _COMPRESSED)
+    is_compressed = ros_name.endswith(COMPRESSED_ENDINGS)
+    return (COMPRESSED, _IMAGE) if is_compressed else (_IMAGE, COMPRESSED)

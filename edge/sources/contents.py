@@ -1,0 +1,448 @@
+"""The contents of a recording: its topics, its frames, and which topic is which sensor.
+
+Names come from `ros2.topics`; a topic that is not in the recording under its name is guessed by
+type, content and words of its name. Every choice is a line for the user.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+
+from edge.bus import topics
+from edge.bus.ros2.topics import COMPRESSED, COMPRESSED_ENDINGS, HEARD, heard_types
+from edge.bus.wire import DecodeError, compressed, messages
+from edge.bus.wire.transforms import decode_transforms
+from edge.config import Config
+from edge.config.ros2 import DEFAULT_TOPICS
+from edge.host.interruptible import raise_if_stopped
+from edge.recording.bag import WINDOW_NS, Bag
+from edge.recording.file import Recorded
+from edge.sources.decoder import KINDS
+from edge.sources.synchronizer import streams_of
+from edge.text import aligned, one_line
+
+RGB, DEPTH, INFO, CLOUD, SCAN, ODOMETRY = (
+    topic.key
+    for topic in (
+        topics.RGB, topics.DEPTH, topics.CAMERA_INFO, topics.CLOUD, topics.SCAN, topics.ODOMETRY,
+    )
+)  # fmt: skip
+TF, TF_STATIC = "tf", "tf_static"
+_DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
+_BASES = ("base_link", "base_footprint", "base", "base_frame")
+_WORLDS = ("map", "odom", "world")
+_MOST_TOPICS = 10_000
+_MOST_STATIC_BYTES = 1 << 23
+_MOST_FRAMES = 4096
+_SHOWN = 12
+
+_TYPES = {kind for name in HEARD for kind in heard_types(name, "")}
+"""The types of messages that can be read."""
+_WORST = -5.0
+"""A name with so bad a score is no guess."""
+
+Words = dict[str, float]
+_GOOD: dict[str, Words] = {
+    RGB: {"rgb": 4, "color": 4, "colour": 4, "image": 1, "raw": 0.5, "front": 1},
+    DEPTH: {"depth": 4, "stereo": 2, "aligned": 3, "registered": 3, "front": 1, "raw": 0.5},
+    CLOUD: {"lidar": 3, "velodyne": 3, "ouster": 3, "livox": 3, "points": 2, "front": 1},
+    SCAN: {"scan": 2, "front": 1},
+    ODOMETRY: {"odom": 2, "odometry": 2, "filtered": 1},
+}
+_BAD: dict[str, Words] = {
+    RGB: {
+        "ir": 4, "infra": 4, "infra1": 4, "infra2": 4, "thermal": 4, "mask": 6, "label": 6,
+        "labels": 6, "segmentation": 6, "semantic": 6, "disparity": 6, "confidence": 6,
+        "debug": 3, "overlay": 3, "annotated": 3, "rear": 2, "back": 2,
+    },
+    DEPTH: {
+        "ir": 4, "infra": 4, "mask": 6, "label": 6, "labels": 6, "segmentation": 6, "semantic": 6,
+        "disparity": 6, "confidence": 6, "rear": 2, "back": 2,
+    },
+    CLOUD: {
+        "map": 4, "camera": 2, "depth": 2, "costmap": 6, "obstacles": 4, "ground": 3, "rear": 2,
+        "back": 2, "octomap": 6,
+    },
+    SCAN: {"rear": 2, "back": 2, "camera": 2, "depth": 2},
+    ODOMETRY: {"wheel": 1, "gps": 2, "gt": 1},
+}  # fmt: skip
+
+
+@dataclass(slots=True)
+class TopicFacts:
+    """One topic of a recording.
+
+    Attributes:
+        type: such as `sensor_msgs/msg/Image`.
+        encoding: of its messages; only `cdr` can be read.
+        frame_id, child: of its first message, `child` of odometry; "" if it has none.
+        is_depth: whether its first picture holds distances.
+    """
+
+    type: str
+    encoding: str
+    count: int = 0
+    frame_id: str = ""
+    child: str = ""
+    is_depth: bool = False
+
+
+@dataclass
+class Contents:
+    """A recording that was read once, to its end.
+
+    Attributes:
+        topics: those with messages, by name.
+        first_ns, last_ns: when the first and the last message were heard.
+        sorted_nearly: see `Bag.by_time`.
+        static: the payloads of each `tf_static`, by topic: a subscriber gets them at once;
+            `static_bytes`: of all that came.
+        parents: of each frame in tf, its parent.
+        moving: frames whose transform is published again and again, on `tf`.
+    """
+
+    topics: dict[str, TopicFacts] = field(default_factory=dict)
+    first_ns: int = 0
+    last_ns: int = 0
+    sorted_nearly: bool = True
+    static: dict[str, list[bytes]] = field(default_factory=dict)
+    static_bytes: int = 0
+    parents: dict[str, str] = field(default_factory=dict)
+    moving: set[str] = field(default_factory=set)
+
+    @property
+    def seconds(self) -> float:
+        return (self.last_ns - self.first_ns) * 1e-9
+
+    def root(self, frame: str) -> str:
+        """Return the topmost frame above this one."""
+        for _ in range(len(self.parents)):  # it ends, also if they form a loop
+            if frame not in self.parents:
+                break
+            frame = self.parents[frame]
+        return frame
+
+    def connected(self, frame: str, other: str) -> bool:
+        """Return whether tf leads from one frame to the other."""
+        return self.root(frame) == self.root(other)
+
+    def mover(self, base: str) -> str:
+        """Return the frame whose transform moves the robot: `base`, or the next above it that is
+        not fixed; "" if there is none."""
+        for _ in range(len(self.parents)):
+            if base in self.moving or base not in self.parents:
+                break
+            base = self.parents[base]
+        return base if base in self.moving else ""
+
+    def there(self) -> str:
+        """List the topics in one line."""
+        told = [
+            f"{one_line(name, 80)} ({_of_type(facts)}, {facts.count})"
+            for name, facts in sorted(self.topics.items())
+        ]
+        left = len(told) - _SHOWN
+        return ", ".join(told[:_SHOWN] + [f"{left} more"] * (left > 0)) or "nothing"
+
+
+def _of_type(facts: TopicFacts) -> str:
+    as_what = "" if facts.encoding == "cdr" else f" as {facts.encoding}"
+    return one_line(f"{facts.type}{as_what}", 60)
+
+
+def read_contents(bag: Bag, stop: threading.Event) -> Contents:
+    """Read a recording once.
+
+    Raises:
+        RecordingError: see `Bag`.
+        Stopped: `stop` was set.
+    """
+    found = Contents()
+    latest_ns = 0
+    for message in bag:
+        raise_if_stopped(stop)
+        facts = found.topics.get(message.topic)
+        if facts is None:
+            if len(found.topics) >= _MOST_TOPICS:
+                continue
+            if not found.topics:
+                found.first_ns = message.log_ns
+            facts = TopicFacts(_type_name(message.schema), message.encoding)
+            found.topics[message.topic] = facts
+            _describe(facts, message)
+        facts.count += 1
+        found.first_ns = min(found.first_ns, message.log_ns)
+        latest_ns = max(latest_ns, message.log_ns)
+        found.sorted_nearly &= latest_ns - message.log_ns <= WINDOW_NS
+        if facts.type == HEARD[TF] and facts.encoding == "cdr":
+            _take_frames(found, message)
+    found.last_ns = max(latest_ns, found.first_ns)
+    return found
+
+
+def _type_name(schema: str) -> str:
+    """`sensor_msgs/Image` as ROS 2 writes it."""
+    return re.sub(r"^(\w+)/(\w+)$", r"\1/msg/\2", schema)
+
+
+def _describe(facts: TopicFacts, message: Recorded) -> None:
+    """Note what the first message says of itself; one that is damaged is counted when it plays."""
+    if facts.encoding != "cdr" or facts.type not in _TYPES or facts.type == HEARD[TF]:
+        return
+    facts.is_depth = "depth" in message.topic.lower()
+    try:
+        _, facts.frame_id = messages.peek_header(message.payload)
+        if facts.type == HEARD[ODOMETRY]:
+            facts.child = messages.decode_odometry(message.payload).child_frame_id
+        elif facts.type == HEARD[RGB]:
+            encoding = messages.decode_image_header(message.payload).encoding
+            facts.is_depth = encoding in _DEPTH_ENCODINGS
+        elif facts.type == COMPRESSED:
+            header = compressed.decode_compressed_header(message.payload)
+            facts.is_depth = header.content != "colour"
+    except DecodeError:
+        return
+    finally:
+        facts.frame_id, facts.child = facts.frame_id.lstrip("/"), facts.child.lstrip("/")
+
+
+def _take_frames(found: Contents, message: Recorded) -> None:
+    static = _is_static(message.topic)
+    if static:
+        found.static_bytes += len(message.payload)
+        if found.static_bytes <= _MOST_STATIC_BYTES:
+            found.static.setdefault(message.topic, []).append(message.payload)
+    try:
+        transforms = decode_transforms(message.payload)
+    except DecodeError:
+        return
+    for transform in transforms:
+        if len(found.parents) < _MOST_FRAMES and transform.child != transform.parent:
+            found.parents[transform.child] = transform.parent
+            if not static:
+                found.moving.add(transform.child)
+
+
+def _is_static(topic: str) -> bool:
+    return topic.endswith("tf_static")
+
+
+def lacking_inputs(config: Config, there: Collection[str]) -> Iterator[str]:
+    """Yield the inputs without which there is no observation, of those that are not `there`."""
+    required = {field for field, stream in streams_of(config).items() if stream.required}
+    groups = [
+        [topic.key for topic, kind in KINDS.items() if kind.field == field]
+        for field in sorted(required)
+    ]
+    if required & {"rgb", "depth_m"}:
+        groups.append([INFO])
+    groups.append([ODOMETRY])
+    yield from (" or ".join(names) for names in groups if not set(there).intersection(names))
+
+
+# -- which topic is which -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Matched:
+    """Which topics of a recording are played as what.
+
+    Attributes:
+        topics: the recording's topic, by our name (`camera/rgb`); of those that are there.
+        config: with the frames of this recording in `ros2`.
+        by_tf: whether tf says where the sensors are and where odometry's frame lies.
+        mover: the frame whose tf gives the poses; "": odometry does.
+        lines: every choice, for the user.
+    """
+
+    topics: dict[str, str]
+    config: Config
+    by_tf: bool
+    mover: str
+    lines: tuple[str, ...]
+
+
+def match(config: Config, contents: Contents, wanted: Collection[str]) -> Matched:
+    """Find the topics of a recording that a configuration needs.
+
+    Args:
+        wanted: our names of the sensors' topics; tf is always looked for.
+    """
+    choose = _Choice(config, contents)
+    for name in (DEPTH, RGB, INFO, CLOUD, SCAN, ODOMETRY):
+        if name in wanted:
+            choose.choose(name)
+    for name in (TF, TF_STATIC):
+        choose.choose(name)
+    frames = _Frames(config, contents, choose.found)
+    found = choose.found
+    if frames.mover:
+        choose.how[ODOMETRY] = f"tf, of {frames.mover}"
+    rows = [(name, found.get(name, "-"), choose.how[name]) for name in choose.how]
+    rows = [(name, one_line(topic, 80), one_line(how, 200)) for name, topic, how in rows]
+    lines = (*aligned(rows, left=3).splitlines(), *(one_line(line, 300) for line in frames.lines))
+    return Matched(found, frames.config, frames.by_tf, frames.mover, lines)
+
+
+class _Choice:
+    """Chooses a topic for each name; `how` says why, in a few words."""
+
+    def __init__(self, config: Config, contents: Contents) -> None:
+        self._config, self._contents = config, contents
+        self.found: dict[str, str] = {}
+        self.how: dict[str, str] = {}
+
+    def choose(self, name: str) -> None:
+        there = {
+            topic: facts
+            for topic, facts in self._contents.topics.items()
+            if facts.encoding == "cdr" and facts.type in heard_types(name, topic)
+        }
+        topic, how = self._by_name(name, there)
+        if not topic:
+            may = [t for t, facts in there.items() if self._may_be(name, t, facts)]
+            points = {t: self._points(name, t, there[t]) for t in may}
+            topic = max((t for t in may if points[t][0] > _WORST), key=points.get, default="")
+            how = f"guessed{how}" if topic else f"not there{how}"
+        if topic:
+            self.found[name] = topic
+            facts = there[topic]
+            how = f"{facts.count} {facts.type}, {how}" if how else f"{facts.count} {facts.type}"
+        self.how[name] = how
+
+    def _by_name(self, name: str, there: dict[str, TopicFacts]) -> tuple[str, str]:
+        """Return the topic with the configured, our own or the usual name, and how it was found."""
+        said = self._config.ros2.topics.get(name)
+        if said is not None:
+            if topic := next((t for t in _transported(said) if t in there), ""):
+                return topic, "ros2.topics"
+            other = self._contents.topics.get(said)
+            brings = "" if other is None else f", which brings {other.encoding} {other.type}"
+            return "", f": ros2.topics has {said}{brings}"
+        for usual in (f"/{name}", DEFAULT_TOPICS[name]):
+            for topic in _transported(usual):
+                if topic in there and self._may_be(name, topic, there[topic]):
+                    return topic, ""
+        return "", ""
+
+    def _may_be(self, name: str, topic: str, facts: TopicFacts) -> bool:
+        if name in (RGB, DEPTH):
+            return facts.is_depth == (name == DEPTH)
+        if name in (TF, TF_STATIC):
+            return _is_static(topic) == (name == TF_STATIC)
+        # One LiDAR maps: a cloud shows more than a scan.
+        return name != SCAN or CLOUD not in self.found
+
+    def _points(self, name: str, topic: str, facts: TopicFacts) -> tuple:
+        """Compare topics that may be what is looked for: the most points win."""
+        words = set(re.split(r"[^a-z0-9]+", topic.lower()))
+        points = sum(_GOOD.get(name, {}).get(word, 0.0) for word in words)
+        points -= sum(_BAD.get(name, {}).get(word, 0.0) for word in words)
+        ros2 = self._config.ros2
+        if name == RGB:
+            points += 2 * _shared(topic, self.found.get(DEPTH, ""))
+        elif name == INFO:
+            points += self._info_points(topic)
+        elif name == CLOUD:  # a map, not a sweep
+            points -= 6 * (facts.frame_id in (ros2.map_frame, *_WORLDS))
+        elif name == ODOMETRY:
+            points += 2 * (facts.child == ros2.base_frame) + (facts.child in _BASES)
+            points += facts.frame_id == ros2.map_frame
+        is_raw = facts.type != COMPRESSED
+        return points, is_raw, facts.count, topic
+
+    def _info_points(self, topic: str) -> float:
+        """A camera describes itself next to its picture."""
+        points = 0.0
+        for weight, image in ((4, RGB), (2, DEPTH)):
+            of = self.found.get(image, "")
+            for end in COMPRESSED_ENDINGS:
+                of = of.removesuffix(end)
+            points += weight * (topic.rpartition("/")[0] == of.rpartition("/")[0] != "")
+            points += 0.1 * weight * _shared(topic, of)
+        return points
+
+
+def _transported(topic: str) -> list[str]:
+    """A topic of pictures, and what image_transport calls it where they are compressed."""
+    return [topic, *(f"{topic}{end}" for end in COMPRESSED_ENDINGS)]
+
+
+def _shared(topic: str, other: str) -> int:
+    """Count the parts that two names begin with alike."""
+    n = 0
+    for a, b in zip(topic.split("/")[1:], other.split("/")[1:], strict=False):
+        if a != b:
+            break
+        n += 1
+    return n
+
+
+class _Frames:
+    """Finds the frames of a recording that stand for `ros2.map_frame` and `ros2.base_frame`."""
+
+    def __init__(self, config: Config, contents: Contents, found: dict[str, str]) -> None:
+        self._contents = contents
+        self.lines: list[str] = []
+        self.by_tf, self.mover = bool(contents.parents), ""
+        self.config = config
+        if not self.by_tf:
+            self.lines.append(
+                "frames: no tf in it: sensors sit where `sensors` says, odometry is in the map"
+            )
+            return
+        ros2, odom = config.ros2, contents.topics.get(found.get(ODOMETRY, ""))
+        sensors = [contents.topics[found[n]].frame_id for n in (RGB, CLOUD, SCAN) if n in found]
+        base = self._base(ros2.base_frame, odom, sensors)
+        if odom is not None and self._is_elsewhere(odom, base):
+            self.lines.append(
+                f"odom: tf does not lead from {one_line(odom.frame_id)} to {ros2.map_frame}, but "
+                f"from {base}: tf gives the poses"
+            )
+            del found[ODOMETRY]
+            odom = None
+        if odom is None:
+            self.mover = contents.mover(base)
+        world = self._map(ros2.map_frame, base, odom)
+        frames = {"base_frame": base, "map_frame": world}
+        if ros2.mounts == "tf" and not any(contents.connected(base, name) for name in sensors):
+            frames["mounts"] = "config"
+            named = one_line(" or ".join(dict.fromkeys(sensors)), 200)
+            self.lines.append(
+                f"mounts: tf does not lead from {base} to {named}: sensors sit where `sensors` says"
+            )
+        self.config = config.model_copy(update={"ros2": ros2.model_copy(update=frames)})
+        self.lines.append(f"frames: {base} in {world}, by tf")
+
+    def _is_elsewhere(self, odom: TopicFacts, base: str) -> bool:
+        """Return whether tf knows where the base is in the map, but not where odometry begins."""
+        connected, world = self._contents.connected, self.config.ros2.map_frame
+        localised = connected(base, world) and bool(self._contents.mover(base))
+        return localised and bool(odom.frame_id) and not connected(odom.frame_id, world)
+
+    def _base(self, said: str, odom: TopicFacts | None, sensors: list[str]) -> str:
+        """The frame of the base: as configured, or what moves."""
+        base = said
+        if odom is not None:
+            if odom.child and not self._contents.connected(said, odom.child):
+                base = odom.child
+        elif said not in self._contents.parents:
+            movers = filter(None, map(self._contents.mover, sensors))
+            usual = (name for name in _BASES if name in self._contents.parents)
+            base = next(iter((*usual, *movers, said)))
+        if base != said:
+            self.lines.append(f"base: {one_line(base)} instead of ros2.base_frame ({said})")
+        return base
+
+    def _map(self, said: str, base: str, odom: TopicFacts | None) -> str:
+        """The frame of the map: as configured, or what the poses are in."""
+        frame = self._contents.root(base) if odom is None else odom.frame_id
+        if self._contents.connected(said, frame) or not frame:
+            return said
+        self.lines.append(
+            f"map: {one_line(frame)} instead of ros2.map_frame ({said}), which tf does not have"
+        )
+        return frame

@@ -1,0 +1,372 @@
+"""Observations from a recording of any robot: its messages, as if they came now.
+
+Time is the recording's: frames wait for poses, and rates are measured, on the clock of the times
+at which messages were heard. So nothing depends on how fast it is played.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import zenoh
+
+from edge.bus import topics
+from edge.bus.topics import Topic
+from edge.bus.wire import DecodeError, messages
+from edge.bus.wire.schemas import full_name
+from edge.bus.wire.transforms import decode_transforms
+from edge.config import Config
+from edge.loop.source import InputRow
+from edge.recording.bag import Bag
+from edge.recording.file import Recorded, RecordingError
+from edge.sources.contents import (
+    ODOMETRY,
+    TF,
+    TF_STATIC,
+    Contents,
+    lacking_inputs,
+    match,
+    read_contents,
+)
+from edge.sources.decoder import KINDS
+from edge.sources.polled import PolledSource
+from edge.sources.synchronizer import streams_of
+from edge.sources.tf import Frames
+from edge.text import aligned, one_line
+from edge.types import Observation
+
+log = logging.getLogger("edge.sources.played")
+
+_TOPICS = {topic.key: topic for topic in topics.ALL if topic.writer == "sensors"}
+_LONGEST_GAP_NS = 30_000_000_000
+_REST_NS = 1_000_000_000  # after the last message: frames wait for their poses
+_AHEAD_BYTES = 1 << 26  # that were read and wait for their time
+_MOST_AT_ONCE = 256  # messages, so that the loop hears of signals
+_ABSENT = "not in the recording"
+
+
+class PlayedSource(PolledSource):
+    """The sensors of a recording as Observations.
+
+    Args:
+        rate: how many times as fast as it was recorded; what is late is dropped, as on a robot.
+            None: as fast as observations are taken, and none is late.
+
+    Attributes:
+        over: whether all of it was played.
+    """
+
+    def __init__(
+        self, config: Config, session: zenoh.Session, playback: Playback, rate: float | None
+    ) -> None:
+        contents, matched = playback.contents, playback.matched
+        self._matched, self._rate, self.over = matched, rate, False
+        self._now_ns = self._last_ns = self._first_ns = contents.first_ns
+        self._played_frames = Frames(_timed(matched.config)) if matched.by_tf else None
+        super().__init__(_timed(config), session, self._played_frames, lambda: self._now_ns)
+        inputs = self._synchronizer.inputs
+        if matched.by_tf:
+            for name in (TF, TF_STATIC):
+                inputs.add(name, TF, needed=True)
+                inputs.listen(name, one_line(matched.topics.get(name, _ABSENT), 80))
+        self._take_static(contents)
+        self._names = {topic: name for name, topic in matched.topics.items()}
+        self._types = {topic: contents.topics[topic].type for topic in self._names}
+        self._messages = playback.bag.by_time(self._names.keys(), contents.sorted_nearly)
+        self._ahead = None if rate is None else _ReadAhead(self._messages)
+        if self._ahead is not None:
+            self._messages = self._ahead
+        self._next = next(self._messages, None)
+        self._began_ns: int | None = None
+        self._skipped_ns = 0
+
+    def _take_static(self, contents: Contents) -> None:
+        """Take all of tf_static at once, as a subscriber gets it."""
+        if self._played_frames is not None:
+            for payload in contents.static.get(self._matched.topics.get(TF_STATIC, ""), ()):
+                with suppress(DecodeError):  # it is counted when its turn comes
+                    self._played_frames.take(payload, static=True)
+
+    def clock(self) -> int:
+        """The recording's time now, in ns."""
+        if self._rate is None:
+            return self._now_ns
+        if self._began_ns is None:
+            self._began_ns = time.monotonic_ns()
+        passed_ns = int((time.monotonic_ns() - self._began_ns) * self._rate)
+        return self._first_ns + passed_ns + self._skipped_ns
+
+    def close(self) -> None:
+        super().close()
+        if self._ahead is not None:
+            self._ahead.close()
+
+    def wait(self, timeout_s: float) -> bool:
+        """See `edge.loop.source.Source`."""
+        if self.over:
+            time.sleep(timeout_s)
+        return not self.over
+
+    def poll(self) -> Observation | None:
+        """See `edge.loop.source.Source`."""
+        if self._rate is not None:
+            return super().poll()
+        for _ in range(_MOST_AT_ONCE):
+            observation = self._synchronizer.poll()
+            if observation is not None or self.over:
+                return observation
+            self._advance()
+        return None
+
+    def _where(self, topic: Topic) -> str:
+        if topic.key == ODOMETRY and self._matched.mover:
+            return f"{one_line(self._matched.topics.get(TF, _ABSENT), 80)} (poses)"
+        return one_line(self._matched.topics.get(topic.key, _ABSENT), 80)
+
+    def _drain(self) -> int:
+        now_ns, n = self.clock(), 0
+        while self._next is not None and self._next.log_ns <= now_ns and n < _MOST_AT_ONCE:
+            self._advance()
+            n += 1
+        if n < _MOST_AT_ONCE:
+            self._now_ns = max(self._now_ns, now_ns)
+            self.over = self._next is None and now_ns - self._last_ns > _REST_NS
+        return n
+
+    def _advance(self) -> None:
+        """Take the next message; at the end, let the rest of the frames wait no longer."""
+        message = self._next
+        if message is None:
+            self._now_ns += _REST_NS
+            self._decoder.settle()
+            self.over = True
+            return
+        self._now_ns = self._last_ns = max(self._now_ns, message.log_ns)
+        try:
+            self._take(message)
+        finally:
+            self._next = next(self._messages, None)
+            if self._next is not None and self._next.log_ns - self._now_ns > _LONGEST_GAP_NS:
+                gap_ns = self._next.log_ns - self._now_ns
+                self._skipped_ns += gap_ns
+                log.info("%.0f s without a message in the recording are skipped", gap_ns * 1e-9)
+
+    def _take(self, message: Recorded) -> None:
+        name = self._names[message.topic]
+        self._decoder.settle()
+        if name not in (TF, TF_STATIC):
+            if not self._is_too_large(name, message.payload):
+                type_name = self._types[message.topic].replace("/msg/", "/")
+                self._decoder.offer(_TOPICS[name], message.payload, type_name)
+        elif self._played_frames is not None:
+            self._take_transforms(name, message.payload, self._played_frames, name == TF_STATIC)
+            if self._matched.mover and name == TF:
+                self._take_poses(message.payload)
+
+    def _take_poses(self, payload: bytes) -> None:
+        """Take the poses that tf gives, where the recording has no odometry."""
+        with suppress(DecodeError):  # it was counted
+            for t in decode_transforms(payload):
+                if t.child == self._matched.mover:
+                    self._synchronizer.received(ODOMETRY)
+                    sample = messages.Odometry(t.stamp_ns, t.T, 0.0, 0.0, t.parent, t.child)
+                    self._decoder.move(sample)
+
+
+class _ReadAhead:
+    """Reads messages on a thread of its own: decompressing a large chunk must hold no tick up."""
+
+    def __init__(self, messages: Iterator[Recorded]) -> None:
+        self._read: deque[Recorded] = deque()
+        self._bytes = 0
+        self._over = self._closed = False
+        self._error: Exception | None = None
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(
+            target=self._run, args=(messages,), name="recording", daemon=True
+        )
+        self._thread.start()
+
+    def __iter__(self) -> Iterator[Recorded]:
+        return self
+
+    def __next__(self) -> Recorded:
+        with self._changed:
+            self._changed.wait_for(lambda: self._read or self._over)
+            if not self._read:
+                error, self._error = self._error, None
+                raise error or StopIteration
+            message = self._read.popleft()
+            self._bytes -= len(message.payload)
+            self._changed.notify()
+            return message
+
+    def close(self) -> None:
+        """Read no more."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+
+    def _run(self, messages: Iterator[Recorded]) -> None:
+        try:
+            for message in messages:
+                with self._changed:
+                    self._changed.wait_for(lambda: self._bytes < _AHEAD_BYTES or self._closed)
+                    if self._closed:
+                        return
+                    self._read.append(message)
+                    self._bytes += len(message.payload)
+                    self._changed.notify()
+        except Exception as error:
+            self._error = error
+        finally:
+            with self._changed:
+                self._over = True
+                self._changed.notify()
+
+
+class Playback:
+    """A recording, and how a configuration plays it: a context manager.
+
+    Args:
+        config: of the service that it is played into.
+        rate: see `PlayedSource`.
+        stop: once set, reading is broken off.
+
+    Attributes:
+        contents: what is in it.
+        matched: which of its topics are used.
+        wanted: our names of the topics that the configuration needs.
+        read_s: how long it took to read it once.
+        source: what plays it, once a service has opened it.
+
+    Raises:
+        RecordingError: it cannot be read; one line.
+    """
+
+    def __init__(
+        self, path: Path, config: Config, rate: float | None, stop: threading.Event | None = None
+    ) -> None:
+        self.bag, self._config, self._rate = Bag(path), _timed(config), rate
+        self._stop = stop or threading.Event()
+        self.source: PlayedSource | None = None
+
+    def __enter__(self) -> Playback:
+        began = time.perf_counter()
+        log.info("reading %s", self.bag.path)
+        self.bag.__enter__()
+        try:
+            self.contents = read_contents(self.bag, self._stop)
+        except BaseException:
+            self.bag.__exit__()
+            raise
+        self.read_s = time.perf_counter() - began
+        heard = streams_of(self._config)
+        self.wanted = [
+            topic.key
+            for topic in _TOPICS.values()
+            if topic not in KINDS or KINDS[topic].field in heard
+        ]
+        self.matched = match(self._config, self.contents, self.wanted)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.bag.__exit__(*error)
+
+    def open(self, config: Config, session: zenoh.Session) -> PlayedSource:
+        """See `edge.sources.find_source`."""
+        self.source = PlayedSource(config, session, self, self._rate)
+        return self.source
+
+    def clock(self) -> int:
+        """See `edge.loop.runner.Running`."""
+        return self.contents.first_ns if self.source is None else self.source.clock()
+
+    @property
+    def as_on_the_bus(self) -> bool:
+        """True if the file is whole and each topic is one of the source `zenoh`, which can be sent
+        as it is."""
+        found, matched = self.contents.topics, self.matched
+        alike = (
+            topic == f"/{name}" and found[topic].type == full_name(_TOPICS[name].type)
+            for name, topic in matched.topics.items()
+        )
+        return bool(matched.topics) and not (matched.by_tf or self.bag.notes) and all(alike)
+
+    @property
+    def over(self) -> bool:
+        """True once all of it was played."""
+        return self.source is not None and self.source.over
+
+    def check(self) -> None:
+        """Refuse a recording of which no observation can come.
+
+        Raises:
+            RecordingError: one line: what was looked for, and what is there.
+        """
+        if self._lacking():
+            raise self._nothing()
+
+    def opening(self) -> Iterator[str]:
+        """Yield lines that tell what is in the recording and what of it is played."""
+        found = self.contents
+        n = sum(facts.count for facts in found.topics.values())
+        yield f"{self.bag.path}: {found.seconds:.1f} s, {n} messages, {len(found.topics)} topics"
+        yield from self.bag.notes
+        yield from self.matched.lines
+        used = set(self.matched.topics.values())
+        left = Contents({t: facts for t, facts in found.topics.items() if t not in used})
+        if left.topics:
+            yield f"not used: {left.there()}"
+
+    def outcome(self) -> Iterator[str]:
+        """Yield lines that tell what became of the messages.
+
+        Raises:
+            RecordingError: see `check`.
+        """
+        rows = () if self.source is None else self.source.input_table()
+        n = 0 if self.source is None else self.source.counters["observations"]
+        if n == 0:
+            raise self._nothing(rows)
+        table = [("input", "topic", "messages", "left out")]
+        table += [(row.name, row.where, row.received, _dropped(row)) for row in rows]
+        yield aligned(table)
+        late = self.source.counters["superseded"]
+        yield f"{n} observations; {late} frames gave way to newer ones"
+
+    def _lacking(self) -> list[str]:
+        """The inputs without which there is no observation and that the recording lacks."""
+        poses = [ODOMETRY] if self.matched.mover else []
+        return list(lacking_inputs(self._config, [*self.matched.topics, *poses]))
+
+    def _nothing(self, rows: tuple[InputRow, ...] = ()) -> RecordingError:
+        lacks = ", ".join(self._lacking())
+        dropped = [f"{row.name} ({row.where}): {_dropped(row)}" for row in rows if row.dropped]
+        parts = [
+            f"looked for {', '.join(self.wanted)}",
+            f"found no {lacks}" if lacks else "",
+            f"left out {'; '.join(dropped)}" if dropped else "",
+            f"there are {self.contents.there()}",
+            "ros2.topics says which is which, mapping.input what the map is made of",
+        ]
+        said = "; ".join(filter(None, parts))
+        return RecordingError(f"{self.bag.path}: no observation comes of it: {said}")
+
+
+def _timed(config: Config) -> Config:
+    """The configuration of a source that waits for frames by time, and not for ever."""
+    return config.model_copy(update={"loop": config.loop.model_copy(update={"lockstep": False})})
+
+
+def _dropped(row: InputRow) -> str:
+    """Say why messages of an input became part of no observation, most frequent first."""
+    reasons = sorted(row.dropped.items(), key=lambda item: -item[1])
+    return ", ".join(f"{n} {reason}" for reason, n in reasons) or "-"

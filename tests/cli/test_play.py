@@ -1,0 +1,144 @@
+"""`edge play`: a robot's recording through the real service, and what is told of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import threading
+from pathlib import Path
+
+import pytest
+from bags import N, camera, odometry, plain, together, write_bag, write_mcap
+from public_logs import carmen, redwood
+
+from edge.cli.main import main
+from edge.config import load
+from edge.errors import UserError
+from edge.eval import bench
+
+OURS = {
+    "perception": {"detector": {"kind": "sim"}},
+    "mission": {"target": "chair"},
+    "sensors": {"lidar": {"z_m": 0.3}},
+}
+
+
+@pytest.fixture
+def config(tmp_path) -> str:
+    path = tmp_path / "mine.yaml"
+    path.write_text(json.dumps(OURS))
+    return str(path)
+
+
+@pytest.fixture
+def play(capsys):
+    """Run the command; its exit code, what it printed, and what it said of errors."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        code = main(["--log-level", "error", "play", *map(str, words)])
+        told = capsys.readouterr()
+        return code, told.out, told.err
+
+    return run
+
+
+def test_nothing_to_play_is_told_in_one_line(play, config, tmp_path):
+    path = write_mcap(tmp_path / "robot.mcap", [])
+    code, _, error = play(path, config, "--fast")
+    assert code == os.EX_IOERR
+    assert error.splitlines()[-1].startswith(f"{path}: no observation comes of it: looked for")
+
+
+@pytest.mark.parametrize("pace", [("--fast",), ("--rate", "8")])
+def test_a_recording_is_played_and_told(play, config, tmp_path, pace):
+    folder, report = write_bag(tmp_path / "robot", plain()), tmp_path / "report"
+    code, told, _ = play(folder, config, *pace, "--report", report)
+    assert code == os.EX_OK
+    lines = [line.split() for line in told.splitlines()]
+    assert ["odom", "/odom", str(N), "nav_msgs/msg/Odometry"] in lines  # what is played
+    assert ["odom", "/odom", str(N), "-"] in lines  # what became of it
+    n = int(re.search(r"(\d+) observations", told)[1])
+    assert n == N or (n > 0 and "--rate" in pace)  # this computer may be busy
+    assert int(told.partition("map: ")[2].split()[0]) > 0
+    assert {path.name for path in report.iterdir()} == {"report.png", "report.html"}
+
+
+def test_it_is_the_same_again_as_fast_as_it_goes(play, config, tmp_path):
+    path = write_mcap(tmp_path / "robot.mcap", plain())
+    first, second = (play(path, config, "--fast")[1].splitlines()[-2:] for _ in range(2))
+    assert first == second
+
+
+def test_nothing_is_published_or_kept_and_nobody_is_held_up(play, tmp_path):
+    """The robot drives and then stands for a long time: nobody sent it anywhere."""
+    kept = tmp_path / "checkpoint.json"
+    mission = {"target": "chair", "checkpoint": str(kept), "stuck_s": 0.5, "time_limit_s": 0.5}
+    sinks = [{"kind": "mcap", "options": {"folder": str(tmp_path / "sink")}}]
+    path = tmp_path / "mine.yaml"
+    path.write_text(json.dumps({**OURS, "mission": mission, "sinks": sinks}))
+    robot = write_mcap(tmp_path / "robot.mcap", together(camera(n=90), odometry(n=90)))
+    code, told, _ = play(robot, path, "--fast", "--report", tmp_path)
+    assert code == os.EX_OK
+    page = (tmp_path / "report.html").read_text()
+    assert "stuck: goal discarded" not in page
+    assert "stopped while searching: chair" in told
+    assert not kept.exists()
+    assert not (tmp_path / "sink").exists()
+
+
+def test_a_configuration_for_a_router_needs_none(play, tmp_path):
+    path = tmp_path / "mine.yaml"
+    zenoh = {"mode": "client", "endpoint": "tcp/127.0.0.1:1"}
+    path.write_text(json.dumps({**OURS, "zenoh": zenoh, "source": {"kind": "ros2"}}))
+    assert play(write_mcap(tmp_path / "robot.mcap", plain()), path, "--fast")[0] == os.EX_OK
+
+
+def test_a_public_rgb_d_sequence_makes_a_map(play, config, tmp_path, shared_dir):
+    path = write_mcap(tmp_path / "redwood.mcap", redwood(shared_dir / "logs" / "redwood_rgbd"))
+    code, told, _ = play(path, config, "--fast")
+    assert code == os.EX_OK
+    assert "5 observations" in told
+    assert int(told.partition("map: ")[2].split()[0]) >= 3
+
+
+def test_a_log_of_carmen_makes_a_map(play, tmp_path):
+    """A robot drives along a corridor of 4 m."""
+    beams = " ".join("2.0" for _ in range(180))
+    lines = [f"FLASER 180 {beams} {0.1 * k} 0 0 {0.1 * k} 0 0 {0.2 * k} host {0.2 * k}"
+             for k in range(20)]  # fmt: skip
+    log, path = tmp_path / "robot.log", tmp_path / "mine.yaml"
+    log.write_text("\n".join(["ODOM 0 0 0 0 0 0 0 host 0", *lines]))
+    mapping = {"mapping": {"input": "cloud"}, "perception": {**OURS["perception"], "lift": "cloud"}}
+    path.write_text(json.dumps({**OURS, **mapping}))
+    code, told, _ = play(write_mcap(tmp_path / "robot.mcap", carmen(log)), path, "--fast")
+    assert code == os.EX_OK
+    assert int(told.partition("map: ")[2].split()[0]) >= 8
+
+
+def test_a_bench_takes_it_too(config, tmp_path):
+    path = write_mcap(tmp_path / "robot.mcap", plain())
+    detector = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "threads": 1}
+    Path(config).write_text(json.dumps({**OURS, "perception": {"detector": detector}}))
+    figures = bench.run_bench(load(config), path, 20.0, threading.Event())
+    assert 0 < figures["counters"]["observations"] <= N
+    assert 0 < figures["latency"]["tick"]["count"] <= N
+
+
+def test_a_bench_tells_what_is_missing(config, tmp_path):
+    path = write_mcap(tmp_path / "robot.mcap", odometry())
+    with pytest.raises(UserError, match=r"looked for camera/rgb.* there are /odom") as caught:
+        bench.run_bench(load(config), path, 20.0, threading.Event())
+    assert "--seconds" not in str(caught.value)
+
+
+def test_other_commands_name_it(tmp_path, capsys):
+    path = write_mcap(tmp_path / "robot.mcap", plain())
+    assert main(["--log-level", "error", "replay", str(path)]) == os.EX_IOERR
+    assert "`edge play FILE CONFIG`" in capsys.readouterr().err
+
+
+def test_a_file_is_needed(play, config):
+    code, _, error = play(Path("nowhere.mcap"), config)
+    assert code == os.EX_IOERR
+    assert error.splitlines()[-1] == "nowhere.mcap: no such file"
