@@ -353,6 +353,7 @@ class Playback:
             f"found no {lacks}" if lacks else "",
             f"left out {'; '.join(dropped)}" if dropped else "",
             f"there are {self.contents.there()}",
+            *self.bag.notes,
             "ros2.topics says which is which, mapping.input what the map is made of",
         ]
         said = "; ".join(filter(None, parts))
