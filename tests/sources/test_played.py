@@ -499,6 +499,14 @@ def test_it_is_played_at_its_own_pace(tmp_path, monkeypatch, rate, looks):
     assert clock.now_ns / 10_000_000 == pytest.approx(looks + rest, abs=8)
 
 
+def test_it_begins_with_the_first_message_that_is_played(tmp_path, monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(played.time, "monotonic_ns", clock.monotonic_ns)
+    early = ("/rosout", "rcl_interfaces/msg/Log", START_NS - 20 * 10**9, bytes(8))
+    assert play(write_mcap(tmp_path / "robot.mcap", [early, *plain()]), rate=1.0).stamps == EVERY
+    assert clock.now_ns < 10 * 10**9
+
+
 def test_frames_that_are_late_give_way_and_pauses_are_skipped(tmp_path, monkeypatch):
     clock = Clock()
     monkeypatch.setattr(played.time, "monotonic_ns", clock.monotonic_ns)
