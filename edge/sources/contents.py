@@ -145,7 +145,7 @@ class Contents:
             for name, facts in sorted(self.topics.items())
         ]
         left = len(told) - _SHOWN
-        return ", ".join(told[:_SHOWN] + [f"{left} more"] * (left > 0)) or "nothing"
+        return ", ".join(told[:_SHOWN] + [f"{left} more"] * (left > 0)) or "no topics"
 
 
 def _of_type(facts: TopicFacts) -> str:

@@ -83,6 +83,8 @@ class PlayedSource(PolledSource):
         if self._ahead is not None:
             self._messages = self._ahead
         self._next = next(self._messages, None)
+        if self._next is not None:  # topics that are not played may begin earlier
+            self._now_ns = self._last_ns = self._first_ns = self._next.log_ns
         self._began_ns: int | None = None
         self._skipped_ns = 0
 
@@ -122,7 +124,7 @@ class PlayedSource(PolledSource):
             if observation is not None or self.over:
                 return observation
             self._advance()
-        return None
+        return self._synchronizer.poll()
 
     def _where(self, topic: Topic) -> str:
         if topic.key == ODOMETRY and self._matched.mover:
@@ -355,6 +357,7 @@ class Playback:
             f"found no {lacks}" if lacks else "",
             f"left out {'; '.join(dropped)}" if dropped else "",
             f"there are {self.contents.there()}",
+            *self.bag.notes,
             "ros2.topics says which is which, mapping.input what the map is made of",
         ]
         said = "; ".join(filter(None, parts))
