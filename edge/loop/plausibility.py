@@ -38,6 +38,7 @@ _MOVES_M = 0.02  # a robot that stands may see the same again
 _VALID = 0.02  # of a depth image's pixels
 # Depth that ends before something so close ends since it is too close, within this way from there.
 _CLOSE_M, _CLOSE_WAY_M = 0.6, 0.2
+_WALL_M = 1.5  # so close, one thing may fill the image
 _SLOW_NS = 100_000_000  # what changes slowly is measured so often
 _BUFFERS = 4  # frames that a hanging driver may send in turn
 _SAMPLES = 32  # rows and columns of an image that are looked at
@@ -262,15 +263,16 @@ class Plausibility:
         self._slow_ns = now_ns if slow else self._slow_ns
         self.sighted_ns = now_ns - seen.lag_ns
         facts.late_s = seen.lag_ns * 1e-9
+        wall = False
         if seen.depth_m is not None and seen.camera is not None:
             sample = self._depth.sample(seen.depth_m)
             valid = (sample > 0.0) & (sample < FARTHEST_M)
             facts.depth_valid = float(np.count_nonzero(valid) / sample.size)
             if facts.depth_valid >= _VALID:
-                close = np.count_nonzero(valid & (sample < _CLOSE_M)) > 0.5 * np.count_nonzero(
-                    valid
-                )
+                most = 0.5 * facts.depth_valid * sample.size
+                close = np.count_nonzero(valid & (sample < _CLOSE_M)) > most
                 self._close_at = seen.pose if close else None
+                wall = np.count_nonzero(valid & (sample < _WALL_M)) > most
             elif self._is_close(seen.pose):
                 facts.depth_valid = math.nan
             if facts.depth_valid > 0.0:
@@ -286,7 +288,9 @@ class Plausibility:
                 # Green is all of grey, and a third of the work.
                 self._levels = high - low, float(sample[..., 1].mean())
             facts.rgb_levels, facts.rgb_level = self._levels
-            if facts.rgb_levels > 0.0:
+            if wall:  # which may have one colour, as a simulator's
+                facts.rgb_levels = math.nan
+            if self._levels[0] > 0.0:
                 facts.rgb_driven_m = self._repeated(self._rgb, seen.rgb, step, now_ns)
         if seen.rgb is not None or seen.depth_m is not None:
             facts.axis_z = float(seen.T_base_camera[2, 2])

@@ -253,6 +253,12 @@ def test_a_camera_too_close_to_a_wall_lets_the_robot_turn_away_but_not_drive_on(
     assert judge.see(SE2(3.5, 0, 2.0), **empty) == "none", "nothing was close any more"
 
 
+@pytest.mark.parametrize(("x_m", "use"), [(0.0, "map"), (3.0, "")])
+def test_a_wall_that_fills_the_image_may_have_one_colour(x_m, use):
+    grey = room(x_m) | {"rgb": np.full((48, 64, 3), 128, np.uint8)}
+    assert Judge().see(SE2(x_m, 0, 0), **grey) == use
+
+
 @pytest.mark.parametrize("axis", ["drive", "turn"])
 @pytest.mark.parametrize("buffers", [1, 2, 4])
 def test_frames_that_repeat_while_the_robot_moves_are_frozen(axis, buffers):
