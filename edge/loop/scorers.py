@@ -221,11 +221,15 @@ class Scorers:
             sight = values.sight(seen) if self.feeds == "similarity" else None
             self._take_similarity(said, sight, values)
 
-    def take_up(self, values: ValueMap) -> None:
-        """Answers that came meanwhile are the newest; what they say is written where they were
-        asked, frontiers that are gone included."""
+    def take_up(self, values: ValueMap, idle: bool = False) -> None:
+        """Take the answers that came meanwhile and write them where they were asked, frontiers
+        that are gone included.
+
+        Args:
+            idle: no mission asks questions.
+        """
         if self.swap is not None:
-            self.swap.step()
+            self.swap.step(idle)
         similarity = None if self._similarity is None else self._similarity.poll()
         if similarity is not None:
             question, said = similarity

@@ -287,7 +287,7 @@ class Service:
                 observation, targets, mission.target, candidates, here.tracker, here.grid.values,
                 here.prior, here.sightings.shown,
             )  # fmt: skip
-        scorers.take_up(here.grid.values)
+        scorers.take_up(here.grid.values, idle=mission.done)
         if self.config.loop.lockstep:  # the models ran inside `ask`, beside the tick's time
             self.latency.resume(perf_counter_ns())
 

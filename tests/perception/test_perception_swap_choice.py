@@ -134,6 +134,20 @@ def test_the_old_one_answers_until_the_new_one_is_loaded(swapping):
         swap.request("new")
 
 
+def test_probation_ends_with_the_mission_that_asks(swapping):
+    swap, worker, old, give = swapping
+    swap.request("new")
+    swap.step(idle=True)
+    assert swap.status()["state"] == "loading"
+    give("new", Named("new"))
+    stepped(swap, "on probation")
+    answer(worker)
+    swap.step(idle=True)
+    assert swap.status()["state"] == "kept"
+    assert swap.status()["detail"].startswith("1 answers, and no mission to ask more for; loaded")
+    eventually(lambda: old.closed == 1)
+
+
 def test_who_is_being_asked_is_closed_afterwards(swapping):
     swap, worker, old, give = swapping
     old.go.clear()

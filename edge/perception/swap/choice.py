@@ -1,8 +1,8 @@
 """Another model that chooses directions in the running service: loaded beside, then switched to.
 
 It was asked once when it was loaded; from the next question on it is asked, and the one before is
-kept, open, until it has answered `PROBATION` of them. A swap that fails at any point leaves the
-model that ran before, and one line.
+kept, open, until it has answered `PROBATION` of them, or no mission is left to ask. A swap that
+fails at any point leaves the model that ran before, and one line.
 """
 
 from __future__ import annotations
@@ -63,8 +63,12 @@ class ChoiceSwap:
         self._attempt = _Attempt(model, self._make, self._worker)
         log.info("model %s: loading beside %s", model, self._previous)
 
-    def step(self) -> None:
-        """Take the next step if it is time for one: between two questions, and never waiting."""
+    def step(self, idle: bool = False) -> None:
+        """Take the next step if it is time for one: between two questions, and never waiting.
+
+        Args:
+            idle: no mission asks questions. Probation would never end, so it ends now.
+        """
         attempt = self._attempt
         if attempt is None or not attempt.loaded.is_set():
             return
@@ -77,8 +81,9 @@ class ChoiceSwap:
         elif attempt.fault:
             self._worker.exchange(attempt.displaced)
             self._end("rolled back", f"{attempt.fault}; {self._previous} runs again", won=False)
-        elif attempt.answers >= PROBATION:
-            self._end("kept", f"{attempt.answers} answers; {attempt.finding}")
+        elif attempt.answers >= PROBATION or idle:
+            short = "" if attempt.answers >= PROBATION else ", and no mission to ask more for"
+            self._end("kept", f"{attempt.answers} answers{short}; {attempt.finding}")
 
     def status(self) -> dict[str, object]:
         """The swap under way, or the outcome of the last one; JSON-ready, as
