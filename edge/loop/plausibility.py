@@ -35,6 +35,10 @@ TELL_AGAIN_NS = 30_000_000_000
 DRIVEN_M = 0.1
 """A frame that stays the same to the bit over this way is frozen; 1 rad of turn counts as 1 m."""
 _MOVES_M = 0.02  # a robot that stands may see the same again
+_VALID = 0.02  # of a depth image's pixels
+# Depth that ends before something so close ends since it is too close, within this way from there.
+_CLOSE_M, _CLOSE_WAY_M = 0.6, 0.2
+_WALL_M = 1.5  # so close, one thing may fill the image
 _SLOW_NS = 100_000_000  # what changes slowly is measured so often
 _BUFFERS = 4  # frames that a hanging driver may send in turn
 _SAMPLES = 32  # rows and columns of an image that are looked at
@@ -108,7 +112,7 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
         DataCheck("depth_empty", lambda f: f.depth_valid,
                   "camera/depth: only {value:.1%} of the pixels have a value",
                   "uncover the camera, restart its driver, or correct the depth's unit",
-                  "stand", lowest=0.02, leaves=leaves["depth"]),
+                  "stand", lowest=_VALID, leaves=leaves["depth"]),
         DataCheck("depth_frozen", lambda f: f.depth_driven_m, f"camera/depth: {frozen}", restart,
                   "stand", highest=DRIVEN_M, leaves=leaves["depth"]),
         DataCheck("depth_unit", lambda f: f.depth_scale,
@@ -190,6 +194,7 @@ class Plausibility:
         self._found: list[FailedCheck | None] = [None] * len(self.checks)
         self._told_ns: dict[str, int] = {}
         self._pose: SE2 | None = None
+        self._close_at: SE2 | None = None
         self._slow_ns = -_SLOW_NS
         self._scale = math.nan
         self._levels = math.nan, math.nan
@@ -258,10 +263,18 @@ class Plausibility:
         self._slow_ns = now_ns if slow else self._slow_ns
         self.sighted_ns = now_ns - seen.lag_ns
         facts.late_s = seen.lag_ns * 1e-9
+        wall = False
         if seen.depth_m is not None and seen.camera is not None:
             sample = self._depth.sample(seen.depth_m)
             valid = (sample > 0.0) & (sample < FARTHEST_M)
             facts.depth_valid = float(np.count_nonzero(valid) / sample.size)
+            if facts.depth_valid >= _VALID:
+                most = 0.5 * facts.depth_valid * sample.size
+                close = np.count_nonzero(valid & (sample < _CLOSE_M)) > most
+                self._close_at = seen.pose if close else None
+                wall = np.count_nonzero(valid & (sample < _WALL_M)) > most
+            elif self._is_close(seen.pose):
+                facts.depth_valid = math.nan
             if facts.depth_valid > 0.0:
                 facts.depth_driven_m = self._repeated(self._depth, seen.depth_m, step, now_ns)
             if slow:
@@ -275,7 +288,9 @@ class Plausibility:
                 # Green is all of grey, and a third of the work.
                 self._levels = high - low, float(sample[..., 1].mean())
             facts.rgb_levels, facts.rgb_level = self._levels
-            if facts.rgb_levels > 0.0:
+            if wall:  # which may have one colour, as a simulator's
+                facts.rgb_levels = math.nan
+            if self._levels[0] > 0.0:
                 facts.rgb_driven_m = self._repeated(self._rgb, seen.rgb, step, now_ns)
         if seen.rgb is not None or seen.depth_m is not None:
             facts.axis_z = float(seen.T_base_camera[2, 2])
@@ -294,6 +309,14 @@ class Plausibility:
         if driven_m > DRIVEN_M:
             self.sighted_ns = min(self.sighted_ns, frames.since_ns)
         return driven_m
+
+    def _is_close(self, pose: SE2) -> bool:
+        """Return whether the robot stands before something that is too close for its camera.
+
+        Such a camera sends no depth until the robot has turned away, which it has to be let do.
+        """
+        at = self._close_at
+        return at is not None and pose.distance_to(at.x_m, at.y_m) < _CLOSE_WAY_M
 
     def _misfit(self, seen: Observation, sample: np.ndarray, now_ns: int) -> float:
         T, stride = seen.T_map_base, self._depth.stride

@@ -242,6 +242,23 @@ def test_each_check_fails_by_its_own_fault(name, value, check, use):
     assert [f for f in judge.failing() if f != "rgb_dark" or check == f] == [check] * bool(check)
 
 
+def test_a_camera_too_close_to_a_wall_lets_the_robot_turn_away_but_not_drive_on():
+    judge, near, far = Judge(), room(3.5) | {"rgb": None}, room(2.0) | {"rgb": None}
+    empty = near | {"depth_m": np.zeros((48, 64), np.float32)}
+    assert judge.see(SE2(3.5, 0, 0), **near) == ""
+    for yaw_rad in (0.0, 0.5, 1.0):
+        assert judge.see(SE2(3.55, 0, yaw_rad), **empty) == ""
+    assert judge.see(SE2(3.75, 0, 1.0), **empty) == "none"
+    assert judge.see(SE2(3.5, 0, 2.0), **far) == ""
+    assert judge.see(SE2(3.5, 0, 2.0), **empty) == "none", "nothing was close any more"
+
+
+@pytest.mark.parametrize(("x_m", "use"), [(0.0, "map"), (3.0, "")])
+def test_a_wall_that_fills_the_image_may_have_one_colour(x_m, use):
+    grey = room(x_m) | {"rgb": np.full((48, 64, 3), 128, np.uint8)}
+    assert Judge().see(SE2(x_m, 0, 0), **grey) == use
+
+
 @pytest.mark.parametrize("axis", ["drive", "turn"])
 @pytest.mark.parametrize("buffers", [1, 2, 4])
 def test_frames_that_repeat_while_the_robot_moves_are_frozen(axis, buffers):

@@ -204,7 +204,7 @@ def test_a_robot_that_sees_nothing_any_more_is_stopped_where_it_is():
     seen_ns, before = loop.drive.motion.stamp_ns - TICK_NS, len(notes.goals)
     coasted = SE2(service.pose.x_m + 0.1, service.pose.y_m, 0.0)
     service.idle(seen_ns + TICK_NS, coasted)
-    service.idle(seen_ns + 9 * TICK_NS, coasted)
+    service.idle(seen_ns + 7 * TICK_NS, coasted)
     assert len(notes.goals) == before
     for i in range(11, 20):
         service.idle(seen_ns + i * TICK_NS, coasted)
