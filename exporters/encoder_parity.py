@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from exporters.files import ExportError
 
-Embed = Callable[[np.ndarray], np.ndarray]
 """One batch of an encoder's input → embeddings (n, d)."""
 
 

@@ -21,7 +21,7 @@ from edge.eval.metrics import REACHED_M
 from edge.eval.planning.lifted import compiled
 from edge.eval.planning.templates import Family, draws, formula_of, sentence_of, worth_doing
 from edge.mission.automaton import NOTHING, Automaton
-from edge.mission.ltl import Formula, ap, eventually
+from edge.mission.ltl import Formula
 from edge.sim.base import World, free_poses
 
 TARGETS = (2, 4)
@@ -133,10 +133,6 @@ class Fields:
             near = geodesic.near(self._world.plan, things, self._radius_m, REACHED_M)
             self._near[target] = near & self._reachable
         return self._near[target]
-
-    def to_m(self, target: str) -> np.ndarray:
-        """(rows, columns) float64: metres to drive until such a thing is reached; inf: no way."""
-        return self.to_go_m(compiled(eventually(ap(target))))
 
     def to_go_m(self, automaton: Automaton) -> np.ndarray:
         """Metres to drive from anywhere until a mission is fulfilled, at its beginning.

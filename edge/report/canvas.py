@@ -9,7 +9,7 @@ import io
 import unicodedata
 import warnings
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote
 
 from edge.report import palette
@@ -21,6 +21,29 @@ if TYPE_CHECKING:
 PAPER = "#ffffff"
 PNG_SCALE = 2.0
 _MOST_SAID = 4000  # characters about a drawing for who cannot see it
+
+
+class Style(NamedTuple):
+    """The look of a line: Okabe and Ito's colours, which colour-blind readers can tell apart, then
+    four more; and a mark and a dash of its own for where colour is missing."""
+
+    colour: str
+    mark: str
+    dash: str | tuple
+
+
+_COLOURS = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8a8a8a",
+    "#882255", "#5d3a9b", "#7f4f1c", "#a6b51e",
+)  # fmt: skip
+_MARKS = "osD^vP*X"
+_DASHES: tuple[str | tuple, ...] = ("-", (0, (5, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
+
+
+def style_of(index: int) -> Style:
+    """Return the look of a line by its place; after twelve, colours come again, dashed."""
+    k, turn = index % len(_COLOURS), index // len(_COLOURS)
+    return Style(_COLOURS[k], _MARKS[(k + turn) % len(_MARKS)], _DASHES[(k + turn) % len(_DASHES)])
 
 
 def page(width_px: float, height_px: float) -> Axes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from edge.eval.comparison.statistics import Comparison, mean, spl_of
 from edge.eval.intervals import Interval
 from edge.host.files import write_atomically
 from edge.report import canvas, palette
+from edge.report.canvas import style_of
 from edge.text import shorten
 
 if TYPE_CHECKING:
@@ -26,29 +27,6 @@ MAX_NAME = 32
 BINS = 5
 MIN_A_BIN = 8
 BUDGETS = 8.0  # times the shortest way, the end of the axis
-
-
-class Style(NamedTuple):
-    """A column's look: Okabe and Ito's colours, which colour-blind readers can tell apart, then
-    four more; and a mark and a dash of its own for where colour is missing."""
-
-    colour: str
-    mark: str
-    dash: str | tuple
-
-
-_COLOURS = (
-    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8a8a8a",
-    "#882255", "#5d3a9b", "#7f4f1c", "#a6b51e",
-)  # fmt: skip
-_MARKS = "osD^vP*X"
-_DASHES: tuple[str | tuple, ...] = ("-", (0, (5, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
-
-
-def style_of(index: int) -> Style:
-    """The look of a column by its place; colours come again after twelve, with another dash."""
-    k, turn = index % len(_COLOURS), index // len(_COLOURS)
-    return Style(_COLOURS[k], _MARKS[(k + turn) % len(_MARKS)], _DASHES[(k + turn) % len(_DASHES)])
 
 
 def rates(comparison: Comparison) -> Figure:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from edge.eval.intervals import Interval
-from edge.eval.planning.report import Row
+from edge.eval.planning.planners import PLANNERS
+from edge.eval.planning.report import LLM, Row
 from edge.host.files import write_atomically
 from edge.report import canvas, palette
+from edge.report.canvas import style_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,24 +21,7 @@ SIZE_IN = (7.2, 4.2)
 DPI = 150
 
 
-class Style(NamedTuple):
-    """A planner's line: Okabe and Ito's colours, which colour-blind readers can tell apart, and
-    a mark and a dash of its own for where colour is missing."""
-
-    colour: str
-    mark: str
-    dash: str | tuple = "-"
-
-
-STYLES = {
-    "vitl": Style("#0072b2", "o"),
-    "vitl-eq1": Style("#56b4e9", "s", (0, (1, 1.2))),
-    "in-order": Style("#e69f00", "v", (0, (4, 2))),
-    "random-valid": Style("#cc79a7", "D", (0, (4, 2))),
-    "optimal": Style("#000000", "x", (0, (2, 2))),
-    "clairvoyant": Style("#8a8a8a", "P", (0, (1, 2))),
-    "llm": Style("#d55e00", "*"),
-}
+STYLES = {name: style_of(k) for k, name in enumerate((*PLANNERS, LLM))}
 
 
 def write_plots(rows: Sequence[Row], directory: Path) -> list[Path]:
@@ -119,9 +104,9 @@ def _line(
     Args:
         rank: larger marks further down, so that lines on top of each other all show.
     """
-    style = STYLES.get(planners[0], Style(palette.MUTED, "."))
+    style = STYLES.get(planners[0], style_of(len(STYLES)))
     p_obs, values = [p for p, _ in figures], [f.value for _, f in figures]
-    filled = style.mark in "xP*"
+    filled = style.mark in "P*X"
     axes.plot(
         p_obs, values, label="\n".join(planners), color=style.colour,
         linestyle=style.dash, linewidth=1.6, marker=style.mark, markersize=4.0 + 0.6 * rank,

@@ -39,10 +39,7 @@ from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.value_map import open_cells
 from edge.text import one_line
 
-STREETS = "streets[0:200]"
 KNOWN = "streets[0:200], kitti:FOLDER, house:CONFIG"
-TUNING = range(100)
-"""The streets that things may be tuned on."""
 WANTED = {"specific": 3, "ambiguous": 3, "high-level": 4}
 STARTS = 10
 """Of a house."""

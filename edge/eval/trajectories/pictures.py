@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edge.eval.comparison.plots import DPI, style_of
+from edge.eval.comparison.plots import DPI
 from edge.eval.trajectories.meaning import KINDS
 from edge.eval.trajectories.outcomes import Facts, Results
 from edge.report import canvas, palette
+from edge.report.canvas import style_of
 from edge.text import shorten
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from made_outcomes import failure, many, record
 from edge.eval.comparison import plots
 from edge.eval.comparison.outcomes import gather
 from edge.eval.comparison.statistics import compare
+from edge.report.canvas import style_of
 
 
 def drawn(records, tmp_path, kinds=("svg",)):
@@ -52,7 +53,7 @@ def test_any_outcomes_can_be_drawn(tmp_path, records):
 
 
 def test_looks_differ():
-    looks = [plots.style_of(k) for k in range(24)]
+    looks = [style_of(k) for k in range(24)]
     assert len(set(looks)) == 24
     assert len({look.colour for look in looks[:12]}) == 12
 
