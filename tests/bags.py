@@ -107,7 +107,7 @@ def camera(rgb: str = RGB, depth: str = DEPTH, info: str = INFO, n: int = N) -> 
         described = messages.encode_camera_info(ns, OPTICAL, CAMERA)
         yield info, "sensor_msgs/msg/CameraInfo", ns, described
         yield depth, IMAGE, ns, messages.encode_image(ns, OPTICAL, DEPTH_MM)
-        picture = np.full((12, 16, 3), k, np.uint8)
+        picture = np.random.default_rng(k).integers(0, 256, (12, 16, 3), np.uint8)
         yield rgb, IMAGE, ns, messages.encode_image(ns, OPTICAL, picture)
 
 

@@ -293,6 +293,7 @@ class SightingTracker:
             self._drop(int(np.argmin(s.confidence[: s.n] + self._now[: s.n])))
         at, s.n = s.n, s.n + 1
         s.xyz_m[at], s.word[at], s.id[at] = xyz_m, word, self._next_id
+        s.points_m[at] = 0.0  # of the one that was here: a checkpoint keeps the whole row
         s.confidence[at] = s.hits[at] = s.near_hits[at] = s.n_points[at] = 0
         self._weight[at] = self._total[at] = self._cursor[at] = self._now[at] = 0
         self._told[at] = -1.0

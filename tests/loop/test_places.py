@@ -120,6 +120,7 @@ def test_with_nothing_kept_there_is_nothing_to_take_up(tmp_path):
 @settings(max_examples=6, deadline=None)
 @given(st.sampled_from(POLICIES), st.integers(1, 120))
 @example("hvl", 90)
+@example("search", 98)  # a thing takes the row of one that is gone
 def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, policy, ticks):
     """Frontiers, identities, ways, gains, scores, things and goals are the same, bit for bit, on
     the same further observations."""

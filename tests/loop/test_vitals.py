@@ -209,7 +209,7 @@ def test_a_detector_that_hangs_at_an_image_is_noticed(watched):
     watched.vitals.ready()
     (seen,) = blanks(watched.closed, 1)
     watched.beat()
-    worker.submit(seen)
+    worker.submit(replace(seen, rgb=np.zeros((2, 2, 3), np.uint8)))
     for _ in range(int(HANGS_S)):
         watched.beat(1.0)
     assert watched.vitals.amiss() == ("nothing to be seen",)
