@@ -125,21 +125,21 @@ def decode_image_into(
 
 
 def depth_into(
-    payload: bytes | np.ndarray, header: ImageHeader, out: np.ndarray, unit_m: float | None
+    data: bytes | np.ndarray, header: ImageHeader, out: np.ndarray, unit_m: float | None
 ) -> None:
     """Write 16-bit or float depth into `out`, (h, w) float32 metres; `_NO_DEPTH` and above is 0.
 
     Args:
-        payload: the bytes that the header describes.
+        data: the bytes that the header describes; its pixels lie inside.
     """
-    data = np.frombuffer(payload, np.uint8)
-    data.flags.writeable = False  # the kernels are compiled for read-only bytes
+    pixels = np.frombuffer(data, np.uint8)
+    pixels.flags.writeable = False  # the kernels are compiled for read-only bytes
     place = header.data_offset, header.step, header.big_endian
     unit = np.float32(unit_m or DEPTH_UNIT_M[header.encoding])
     if header.encoding == "32FC1":
-        kernels.depth_of_floats(data, *place, unit, out)
+        kernels.depth_of_floats(pixels, *place, unit, out)
     else:
-        kernels.depth_of_integers(data, *place, unit, _NO_DEPTH, out)
+        kernels.depth_of_integers(pixels, *place, unit, _NO_DEPTH, out)
 
 
 def drop_beyond(depth_m: np.ndarray, farthest_m: float) -> None:
