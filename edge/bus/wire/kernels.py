@@ -59,12 +59,10 @@ def cloud_points(
     offsets: tuple[int, int, int],
     big_endian: bool,
     out: np.ndarray,
-    whole: bool,
 ) -> int:
     """The points without NaN or inf of a cloud in `data` (n,) uint8, which may lie at any byte.
 
     Args:
-        whole: take the others too.
         out: (cap, 3) float32 points as uint32; `cap` is at least height * width, and all of the
             cloud lies inside `data`.
 
@@ -85,7 +83,7 @@ def cloud_points(
             out[kept, U1] = y
             out[kept, U2] = z
             finite = ((x & INF) != INF) & ((y & INF) != INF) & ((z & INF) != INF)
-            kept += np.uintp(finite | whole)
+            kept += np.uintp(finite)
             at += step
     return int(kept)
 
@@ -178,5 +176,5 @@ def warmup() -> None:
     cloud = np.frombuffer(bytes(24), np.uint8)
     depth_m = np.zeros((1, 1), np.float32)
     depth_of_integers(cloud, 0, 2, False, np.float32(1.0), np.uint16(1), depth_m)
-    cloud_points(cloud, 0, 1, 2, 24, 12, (0, 4, 8), False, points_m.view(np.uint32), False)
+    cloud_points(cloud, 0, 1, 2, 24, 12, (0, 4, 8), False, points_m.view(np.uint32))
     scan_points(ranges_m, 0.0, 0.1, 0.1, 1.0, 1.0, points_m)
