@@ -35,6 +35,7 @@ def test_decode_rgb_and_depth(benchmark, against):
         for payload, array in zip(payloads, out, strict=True):
             messages.decode_image_into(payload, messages.decode_image_header(payload), array)
 
+    decode()  # the kernel is loaded
     benchmark.extra_info["budget"] = "decode_images_320x256"
     against(lambda: (np.copyto(out[0], rgb), cv2.multiply(depth, 0.001, out[1], dtype=cv2.CV_32F)))
     benchmark(decode)

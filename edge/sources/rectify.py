@@ -17,6 +17,7 @@ _COEFFICIENTS = (4, 5, 8, 12, 14)  # as many as OpenCV takes; those that lack ar
 _NAMES = {"rect", "rectified"}
 _SAMPLES = 1000
 _OUTSIDE_PX = -10.0
+_MOST_PX = 32_766  # OpenCV's maps are of 16 bits
 _OTHERWISE = "if they are already, set source.distortion: ignore"
 _HOW = {Image.field: cv2.INTER_LINEAR, DepthImage.field: cv2.INTER_NEAREST}
 
@@ -31,7 +32,7 @@ def is_rectified(topic: str) -> bool:
 
 
 class Rectifier:
-    """Rectifies the images of one camera, by a map that is made once; for one thread.
+    """Rectifies the images of one camera, by a map that its first image makes; for one thread.
 
     Depth is rectified by the nearest pixel: between a near and a far one there is nothing. What the
     raw image does not show is 0.
@@ -41,29 +42,17 @@ class Rectifier:
         camera: of the rectified ones; of the same size.
 
     Raises:
-        ValueError: the model is not known, or has other coefficients; one line.
+        ValueError: the model is not known, has other coefficients, or the image is too large.
     """
 
     def __init__(self, lens: Lens, camera: CameraModel) -> None:
-        self._lens, self._d = lens, _coefficients(lens)
-        size = camera.width_px, camera.height_px
-        try:
-            if lens.model == FISHEYE:
-                make = cv2.fisheye.initUndistortRectifyMap
-            else:
-                make = cv2.initUndistortRectifyMap
-            maps = make(_matrix(lens.camera), self._d, np.eye(3), _matrix(camera), size, cv2.CV_32F)
-            outside = ~np.isfinite(maps[0] + maps[1]) | self._folded(camera)
-            for axis in maps:
-                axis[outside] = _OUTSIDE_PX
-            # For depth in a map of its own: one for colours would be rounded down.
-            self._maps = {
-                Image.field: cv2.convertMaps(*maps, cv2.CV_16SC2),
-                DepthImage.field: cv2.convertMaps(*maps, cv2.CV_16SC2, nninterpolation=True),
-            }
-        except cv2.error as error:
-            raise ValueError(f"{lens}: OpenCV makes no map of it: {error.err}") from None
-        shape = size[::-1]
+        self._lens, self._d, self._camera = lens, _coefficients(lens), camera
+        shape = camera.height_px, camera.width_px
+        if max(shape) > _MOST_PX:
+            raise ValueError(
+                f"{lens}: an image of {shape[1]}x{shape[0]}, at most {_MOST_PX} a side"
+            )
+        self._maps: dict[str, tuple[np.ndarray, np.ndarray]] | None = None
         self._raw = {
             Image.field: np.zeros((*shape, 3), np.uint8),
             DepthImage.field: np.zeros(shape, np.float32),
@@ -74,9 +63,28 @@ class Rectifier:
         raw = self._raw[frame.field]
         rows = frame.into(raw)
         if rows:
+            if self._maps is None:  # not before: a description alone must cost no memory
+                self._maps = self._make_maps()
             maps, how = self._maps[frame.field], _HOW[frame.field]
             cv2.remap(raw, *maps, how, dst=out, borderMode=cv2.BORDER_CONSTANT)
         return rows
+
+    def _make_maps(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return the raw pixel of each rectified one, as OpenCV takes it fastest, by field."""
+        lens, camera = self._lens, self._camera
+        fisheye = lens.model == FISHEYE
+        make = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
+        size = camera.width_px, camera.height_px
+        maps = make(_matrix(lens.camera), self._d, np.eye(3), _matrix(camera), size, cv2.CV_32F)
+        with np.errstate(over="ignore", invalid="ignore"):  # coefficients may be absurd
+            outside = ~np.isfinite(maps[0] + maps[1]) | self._folded(camera)
+        for axis in maps:
+            axis[outside] = _OUTSIDE_PX
+        # For depth a map of its own: one for colours would be rounded down.
+        return {
+            Image.field: cv2.convertMaps(*maps, cv2.CV_16SC2),
+            DepthImage.field: cv2.convertMaps(*maps, cv2.CV_16SC2, nninterpolation=True),
+        }
 
     def _folded(self, camera: CameraModel) -> np.ndarray:
         """Return (h, w) bool: pixels so far out that the model folds their rays back.

@@ -5,12 +5,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from edge import config
 from edge.geometry import SE2, CameraModel, Lens, optical, se3
 from edge.mapping.grid import RollingMap
 from edge.sources.messages import DepthImage, Image
-from edge.sources.rectify import Rectifier, is_rectified
+from edge.sources.rectify import MODELS, Rectifier, is_rectified
 
 RAW = CameraModel(320, 240, 250.0, 255.0, 158.0, 121.0)
 WIDE = CameraModel(320, 240, 150.0, 152.0, 161.0, 118.0)
@@ -164,6 +166,32 @@ def test_a_lens_that_nobody_knows_is_refused_in_one_line(model, coefficients, sa
     with pytest.raises(ValueError, match=says) as caught:
         Rectifier(Lens(model, coefficients, RAW), RAW)
     assert "\n" not in str(caught.value)
+
+
+def test_an_image_too_large_for_a_map_is_refused():
+    wide = CameraModel(40_000, 20, 30_000.0, 30_000.0, 20_000.0, 10.0)
+    with pytest.raises(ValueError, match="40000x20, at most 32766"):
+        Rectifier(Lens("plumb_bob", (0.1,), wide), wide)
+
+
+@pytest.mark.filterwarnings("error")
+@given(
+    model=st.sampled_from(MODELS),
+    coefficients=st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=4),
+    focal=st.sampled_from([0.4, 30.0, 4000.0]),
+)
+def test_no_lens_reaches_outside_its_image(model, coefficients, focal):
+    camera, raw = (
+        CameraModel(40, 30, 30.0, 30.0, 20.0, 15.0),
+        CameraModel(40, 30, focal, focal, 9, 9),
+    )
+    out = np.zeros((30, 40), np.float32)
+    try:
+        rectifier = Rectifier(Lens(model, tuple(coefficients), raw), camera)
+    except ValueError:
+        return
+    rectifier.into(frame(DepthImage, np.full((30, 40), 2.0, np.float32)), out)
+    assert set(np.unique(out)) <= {0.0, 2.0}
 
 
 @pytest.mark.parametrize(

@@ -94,9 +94,15 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, whole: bool = Fal
             f"cloud {width}x{height}: point_step {point_step} and row_step {row_step} do not fit "
             f"{size} bytes of data: row_step must be width * point_step or more"
         )
+    if whole:
+        code, steps = ">f4" if big_endian else "<f4", (row_step, point_step)
+        for axis, offset in enumerate(offsets):
+            column = np.ndarray((height, width), code, payload, begin + offset, steps)
+            out_m[:n, axis] = column.reshape(-1)
+        return n
     return kernels.cloud_points(
         np.frombuffer(payload, np.uint8), begin, height, width, row_step, point_step, offsets,
-        bool(big_endian), out_m.view(np.uint32), whole,
+        bool(big_endian), out_m.view(np.uint32),
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from edge.bus.wire.cdr import U32, DecodeError, Reader, Writer
-from edge.bus.wire.images import DEPTH_UNIT_M, ImageHeader, depth_into
+from edge.bus.wire.images import ImageHeader, integers_into
 from edge.host.c_stderr import silenced
 
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -158,7 +158,7 @@ def decode_compressed_into(
     where there was no return.
 
     Args:
-        unit_m: metres of one step of depth; None: `DEPTH_UNIT_M`.
+        unit_m: see `decode_image_into`.
 
     The decoder allocates a picture of its own, which is as large as `out`: OpenCV offers no other.
 
@@ -185,11 +185,11 @@ def decode_compressed_into(
         else:
             cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=out)
     elif header.content == "16UC1":
-        depth_into(picture, _pixels_of(header), out, unit_m)
+        integers_into(picture, _pixels_of(header), out, unit_m)
     else:
         np.subtract(picture, np.float32(header.b), out=out, dtype=np.float32)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            np.divide(np.float32(header.a * (unit_m or DEPTH_UNIT_M["32FC1"])), out, out=out)
+            np.divide(np.float32(header.a * (unit_m or 1.0)), out, out=out)
         out[picture == 0] = 0.0
 
 

@@ -25,8 +25,7 @@ _TO_RGB = {
     "mono8": cv2.COLOR_GRAY2RGB,
 }
 _ENCODING_OF = {("uint8", 3): "rgb8", ("uint16", 2): "16UC1", ("float32", 2): "32FC1"}
-DEPTH_UNIT_M = {"16UC1": 0.001, "mono16": 0.001, "32FC1": 1.0}
-"""Metres of one step of depth, as REP 118 has it."""
+M_PER_MM = 0.001
 _NO_DEPTH = np.uint16(64_000)
 """16-bit numbers from here on measure nothing, in any unit: many drivers send 65535 for no return,
 and time-of-flight sensors number their faults from 64001 on."""
@@ -101,7 +100,7 @@ def decode_image_into(
         payload: what `decode_image_header` was given.
         out: (h, w, 3) uint8 takes rgb8, bgr8, rgba8, bgra8, mono8 as RGB; (h, w) float32 takes
             16UC1 and 32FC1 as metres, 0 = no return; (h, w) uint16 takes 16UC1 as it is.
-        unit_m: metres of one step of depth; None: `DEPTH_UNIT_M`.
+        unit_m: metres of one step of depth; None: 0.001 for integers, 1 for floats (REP 118).
 
     Raises:
         DecodeError: the encoding or the size does not fit `out`.
@@ -116,30 +115,35 @@ def decode_image_into(
             np.copyto(out, pixels)
         elif out.size:
             cv2.cvtColor(pixels, _TO_RGB[encoding], dst=out)
-    elif out.dtype == np.float32 and encoding in DEPTH_UNIT_M:
-        depth_into(payload, header, out, unit_m)
+    elif out.dtype == np.float32 and encoding == "32FC1":
+        pixels = _pixels(payload, header, "f4")
+        if unit_m is None:
+            np.copyto(out, pixels)
+        else:
+            with np.errstate(over="ignore", invalid="ignore"):
+                np.multiply(pixels, np.float32(unit_m), out=out)
+    elif out.dtype == np.float32 and encoding in ("16UC1", "mono16"):
+        integers_into(payload, header, out, unit_m)
     elif out.dtype == np.uint16 and encoding in ("16UC1", "mono16"):
         np.copyto(out, _pixels(payload, header, "u2"))
     else:
         raise DecodeError(f"image encoding {encoding} where {out.dtype} pixels are expected")
 
 
-def depth_into(
-    payload: bytes | np.ndarray, header: ImageHeader, out: np.ndarray, unit_m: float | None
+def integers_into(
+    data: bytes | np.ndarray, header: ImageHeader, out: np.ndarray, unit_m: float | None
 ) -> None:
-    """Write 16-bit or float depth into `out`, (h, w) float32 metres; `_NO_DEPTH` and above is 0.
+    """Write 16-bit depth into `out`, (h, w) float32 metres; `_NO_DEPTH` and above becomes 0.
 
     Args:
-        payload: the bytes that the header describes.
+        data: the bytes that the header describes; its pixels lie inside.
     """
-    data = np.frombuffer(payload, np.uint8)
-    data.flags.writeable = False  # the kernels are compiled for read-only bytes
-    place = header.data_offset, header.step, header.big_endian
-    unit = np.float32(unit_m or DEPTH_UNIT_M[header.encoding])
-    if header.encoding == "32FC1":
-        kernels.depth_of_floats(data, *place, unit, out)
-    else:
-        kernels.depth_of_integers(data, *place, unit, _NO_DEPTH, out)
+    pixels = np.frombuffer(data, np.uint8)
+    pixels.flags.writeable = False  # the kernel is compiled for read-only bytes
+    kernels.depth_of_integers(
+        pixels, header.data_offset, header.step, header.big_endian,
+        np.float32(unit_m or M_PER_MM), _NO_DEPTH, out,
+    )  # fmt: skip
 
 
 def drop_beyond(depth_m: np.ndarray, farthest_m: float) -> None:

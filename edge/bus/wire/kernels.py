@@ -10,11 +10,11 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-U0, U1, U2, U4 = np.uintp(0), np.uintp(1), np.uintp(2), np.uintp(4)
+U0, U1, U2 = np.uintp(0), np.uintp(1), np.uintp(2)
 INF = np.uint32(0x7F800000)  # a float32's exponent of NaN and inf
 
 
-def _loaded(typing: Any, data: Any, at: Any, word: Any, bits: int) -> Any:
+def _loaded(data: Any, at: Any, word: Any, bits: int) -> Any:
     def load(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, args[0])
         place = builder.gep(array.data, [args[1]])
@@ -29,23 +29,13 @@ def _word(typing: Any, data: Any, at: Any) -> Any:
 
     Put together from four loads it would cost three times as much.
     """
-    return _loaded(typing, data, at, types.uint32, 32)
+    return _loaded(data, at, types.uint32, 32)
 
 
 @intrinsic
 def _half(typing: Any, data: Any, at: Any) -> Any:
     """Two bytes of a uint8 array as a uint16, like `_word`."""
-    return _loaded(typing, data, at, types.uint16, 16)
-
-
-@intrinsic
-def _as_float(typing: Any, word: Any) -> Any:
-    """The float32 of the same bits as a uint32."""
-
-    def cast(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.bitcast(args[0], ir.FloatType())
-
-    return types.float32(types.uint32), cast
+    return _loaded(data, at, types.uint16, 16)
 
 
 @njit(nogil=True, cache=True, inline="always")
@@ -69,12 +59,10 @@ def cloud_points(
     offsets: tuple[int, int, int],
     big_endian: bool,
     out: np.ndarray,
-    whole: bool,
 ) -> int:
     """The points without NaN or inf of a cloud in `data` (n,) uint8, which may lie at any byte.
 
     Args:
-        whole: take the others too.
         out: (cap, 3) float32 points as uint32; `cap` is at least height * width, and all of the
             cloud lies inside `data`.
 
@@ -95,7 +83,7 @@ def cloud_points(
             out[kept, U1] = y
             out[kept, U2] = z
             finite = ((x & INF) != INF) & ((y & INF) != INF) & ((z & INF) != INF)
-            kept += np.uintp(finite | whole)
+            kept += np.uintp(finite)
             at += step
     return int(kept)
 
@@ -165,25 +153,6 @@ def depth_of_integers(
 
 
 @njit(nogil=True, cache=True)
-def depth_of_floats(
-    data: np.ndarray,
-    begin: int,
-    row_step: int,
-    big_endian: bool,
-    unit_m: float,
-    out_m: np.ndarray,
-) -> None:
-    """Write float32 depth as metres; see `depth_of_integers`."""
-    for v in range(out_m.shape[0]):
-        at = np.uintp(begin + v * row_step)
-        for u in range(out_m.shape[1]):
-            word = _word(data, at + U4 * np.uintp(u))
-            if big_endian:
-                word = _swapped(word)
-            out_m[v, u] = _as_float(word) * unit_m
-
-
-@njit(nogil=True, cache=True)
 def exact_millimetres(depth_m: np.ndarray, out_mm: np.ndarray) -> bool:
     """Whether depth is exactly so many thousandths of a metre everywhere, as a camera's is.
 
@@ -205,8 +174,7 @@ def warmup() -> None:
     points_m = np.zeros((2, 3), np.float32)
     ranges_m = np.frombuffer(bytes(8), np.float32)
     cloud = np.frombuffer(bytes(24), np.uint8)
-    depth_m, unit_m = np.zeros((1, 1), np.float32), np.float32(1.0)
-    depth_of_integers(cloud, 0, 2, False, unit_m, np.uint16(1), depth_m)
-    depth_of_floats(cloud, 0, 4, False, unit_m, depth_m)
-    cloud_points(cloud, 0, 1, 2, 24, 12, (0, 4, 8), False, points_m.view(np.uint32), False)
+    depth_m = np.zeros((1, 1), np.float32)
+    depth_of_integers(cloud, 0, 2, False, np.float32(1.0), np.uint16(1), depth_m)
+    cloud_points(cloud, 0, 1, 2, 24, 12, (0, 4, 8), False, points_m.view(np.uint32))
     scan_points(ranges_m, 0.0, 0.1, 0.1, 1.0, 1.0, points_m)

@@ -251,17 +251,22 @@ def test_an_image_without_padding_needs_no_step(step):
 def test_a_cloud_of_any_layout(names, step, big_endian, height):
     points = np.arange(24, dtype=np.float32).reshape(8, 3)
     out = np.zeros((10, 3), np.float32)
-    n = messages.decode_point_cloud_into(ros_cloud(names, step, points, big_endian, height), out)
-    assert n == 8
-    np.testing.assert_array_equal(out[:8], points)
+    payload = ros_cloud(names, step, points, big_endian, height)
+    for whole in (False, True):
+        out[:] = 9.0
+        assert messages.decode_point_cloud_into(payload, out, whole) == 8
+        np.testing.assert_array_equal(out[:8], points)
 
 
 def test_points_that_are_not_finite_are_left_out():
     points = np.arange(18, dtype=np.float32).reshape(6, 3)
     points[0, 0], points[3, 1], points[5, 2] = np.nan, np.inf, -np.inf
     out = np.zeros((6, 3), np.float32)
-    assert messages.decode_point_cloud_into(messages.encode_point_cloud(1, "l", points), out) == 3
+    payload = messages.encode_point_cloud(1, "l", points)
+    assert messages.decode_point_cloud_into(payload, out) == 3
     np.testing.assert_array_equal(out[:3], points[[1, 2, 4]])
+    assert messages.decode_point_cloud_into(payload, out, whole=True) == 6
+    np.testing.assert_array_equal(out, points)
 
 
 def test_a_scan_becomes_points_where_it_hit():
