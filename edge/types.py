@@ -36,7 +36,7 @@ class Observation:
         cloud_m: (n, 3) float32 in the LiDAR's frame, or None.
         T_base_lidar: (4, 4) float64.
         slot: the pool slot that owns the arrays; None when nothing is pooled.
-        lag_ns: how much newer the newest pose of the robot is than this observation.
+        lag_ns: how much newer the newest pose of the robot is; 0 in lockstep.
     """
 
     seq: int
