@@ -41,7 +41,7 @@ class Observation:
         slot: the pool slot that owns the arrays; None when nothing is pooled.
         pose_age_ns: how much older than `stamp_ns` the pose is, or a transform that it or a mount
             is made of; 0: all are interpolated at the stamp.
-        lag_ns: how much newer the newest pose of the robot is than this observation.
+        lag_ns: how much newer the newest pose of the robot is; 0 in lockstep.
     """
 
     seq: int

@@ -20,8 +20,6 @@ from edge.geometry import FARTHEST_M, SE2, CameraModel, wrap_angle
 from edge.loop.depth_motion import MISFIT, DepthMotion
 from edge.types import Observation
 
-log = logging.getLogger("edge.loop.plausibility")
-
 Consequence = Literal["warn", "degrade", "stand"]
 """`warn`: a line in log and status; `degrade`: `/readyz` is 503 as well; `stand`: observations are
 refused as well, so the robot stands after `loop.blind_s`."""

@@ -413,9 +413,15 @@ class TimeSynchronizer:
             pose_age_ns=max(joined.pose_age_ns, joined.tf_age_ns),
             **joined.mounts,
             distortion=self._lens.distortion,
-            lag_ns=max(self.odometry.newest_ns - leader.stamp_ns, 0),
+            lag_ns=self._lag_ns(leader),
             **fields,
         )
+
+    def _lag_ns(self, leader: Frame) -> int:
+        """Return how much newer the newest pose is; 0 in lockstep, which has no real time."""
+        if self.config.loop.lockstep:
+            return 0
+        return max(self.odometry.newest_ns - leader.stamp_ns, 0)
 
     def _fields(self, frames: list[Frame], slot: PoolSlot) -> dict[str, np.ndarray] | None:
         """The observation's arrays by name; None (and counted) where one is missing.

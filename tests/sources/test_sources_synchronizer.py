@@ -131,6 +131,8 @@ def test_a_frame_says_how_much_newer_the_newest_pose_is(newest_ns, lag_ns):
     assert robot.poll().lag_ns == lag_ns
     behind = Robot().info().odom(1000).frame(1500).wait()
     assert behind.poll().lag_ns == 0
+    lockstep = Robot({**ONNX, "loop": {"lockstep": True}})
+    assert lockstep.info().odom(1000).odom(newest_ns, 0.1).frame(1500).poll().lag_ns == 0
 
 
 def test_odometry_at_the_stamp_is_waited_for():
