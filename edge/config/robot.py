@@ -13,7 +13,11 @@ from edge.geometry import CameraModel, optical, se3
 
 
 class Robot(Section):
-    """`name` is for people; by default the last word of `zenoh.prefix`, as `edge fleet` has it."""
+    """`name` is for people; by default the last word of `zenoh.prefix`, as `edge fleet` has it.
+
+    `radius_m` sets `mapping.inflation_m`, and `height_m` sets `mapping.obstacle_max_m`, where these
+    are not set.
+    """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")] | None = None
     radius_m: Positive = 0.2

@@ -356,12 +356,13 @@ class RollingMap:
         )
         if count:
             self._floor_z_m += 0.2 * (total / count - self._floor_z_m)
-        points.classify(n, scan, polar, c.obstacle_min_m, c.obstacle_max_m)
+        coded_m = max(c.obstacle_max_m, points.CODED_M)
+        points.classify(n, scan, polar, c.obstacle_min_m, c.obstacle_max_m, coded_m)
         shift, origin = self.window.shift, self.window.origin
         corner = (cell[0] - self._half - origin[0], cell[1] - self._half - origin[1])
         update.apply_scan(
-            layers, *shift, *corner, scan, polar, sensor_z, c.obstacle_max_m, c.clear_after,
-            self._disc, self._changed, self._explored, self._flipped,
+            layers, *shift, *corner, scan, polar, sensor_z, c.obstacle_max_m, coded_m,
+            c.clear_after, self._disc, self._changed, self._explored, self._flipped,
         )  # fmt: skip
         robot = self.window.cell_of(pose.x_m, pose.y_m)
         update.free_footprint(

@@ -16,13 +16,17 @@ from numba import njit
 from edge.geometry import FARTHEST_M
 
 # What `seen` holds of a cell: floor, a step that is too low for an obstacle but no floor, or
-# 3 + height in units of obstacle_max_m / HEIGHT_CODES above the ground, as `top` does.
+# 3 + height in units of coded_m / HEIGHT_CODES above the ground, as `top` does.
 FLOOR, STEP = 1, 2
 LOWEST_OBSTACLE, HEIGHT_CODES = 3, 250
 # From this part of obstacle_min_m on it is a step: a sill that stops the robot is one.
 _STEP_FROM = 0.5
 TALL = LOWEST_OBSTACLE + int(0.85 * HEIGHT_CODES)
 """`Layers.top` from which an obstacle is wall, or as good as one: nobody sees over it."""
+CODED_M = 1.0
+"""Heights are coded up to this, or `obstacle_max_m` if that is more: a low robot knows walls."""
+# An obstacle that ends so little below `obstacle_max_m` goes on in what is seen above that.
+_GOES_ON_M = 0.1
 # Ground that wobbles by less is still the same ground (depth noise, carpets).
 _GROUND_NOISE_M = 0.02
 # Rings near enough to tell the height of the floor that the robot stands on.
@@ -318,14 +322,15 @@ def _grow_box(box, polar, s, end_cells, half):
 
 
 @njit(nogil=True, cache=True)
-def classify(n, scan, polar, obstacle_min_m, obstacle_max_m):
+def classify(n, scan, polar, obstacle_min_m, obstacle_max_m, coded_m):
     """Split points by height over the local ground; obstacles end the rays of their sectors.
 
-    Below `obstacle_min_m` is floor, above `obstacle_max_m` an overhang with free space beneath.
+    Below `obstacle_min_m` is floor, above `obstacle_max_m` an overhang with free space beneath. An
+    obstacle that reaches `obstacle_max_m` goes on in what is over it, up to `coded_m`.
     """
-    per_m = np.float32(HEIGHT_CODES / obstacle_max_m)
+    per_m = np.float32(HEIGHT_CODES / coded_m)
     lowest, highest = np.float32(obstacle_min_m), np.float32(obstacle_max_m)
-    step = np.float32(_STEP_FROM * obstacle_min_m)
+    step, coded = np.float32(_STEP_FROM * obstacle_min_m), np.float32(coded_m)
     bins, seen, ground = polar.bin_of.ravel(), scan.seen.ravel(), scan.ground_m.ravel()
     cells, heights = scan.cell, scan.z_m
     for i in range(n):
@@ -342,6 +347,14 @@ def classify(n, scan, polar, obstacle_min_m, obstacle_max_m):
             code = LOWEST_OBSTACLE + int(height * per_m)
             if code > seen[cell]:
                 seen[cell] = code
+    if coded <= highest:
+        return
+    goes_on = LOWEST_OBSTACLE + int((highest - np.float32(_GOES_ON_M)) * per_m)
+    for i in range(n):
+        cell = cells[i]
+        height = heights[i] - ground[bins[cell]]
+        if highest < height <= coded and seen[cell] >= max(goes_on, LOWEST_OBSTACLE):
+            seen[cell] = max(seen[cell], LOWEST_OBSTACLE + int(height * per_m))
 
 
 @njit(nogil=True, cache=True)

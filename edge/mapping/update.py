@@ -15,7 +15,7 @@ SEEN_FREE = 10
 @njit(nogil=True, cache=True)
 def apply_scan(
     layers, shift_x, shift_y, corner_x, corner_y, scan, polar, sensor_z, obstacle_max_m,
-    clear_after, disc, changed, explored, flipped,
+    coded_m, clear_after, disc, changed, explored, flipped,
 ):  # fmt: skip
     """Bring a classified scan into the map, and leave `scan.seen` empty.
 
@@ -48,7 +48,7 @@ def apply_scan(
             if code >= LOWEST_OBSTACLE or state >= OCCUPIED:
                 if _update_obstacle(
                     layers, sy, sx, state, code, scan, polar, cy, cx, sensor_z, obstacle_max_m,
-                    clear_after,
+                    coded_m, clear_after,
                 ):  # fmt: skip
                     flipped[count] = (cy << 16) | cx
                     count += 1
@@ -66,7 +66,7 @@ def apply_scan(
 
 @njit(nogil=True, cache=True)
 def _update_obstacle(
-    layers, sy, sx, state, code, scan, polar, cy, cx, sensor_z, obstacle_max_m, clear_after
+    layers, sy, sx, state, code, scan, polar, cy, cx, sensor_z, obstacle_max_m, coded_m, clear_after
 ):
     """Update a cell that is or was occupied; whether it became so or ceased to be.
 
@@ -82,7 +82,7 @@ def _update_obstacle(
     slope = scan.pass_slope[sector, ring] if scan.reach_m[sector] > 0.0 else np.float32(np.inf)
     # Height over the ground at which the lowest ray flew over this cell.
     below_m = sensor_z + slope * polar.distance_m[cy, cx] - scan.ground_m[sector, ring]
-    metres = obstacle_max_m / HEIGHT_CODES
+    metres = coded_m / HEIGHT_CODES
     top = layers.top[sy, sx]
     if code >= LOWEST_OBSTACLE:
         if state >= OCCUPIED and top > code:
@@ -93,7 +93,7 @@ def _update_obstacle(
         layers.raw[sy, sx] = OCCUPIED
         bit_set(layers.known, sy, sx, True)
         return state < OCCUPIED
-    if below_m >= (top - LOWEST_OBSTACLE) * metres:
+    if below_m >= min((top - LOWEST_OBSTACLE) * metres, obstacle_max_m):
         return False
     if state - OCCUPIED + 1 < clear_after:
         layers.raw[sy, sx] = state + 1

@@ -216,7 +216,7 @@ def _long(run: list[tuple[int, float]], ring_m: float) -> list[float]:
     return [z for _, z in run] if run and (run[-1][0] - run[0][0]) * ring_m >= 0.3 else []
 
 
-def classify_twin(cell, z_m, ground, polar, low_m, high_m):
+def classify_twin(cell, z_m, ground, polar, low_m, high_m, coded_m):
     """Twin of `classify`: (side, side) uint8 codes."""
     height = z_m - ground.ravel()[polar.bin_of.ravel()[cell]]
     codes = np.zeros(polar.bin_of.size, np.uint8)
@@ -224,8 +224,12 @@ def classify_twin(cell, z_m, ground, polar, low_m, high_m):
     codes[cell[floor]] = 1
     codes[cell[floor & (height >= np.float32(0.5 * low_m))]] = 2
     obstacle = (height >= np.float32(low_m)) & (height <= np.float32(high_m))
-    code = 3 + (height[obstacle] * np.float32(250 / high_m)).astype(np.int64)
-    np.maximum.at(codes, cell[obstacle], code.astype(np.uint8))
+    over = (height > np.float32(high_m)) & (height <= np.float32(coded_m))
+    code = 3 + (height * np.float32(250 / coded_m)).astype(np.int64)
+    goes_on = 3 + int((np.float32(high_m) - np.float32(0.1)) * np.float32(250 / coded_m))
+    over &= np.isin(cell, cell[obstacle & (code >= goes_on)])
+    for some in (obstacle, over):
+        np.maximum.at(codes, cell[some], code[some].astype(np.uint8))
     return codes.reshape(polar.bin_of.shape)
 
 

@@ -27,15 +27,15 @@ def random_scan(seed: int, n: int):
     # Some in few directions, dense enough for runs of ground.
     ray, reach_m = rng.choice([0.3, 1.7, -2.0], n // 2), rng.uniform(0.2, 3.5, n // 2)
     scan.xyz[:2, : n // 2] = reach_m * np.cos(ray), reach_m * np.sin(ray)
-    scan.xyz[2, :n] = rng.choice([0.0, 0.3, 1.5, -0.4], n) + rng.normal(0, 0.02, n)
+    scan.xyz[2, :n] = rng.choice([0.0, 0.2, 0.3, 0.8, 1.5, -0.4], n) + rng.normal(0, 0.02, n)
     half = POLAR.bin_of.shape[0] // 2
     args = (F(0.6), F(3.0), F(20.0), F(half + 0.3), F(half + 0.8))
     return scan, args
 
 
 @settings(max_examples=25)
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 400))
-def test_point_kernels_agree_with_their_twins(seed, n):
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 400), high_m=st.sampled_from([0.25, 1.0]))
+def test_point_kernels_agree_with_their_twins(seed, n, high_m):
     scan, args = random_scan(seed, n)
     within = points.bin_points(n, *args, POLAR, scan)
     lowest, far_slope, cell, z_m = twins.scan_twin(scan.xyz[:, :n], *args, POLAR)
@@ -56,8 +56,8 @@ def test_point_kernels_agree_with_their_twins(seed, n):
     # A slope that rounds to the other side of its limit in float32 ends a sector elsewhere.
     assert np.count_nonzero(np.abs(scan.reach_m - reach) > 1e-5) <= 1
 
-    points.classify(within, scan, POLAR, 0.1, 1.0)
-    expected = twins.classify_twin(cell, z_m, scan.ground_m, POLAR, 0.1, 1.0)
+    points.classify(within, scan, POLAR, 0.1, high_m, 1.0)
+    expected = twins.classify_twin(cell, z_m, scan.ground_m, POLAR, 0.1, high_m, 1.0)
     np.testing.assert_array_equal(scan.seen, expected)
     ys, xs = np.nonzero(scan.seen)
     x0, y0, x1, y1 = scan.box
