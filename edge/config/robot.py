@@ -32,12 +32,12 @@ class Mount(Section):
     """Where a sensor sits on the robot's base: x forward, y left, z up.
 
     The angles are about these axes, roll first, then pitch (positive: nose down), then yaw
-    (positive: to the left).
+    (positive: to the left). `z_m` is negative if the base frame is above the sensor.
     """
 
     x_m: float = 0.0
     y_m: float = 0.0
-    z_m: Positive = 0.5
+    z_m: float = 0.5
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
     yaw_deg: float = 0.0
@@ -52,7 +52,7 @@ class Camera(Mount):
     """A camera on the robot; intrinsics serve the simulator, a real one sends its own."""
 
     x_m: float = 0.1
-    z_m: Positive = 0.6
+    z_m: float = 0.6
     pitch_deg: float = 5.0
     width_px: Annotated[int, Field(ge=16, le=4096)] = 320
     height_px: Annotated[int, Field(ge=16, le=4096)] = 256
