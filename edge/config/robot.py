@@ -6,7 +6,7 @@ import math
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from edge.config.section import NonNegative, Positive, Section
 from edge.geometry import CameraModel, optical, se3
@@ -16,7 +16,8 @@ class Robot(Section):
     """`name` is for people; by default the last word of `zenoh.prefix`, as `edge fleet` has it.
 
     `radius_m` sets `mapping.inflation_m`, and `height_m` sets `mapping.obstacle_max_m`, where these
-    are not set.
+    are not set. What sensors see within `self_filter_m` of the axis of the base is the robot itself
+    (posts, a gripper): by default `radius_m`; 0: nothing is.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")] | None = None
@@ -26,6 +27,12 @@ class Robot(Section):
     max_turn_radps: Positive = 1.2
     max_accel_mps2: Positive = 1.0
     max_turn_accel_radps2: Positive = 3.0
+    self_filter_m: Annotated[NonNegative | None, Field(validate_default=True)] = None
+
+    @field_validator("self_filter_m")
+    @classmethod
+    def _as_wide_as_itself(cls, value: float | None, info: ValidationInfo) -> float | None:
+        return info.data.get("radius_m") if value is None else value
 
 
 class Mount(Section):

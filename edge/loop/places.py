@@ -263,7 +263,7 @@ def make_map(
         was, now = float(kept[f"about/{name}"]), getattr(mapping, name)
         if was != now:
             raise ValueError(f"made with mapping.{name} {was:g}, which now is {now:g}")
-    grid = RollingMap(mapping)
+    grid = RollingMap(mapping, config.robot)
     side, targets = int(kept["values/side"]), kept["values/targets"].tolist()
     source = str(kept["values/source"][0])
     same = source == (config.value_source or "") and side == grid.values.side

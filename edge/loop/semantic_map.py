@@ -56,7 +56,7 @@ class SemanticMap:
         self.prior = make_prior(config)
         self.epoch = 0
         self._lifter = Lifter(perception)
-        self._lay(RollingMap(config.mapping))
+        self._lay(RollingMap(config.mapping, config.robot))
 
     def _lay(self, grid: RollingMap) -> None:
         """Put a grid in the place of the one that there was."""
@@ -72,16 +72,16 @@ class SemanticMap:
 
     def update(self, observation: Observation, now_ns: int) -> MapUpdate | None:
         """Fold the depth image or cloud in; None where the observation has none."""
-        grid, seen, pose, update = self.grid, observation, observation.pose, None
+        grid, seen, update = self.grid, observation, None
         grid.bumps.expire(now_ns)
         if self.config.mapping.input == "cloud":
             if seen.cloud_m is not None:
-                T_map_lidar = seen.T_map_base @ seen.T_base_lidar
-                update = grid.update_cloud(seen.cloud_m, T_map_lidar, pose)
+                update = grid.update_cloud(seen.cloud_m, seen.T_map_base, seen.T_base_lidar)
         elif seen.depth_m is not None and seen.camera is not None:
-            T_map_camera = seen.T_map_base @ seen.T_base_camera
-            update = grid.update_depth(seen.depth_m, seen.camera, T_map_camera, pose)
-        grid.reach.step(pose)
+            update = grid.update_depth(
+                seen.depth_m, seen.camera, seen.T_map_base, seen.T_base_camera
+            )
+        grid.reach.step(seen.pose)
         return update
 
     def look(self, detections: Detections) -> None:
@@ -144,7 +144,7 @@ class SemanticMap:
     def forget(self) -> None:
         """The frame is another: nothing that was known means anything there."""
         self.epoch += 1
-        self._lay(RollingMap(self.config.mapping))
+        self._lay(RollingMap(self.config.mapping, self.config.robot))
         self.tracker.clear()
         self.sightings.clear()
         self.pool.clear()

@@ -10,7 +10,7 @@ from weakref import proxy
 import numpy as np
 
 from edge import config
-from edge.geometry import FARTHEST_M, SE2, CameraModel, Grid
+from edge.geometry import FARTHEST_M, SE2, CameraModel, Grid, se2_of
 from edge.mapping import clusters as cl
 from edge.mapping import layers as ly
 from edge.mapping import points, tiles, unknown, update
@@ -28,8 +28,11 @@ from edge.mapping.window import Window
 _SMALLEST_OBSTACLE_M = 0.1
 _SAMPLES_ACROSS, _SAMPLES_UP = 2, 4
 _FOOTPRINT_M = 0.3
+# The robot's centre is somewhere in its cell: a wall that it touches must not be under its body.
+_OFF_CENTRE_CELLS = 0.7
 # Poses farther apart are not joined to one trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
+_ROBOT = config.Robot()
 _NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
 
 
@@ -37,6 +40,9 @@ class RollingMap:
     """A square window of the world that follows the robot; memory is fixed at construction.
 
     z = 0 of `map` is the floor that the robot starts on.
+
+    Args:
+        robot: its shape: what it sees of itself is no obstacle, and where it stands is free.
 
     Attributes:
         frontiers: refreshed in place by every update.
@@ -49,14 +55,16 @@ class RollingMap:
         layers: what updates write, read-only, by storage cell (see `edge.mapping.layers`).
     """
 
-    def __init__(self, config: config.Mapping) -> None:
+    def __init__(self, config: config.Mapping, robot: config.Robot = _ROBOT) -> None:
         c = self.config = config
+        self._robot_shape = robot
         res = c.resolution_m
         # An obstacle may stand at the rim of its cell, half a cell nearer than the middle.
         self._inflation_cells = c.inflation_m / res + 0.5
         self._disc = ly.disc_half_widths(self._inflation_cells)
         self._body = ly.disc_half_widths(max(self._inflation_cells - ROUNDING_CELLS, 0.0))
-        self._footprint = ly.disc_half_widths(_FOOTPRINT_M / res)
+        self._footprint = ly.disc_half_widths(max(_FOOTPRINT_M, robot.radius_m) / res)
+        self._stood_on = ly.disc_half_widths(max(robot.radius_m / res - _OFF_CENTRE_CELLS, 0.0))
         self._polar = points.make_polar(c.range_m, res)
         self._half = self._polar.bin_of.shape[0] // 2
         # Cells that must lie in the window on each side of the sensor.
@@ -94,15 +102,19 @@ class RollingMap:
         self.bumps = Bumps(self._layers, self.window, c, write)
 
     def update_depth(
-        self, depth_m: np.ndarray, camera: CameraModel, T_map_camera: np.ndarray, pose: SE2
+        self,
+        depth_m: np.ndarray,
+        camera: CameraModel,
+        T_map_base: np.ndarray,
+        T_base_camera: np.ndarray,
     ) -> MapUpdate:
         """Bring a depth image into the map (VL-Nav algorithm 1).
 
         Args:
             depth_m: (h, w) float32; NaN, 0, inf and what is over 1e6 = no return.
             camera: its intrinsics.
-            T_map_camera: (4, 4), `map` from the optical frame at the image's stamp.
-            pose: the robot's at that stamp.
+            T_map_base: (4, 4), the robot's base at the image's stamp.
+            T_base_camera: (4, 4), base from the optical frame.
 
         Raises:
             ValueError: the image's size is not the camera's, or a pose is not finite.
@@ -113,20 +125,23 @@ class RollingMap:
                 f"{camera.width_px} (height x width): send the matching camera info"
             )
         self._use_camera(camera)
-        T, cell, fraction = self._locate(T_map_camera, pose)
+        T, cell, fraction = self._locate(T_map_base, T_base_camera)
         rolled = self._follow(*cell)
         n_points = points.from_depth(
             ly.plain(depth_m), *self._strides, self._column, self._row, T,
-            np.float32(self.config.min_range_m), self._scan.xyz,
+            np.float32(self.config.min_range_m), self._own(T_base_camera), self._scan.xyz,
         )  # fmt: skip
-        return self._finish(n_points, T, cell, fraction, pose, rolled)
+        return self._finish(n_points, T, cell, fraction, se2_of(T_map_base), rolled)
 
-    def update_cloud(self, cloud_m: np.ndarray, T_map_lidar: np.ndarray, pose: SE2) -> MapUpdate:
+    def update_cloud(
+        self, cloud_m: np.ndarray, T_map_base: np.ndarray, T_base_lidar: np.ndarray
+    ) -> MapUpdate:
         """Bring a point cloud into the map; like `update_depth`.
 
         Args:
             cloud_m: (n, 3) float32 in the LiDAR's frame; points that are not finite are dropped.
-            T_map_lidar: (4, 4), `map` from the LiDAR's frame.
+            T_map_base: (4, 4), the robot's base when the cloud was taken.
+            T_base_lidar: (4, 4), base from the LiDAR's frame.
 
         Raises:
             ValueError: the cloud is not (n, 3), or a pose is not finite.
@@ -134,12 +149,13 @@ class RollingMap:
         if cloud_m.ndim != 2 or cloud_m.shape[1] != 3:
             raise ValueError(f"cloud has shape {cloud_m.shape}, expected (n, 3): x, y, z in metres")
         self._reserve(len(cloud_m))
-        T, cell, fraction = self._locate(T_map_lidar, pose)
+        T, cell, fraction = self._locate(T_map_base, T_base_lidar)
         rolled = self._follow(*cell)
         n_points = points.from_cloud(
-            ly.plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
-        )
-        return self._finish(n_points, T, cell, fraction, pose, rolled)
+            ly.plain(cloud_m), T, np.float32(self.config.min_range_m), self._own(T_base_lidar),
+            self._scan.xyz,
+        )  # fmt: skip
+        return self._finish(n_points, T, cell, fraction, se2_of(T_map_base), rolled)
 
     def state_at(self, x_m: float, y_m: float) -> int:
         """-1 unknown or outside the window, 0 free, 100 occupied or inflated."""
@@ -313,11 +329,16 @@ class RollingMap:
         if len(self._scan.cell) < n_points:
             self._scan = points.make_scan(self._polar, n_points + n_points // 4)
 
+    def _own(self, T_base_sensor: np.ndarray) -> np.ndarray:
+        robot = self._robot_shape
+        return points.own_body(T_base_sensor, robot.self_filter_m or 0.0, robot.height_m)
+
     def _locate(
-        self, T_map_sensor: np.ndarray, pose: SE2
+        self, T_map_base: np.ndarray, T_base_sensor: np.ndarray
     ) -> tuple[np.ndarray, tuple[int, int], tuple[np.float32, np.float32]]:
         """The transform as (3, 4) float32, the sensor's world cell, its place in the scratch."""
-        place = (*T_map_sensor[:2, 3], pose.x_m, pose.y_m)
+        T_map_sensor = T_map_base @ T_base_sensor
+        place = (*T_map_sensor[:2, 3], *T_map_base[:2, 3])
         if not np.isfinite(T_map_sensor).all() or not all(abs(v) < FARTHEST_M for v in place):
             raise ValueError(
                 f"sensor or robot pose is not finite or beyond {FARTHEST_M:.0e} m: "
@@ -367,7 +388,7 @@ class RollingMap:
         robot = self.window.cell_of(pose.x_m, pose.y_m)
         update.free_footprint(
             layers, *shift, robot[0] - origin[0], robot[1] - origin[1],
-            self._footprint, self._changed, self._explored,
+            self._footprint, self._stood_on, self._disc, self._changed, self._explored,
         )  # fmt: skip
         self._extend_trail(robot)
         self.bumps.stand_on(robot)

@@ -141,17 +141,44 @@ def make_scan(polar: Polar, capacity: int) -> Scan:
     )
 
 
+def own_body(T_base_sensor: np.ndarray, radius_m: float, height_m: float) -> np.ndarray:
+    """Return the robot's shape as a sensor has it, for `from_depth` and `from_cloud`.
+
+    The shape is a cylinder around the axis of the base. It has no lid: what is over the robot is no
+    obstacle where it stands.
+
+    Returns:
+        (3, 4) float32: rows x and y of the base from the sensor's frame; then the farthest that a
+        point of the robot is from the sensor, and the square of the radius.
+    """
+    own = np.zeros((3, 4), np.float32)
+    own[:2] = T_base_sensor[:2]
+    if radius_m > 0.0:
+        x, y, z = T_base_sensor[:3, 3]
+        own[2, :2] = math.hypot(radius_m + math.hypot(x, y), height_m + abs(z)), radius_m**2
+    return own
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _is_own(own, a, b, c):
+    """Return whether a point in the sensor's frame is the robot's own."""
+    x = own[0, 0] * a + own[0, 1] * b + own[0, 2] * c + own[0, 3]
+    y = own[1, 0] * a + own[1, 1] * b + own[1, 2] * c + own[1, 3]
+    return x * x + y * y < own[2, 1]
+
+
 @njit(nogil=True, cache=True)
-def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
+def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, own, xyz):
     """Points of every stride-th pixel, x and y relative to the sensor, z in `map`.
 
     Args:
         column, row: (w,), (h,) float32: (u - cx) / fx and (v - cy) / fy of each pixel.
         T: (3, 4) float32, `map` from the optical frame.
+        own: (3, 4) float32, see `own_body`.
         xyz: (3, capacity) float32, filled.
 
     Returns:
-        The number of points; pixels without a return give none.
+        The number of points; pixels without a return give none, nor does the robot itself.
     """
     n = 0
     xx, yx, zx = T[0, 0], T[1, 0], T[2, 0]
@@ -163,6 +190,8 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
             d = depth_m[v, u]
             if not (d > min_range_m and d < _FARTHEST_M):
                 continue
+            if d < own[2, 0] and _is_own(own, d * column[u], d * row[v], d):
+                continue
             xyz[0, n] = d * (xx * column[u] + bx)
             xyz[1, n] = d * (yx * column[u] + by)
             xyz[2, n] = d * (zx * column[u] + bz) + T[2, 3]
@@ -171,13 +200,15 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
 
 
 @njit(nogil=True, cache=True)
-def from_cloud(cloud_m, T, min_range_m, xyz):
+def from_cloud(cloud_m, T, min_range_m, own, xyz):
     """Points of a cloud, like `from_depth`; what is not finite or too near gives none."""
     n = 0
     for i in range(cloud_m.shape[0]):
         a, b, c = cloud_m[i, 0], cloud_m[i, 1], cloud_m[i, 2]
         squared = a * a + b * b + c * c
         if not (squared > min_range_m * min_range_m and squared < _FARTHEST_M * _FARTHEST_M):
+            continue
+        if squared < own[2, 0] * own[2, 0] and _is_own(own, a, b, c):
             continue
         xyz[0, n] = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c
         xyz[1, n] = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c

@@ -104,17 +104,32 @@ def _update_obstacle(
 
 
 @njit(nogil=True, cache=True)
-def free_footprint(layers, shift_x, shift_y, x, y, disc, changed, explored):
-    """Where the robot stands nothing else does: unknown cells of the disc become free."""
+def free_footprint(layers, shift_x, shift_y, x, y, footprint, body, disc, changed, explored):
+    """Free what the robot stands on: unknown cells of the footprint, and all of the body.
+
+    A bumped cell stays: it was touched, and only standing on its middle opens it (see `Bumps`).
+
+    Args:
+        footprint, body: discs around the robot's cell; the footprint is the larger one.
+        disc: of the inflation.
+    """
     n = layers.raw.shape[0]
-    radius = len(disc) // 2
-    for k in range(len(disc)):
+    clip = (0, 0, n, n)
+    radius, inner = len(footprint) // 2, len(body) // 2
+    for k in range(len(footprint)):
         wy = y + k - radius
         if wy < 0 or wy >= n:
             continue
-        for wx in range(max(x - disc[k], 0), min(x + disc[k] + 1, n)):
-            if layers.raw[(wy + shift_y) % n, (wx + shift_x) % n] == UNSEEN:
+        row = k - radius + inner
+        half = body[row] if 0 <= row < len(body) else -1
+        for wx in range(max(x - footprint[k], 0), min(x + footprint[k] + 1, n)):
+            sy, sx = (wy + shift_y) % n, (wx + shift_x) % n
+            state = layers.raw[sy, sx]
+            if state == UNSEEN:
                 set_free(layers, shift_x, shift_y, wx, wy, changed)
+            elif OCCUPIED <= state < BUMPED and abs(wx - x) <= half:
+                layers.raw[sy, sx], layers.top[sy, sx] = FREE, 0
+                add_disc(layers, shift_x, shift_y, wx, wy, -1, disc, clip, changed)
     explored[0] = min(explored[0], max(x - radius, 0))
     explored[1] = min(explored[1], max(y - radius, 0))
     explored[2] = max(explored[2], min(x + radius + 1, n))

@@ -49,8 +49,9 @@ def render(
 
 def look(grid: RollingMap, pose: SE2, boxes: Sequence[Box], camera: CameraModel = CAMERA):
     """One update from what a camera on a robot at `pose` sees."""
-    T = pose.matrix() @ T_BASE_CAMERA
-    return grid.update_depth(render(camera, T, boxes), camera, T, pose)
+    T_map_base = pose.matrix()
+    depth = render(camera, T_map_base @ T_BASE_CAMERA, boxes)
+    return grid.update_depth(depth, camera, T_map_base, T_BASE_CAMERA)
 
 
 def seen_around(

@@ -17,6 +17,7 @@ from edge.mapping.grid import RollingMap
 from edge.mapping.layers import OCCUPIED
 
 F = np.float32
+T_BASE_CAMERA = twins.T_BASE_CAMERA
 POLAR = points.make_polar(3.0, 0.05)
 
 
@@ -64,6 +65,16 @@ def test_point_kernels_agree_with_their_twins(seed, n, high_m):
     assert len(xs) == 0 or (xs.min() >= x0 and xs.max() < x1 and ys.min() >= y0 and ys.max() < y1)
 
 
+OWN_M = 0.9
+T_BASE_LIDAR = se3(0.2, -0.1, 0.5, 0.1, 0.4, 1.0)
+
+
+def is_own(sensor_m: np.ndarray, T_base_sensor: np.ndarray) -> np.ndarray:
+    """Whether each of (3, n) points is within `OWN_M` of the axis of the base."""
+    base_m = T_base_sensor[:3, :3] @ sensor_m + T_base_sensor[:3, 3:]
+    return np.hypot(base_m[0], base_m[1]) < OWN_M
+
+
 @pytest.mark.parametrize("bad", [np.nan, 0.0, np.inf, -np.inf, -1.0, 1e6, 1e30, 3.4e38])
 def test_depth_points_agree_with_numpy_and_drop_what_is_no_return(bad):
     camera = CameraModel.from_hfov(40, 30, 1.2)
@@ -73,12 +84,16 @@ def test_depth_points_agree_with_numpy_and_drop_what_is_no_return(bad):
     T = (SE2(1.0, 2.0, 0.7).matrix() @ twins.T_BASE_CAMERA)[:3].astype(F)
     column = ((np.arange(40) - camera.cx_px) / camera.fx_px).astype(F)
     row = ((np.arange(30) - camera.cy_px) / camera.fy_px).astype(F)
-    xyz = np.zeros((3, 1200), F)
-    n = points.from_depth(depth, 3, 2, column, row, T, F(0.1), xyz)
+    xyz, own = np.zeros((3, 1200), F), points.own_body(twins.T_BASE_CAMERA, OWN_M, 0.8)
+    n = points.from_depth(depth, 3, 2, column, row, T, F(0.1), own, xyz)
     v, u = np.meshgrid(np.arange(1, 30, 2), np.arange(1, 40, 3), indexing="ij")
     d = depth[v, u]
     good = (d > 0.1) & (d < 1e6)
-    optical = np.stack([d * column[u], d * row[v], d])[:, good]
+    optical = np.stack([d * column[u], d * row[v], d])
+    with np.errstate(invalid="ignore", over="ignore"):
+        good &= ~is_own(optical.reshape(3, -1), twins.T_BASE_CAMERA).reshape(good.shape)
+    assert np.count_nonzero(~good & (d > 0.5) & (d < 4.0)) > 0
+    optical = optical[:, good]
     expected = T[:, :3] @ optical
     expected[2] += T[2, 3]
     assert n == good.sum()
@@ -93,10 +108,13 @@ def test_cloud_points_agree_with_numpy_and_drop_what_is_not_finite():
     cloud[5] = 1e6
     cloud[6] = 0.0
     T = se3(1, 2, 0.5, 0.1, 0.4, 1.0)[:3].astype(F)
-    xyz = np.zeros((3, 200), F)
-    n = points.from_cloud(cloud, T, F(0.1), xyz)
+    xyz, own = np.zeros((3, 200), F), points.own_body(T_BASE_LIDAR, OWN_M, 9.0)
+    n = points.from_cloud(cloud, T, F(0.1), own, xyz)
     keep = np.isfinite(cloud).all(axis=1)
     keep[[5, 6]] = False
+    with np.errstate(invalid="ignore", over="ignore"):
+        keep &= ~is_own(cloud.T, T_BASE_LIDAR)
+    assert 0 < np.count_nonzero(~keep) < 150
     expected = T[:, :3] @ cloud[keep].T
     expected[2] += T[2, 3]
     assert n == keep.sum()
@@ -116,15 +134,13 @@ def test_skipping_pixels_misses_no_obstacle_of_a_decimetre(camera, low_m, height
     out by 0.1 m.
     """
     rng = np.random.default_rng(2)
-    pose = SE2(0.0, 0.0, 0.0)
-    T = pose.matrix() @ twins.T_BASE_CAMERA
     for _ in range(15):
         r, bearing = rng.uniform(1.2, 4.85), rng.uniform(-0.55, 0.55)
         x, y = 0.1 + r * math.cos(bearing), r * math.sin(bearing)
         cube = (x - 0.05, y - 0.05, 0.0, x + 0.05, y + 0.05, height_m)
         grid = RollingMap(config.Mapping(inflation_m=0.0, obstacle_min_m=low_m))
-        depth = twins.render(camera, T, [cube])
-        grid.update_depth(depth, camera, T, pose)
+        depth = twins.render(camera, T_BASE_CAMERA, [cube])
+        grid.update_depth(depth, camera, np.eye(4), T_BASE_CAMERA)
         assert (grid.layers.raw >= OCCUPIED).any(), (r, bearing)
 
 
@@ -170,10 +186,11 @@ def tilted_lidar(boxes, slope=0.0, rings=40, columns=360):
 
 def lidar_map(boxes, slope=0.0):
     grid = RollingMap(config.Mapping(input="cloud", range_m=4.0, inflation_m=0.0))
-    T = se3(0, 0, 0.6, pitch_rad=math.radians(23), yaw_rad=0.4)
+    T_base_lidar = se3(0, 0, 0.6, pitch_rad=math.radians(23))
+    T = SE2(0.0, 0.0, 0.4).matrix() @ T_base_lidar
     with np.errstate(invalid="ignore"):
         cloud = tilted_lidar(boxes, slope) @ T[:3, :3].astype(F)
-    grid.update_cloud(np.ascontiguousarray(cloud), T, SE2(0, 0, 0.4))
+    grid.update_cloud(np.ascontiguousarray(cloud), SE2(0.0, 0.0, 0.4).matrix(), T_base_lidar)
     return grid
 
 
@@ -199,6 +216,6 @@ def test_rays_stop_where_the_floor_drops():
     y = np.linspace(-0.3, 0.3, 40)
     xx, yy = (a.ravel() for a in np.meshgrid(x, y))
     zz = np.where(xx > 2.0, -1.0, 0.0) - 0.5
-    grid.update_cloud(np.stack([xx, yy, zz], axis=1).astype(F), se3(z_m=0.5), SE2(0, 0, 0))
+    grid.update_cloud(np.stack([xx, yy, zz], axis=1).astype(F), np.eye(4), se3(z_m=0.5))
     assert grid.state_at(1.5, 0.0) == 0
     assert grid.state_at(3.0, 0.0) == -1
