@@ -10,7 +10,7 @@ from weakref import proxy
 import numpy as np
 
 from edge import config
-from edge.geometry import FARTHEST_M, SE2, CameraModel, Grid, se2_of
+from edge.geometry import FARTHEST_M, CameraModel, Grid
 from edge.mapping import clusters as cl
 from edge.mapping import layers as ly
 from edge.mapping import points, tiles, unknown, update
@@ -30,6 +30,8 @@ _SAMPLES_ACROSS, _SAMPLES_UP = 2, 4
 _FOOTPRINT_M = 0.3
 # The robot's centre is somewhere in its cell: a wall that it touches must not be under its body.
 _OFF_CENTRE_CELLS = 0.7
+# Of each sight of the floor so much counts.
+_FLOOR_GAIN = 0.2
 # Poses farther apart are not joined to one trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
 _ROBOT = config.Robot()
@@ -39,7 +41,7 @@ _NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
 class RollingMap:
     """A square window of the world that follows the robot; memory is fixed at construction.
 
-    z = 0 of `map` is the floor that the robot starts on.
+    The floor is wherever it is seen near the robot, whatever z it has in `map`.
 
     Args:
         robot: its shape: what it sees of itself is no obstacle, and where it stands is free.
@@ -78,7 +80,9 @@ class RollingMap:
         self._n_pending = 0
         self._scan = points.make_scan(self._polar, 1024)
         self._robot: tuple[int, int] | None = None  # its world cell at the last update
-        self._floor_z_m = 0.0
+        self._floor_m = math.nan  # height of the floor over the base, if it was seen,
+        self._base_z_m = math.nan  # and of the base when it was last seen
+        self._nowhere = False  # the ground is far below the base: what is free nobody knows
         self._changed = np.array(_NOTHING, np.int64)
         self._explored = np.array(_NOTHING, np.int64)
         self._flipped = np.zeros(self._polar.bin_of.size, np.int32)
@@ -129,9 +133,10 @@ class RollingMap:
         rolled = self._follow(*cell)
         n_points = points.from_depth(
             ly.plain(depth_m), *self._strides, self._column, self._row, T,
-            np.float32(self.config.min_range_m), self._own(T_base_camera), self._scan.xyz,
+            np.float32(self.config.min_range_m), self._own(T_map_base, T_base_camera),
+            self._scan.xyz,
         )  # fmt: skip
-        return self._finish(n_points, T, cell, fraction, se2_of(T_map_base), rolled)
+        return self._finish(n_points, T, cell, fraction, T_map_base, rolled)
 
     def update_cloud(
         self, cloud_m: np.ndarray, T_map_base: np.ndarray, T_base_lidar: np.ndarray
@@ -152,10 +157,10 @@ class RollingMap:
         T, cell, fraction = self._locate(T_map_base, T_base_lidar)
         rolled = self._follow(*cell)
         n_points = points.from_cloud(
-            ly.plain(cloud_m), T, np.float32(self.config.min_range_m), self._own(T_base_lidar),
-            self._scan.xyz,
+            ly.plain(cloud_m), T, np.float32(self.config.min_range_m),
+            self._own(T_map_base, T_base_lidar), self._scan.xyz,
         )  # fmt: skip
-        return self._finish(n_points, T, cell, fraction, se2_of(T_map_base), rolled)
+        return self._finish(n_points, T, cell, fraction, T_map_base, rolled)
 
     def state_at(self, x_m: float, y_m: float) -> int:
         """-1 unknown or outside the window, 0 free, 100 occupied or inflated."""
@@ -257,7 +262,7 @@ class RollingMap:
         return {
             "origin": np.array(self.window.origin, np.int64),
             "cells": np.array(self.window.n, np.int64),
-            "floor_z_m": np.array(self._floor_z_m),
+            "floor_z_m": np.array(self._floor_m),
             "robot": robot.reshape(-1, 2),
             **{f"cluster_{name}": of for name, of in cl.kept(self._clusters).items()},
         }
@@ -284,7 +289,8 @@ class RollingMap:
         layers, window, n = self._layers, self.window, self.window.n
         robot = [(int(x), int(y)) for x, y in kept["robot"]]
         self._robot = robot[0] if robot else None
-        self._floor_z_m = float(kept["floor_z_m"])
+        floor_m = float(kept["floor_z_m"])
+        self._floor_m = floor_m if abs(floor_m) < FARTHEST_M else math.nan
         x, y = (int(at) for at in kept["origin"])
         if kept["cells"] != n and robot:
             x, y = (at - n // 2 for at in robot[0])
@@ -329,9 +335,10 @@ class RollingMap:
         if len(self._scan.cell) < n_points:
             self._scan = points.make_scan(self._polar, n_points + n_points // 4)
 
-    def _own(self, T_base_sensor: np.ndarray) -> np.ndarray:
+    def _own(self, T_map_base: np.ndarray, T_base_sensor: np.ndarray) -> np.ndarray:
         robot = self._robot_shape
-        return points.own_body(T_base_sensor, robot.self_filter_m or 0.0, robot.height_m)
+        poses = T_map_base, T_base_sensor
+        return points.own_body(*poses, robot.self_filter_m or 0.0, robot.height_m)
 
     def _locate(
         self, T_map_base: np.ndarray, T_base_sensor: np.ndarray
@@ -355,7 +362,7 @@ class RollingMap:
         T: np.ndarray,
         cell: tuple[int, int],
         fraction: tuple[np.float32, np.float32],
-        pose: SE2,
+        T_map_base: np.ndarray,
         rolled: bool,
     ) -> MapUpdate:
         """Everything that follows once scan.xyz holds the points."""
@@ -365,18 +372,9 @@ class RollingMap:
             n_points, T[2, 3], np.float32(c.range_m), np.float32(1.0 / self.resolution_m),
             *fraction, polar, scan,
         )  # fmt: skip
-        total, count = points.sweep_ground(
-            scan,
-            polar,
-            sensor_z,
-            self._floor_z_m,
-            c.ground_slope,
-            c.obstacle_min_m,
-            c.range_m,
-            1.0 / self.resolution_m,
-        )
-        if count:
-            self._floor_z_m += 0.2 * (total / count - self._floor_z_m)
+        floor_seen = self._find_floor(sensor_z, float(T_map_base[2, 3]))
+        if self._nowhere:
+            n, scan.reach_m[:] = 0, 0.0
         coded_m = max(c.obstacle_max_m, points.CODED_M)
         points.classify(n, scan, polar, c.obstacle_min_m, c.obstacle_max_m, coded_m)
         shift, origin = self.window.shift, self.window.origin
@@ -385,7 +383,7 @@ class RollingMap:
             layers, *shift, *corner, scan, polar, sensor_z, c.obstacle_max_m, coded_m,
             c.clear_after, self._disc, self._changed, self._explored, self._flipped,
         )  # fmt: skip
-        robot = self.window.cell_of(pose.x_m, pose.y_m)
+        robot = self.window.cell_of(float(T_map_base[0, 3]), float(T_map_base[1, 3]))
         update.free_footprint(
             layers, *shift, robot[0] - origin[0], robot[1] - origin[1],
             self._footprint, self._stood_on, self._disc, self._changed, self._explored,
@@ -395,7 +393,40 @@ class RollingMap:
         self.bumps.open_seen_free()
         self._note_written(cell, robot)
         changed = self._refresh_frontiers(rolled)
-        return MapUpdate(changed, rolled)
+        floor_z = float(T_map_base[2, 3]) + self._floor_m
+        return MapUpdate(changed, rolled, floor_z, floor_seen, self._nowhere)
+
+    def _find_floor(self, sensor_z: float, base_z: float) -> bool:
+        """Follow the ground from the floor that the robot stands on; return whether it was seen.
+
+        The floor keeps its distance from the base, as in a lift. It is searched for until it is
+        known, and again when the base moves up or down at once: the robot may have crouched.
+        """
+        c, polar, scan, step_m = self.config, self._polar, self._scan, self.config.obstacle_min_m
+        near_m = points.search_range_m(sensor_z - base_z, c.min_range_m)
+        floor_z, below_m2 = base_z + self._floor_m, 0.0
+        if not abs(base_z - self._base_z_m) <= 0.5 * step_m:
+            search = scan, polar, sensor_z, base_z, step_m
+            found_z, below_m2 = points.find_floor(*search, near_m)
+            if math.isnan(found_z):
+                found_z, below_m2 = points.find_floor(*search, c.range_m)
+            if not abs(found_z - floor_z) <= step_m:
+                # A sensor that sees no floor is over it, if only by what is no obstacle.
+                guesses = found_z, floor_z, min(base_z, sensor_z - 2.0 * step_m)
+                floor_z = next(z for z in guesses if math.isfinite(z))
+        scan.floor[:] = floor_z, 0.0, 0.0
+        sweep = scan, polar, sensor_z, c.ground_slope, step_m, c.range_m, 1.0 / self.resolution_m
+        total, count = points.sweep_ground(*sweep)
+        fit = scan, polar, sensor_z, step_m
+        if not count and any(points.fit_floor(*fit, m) for m in (near_m, c.range_m)):
+            total, count = scan.floor[0], 1
+            points.sweep_ground(*sweep)
+        if count:
+            known = abs(floor_z - base_z - self._floor_m) <= step_m
+            floor_z += (_FLOOR_GAIN if known else 1.0) * (total / count - floor_z)
+            self._floor_m, self._base_z_m = floor_z - base_z, base_z
+        self._nowhere = not count and below_m2 > points.LEAST_FLOOR_M2
+        return count > 0
 
     def _write(self, x: int, y: int, state: int, top: int = 0) -> None:
         """Set one world cell of the window by hand, and what is inflated by it."""

@@ -35,6 +35,18 @@ _NEAR_GROUND_M = 1.5
 # whose floor lies in the blind zone is one ring, and creeping up to it would lift the floor.
 _GROUND_RUN_M = 0.3
 _RUN_GAP = 2  # rings
+# The base frame is so high over the floor at most (that of a legged robot is in its body).
+_HIGHEST_BASE_M = 0.9
+# Less ground is no floor: a wall has one ring, and something on the floor is not so wide.
+LEAST_FLOOR_M2, _LEAST_FLOOR_SHARE = 0.3, 0.3
+_LEVEL_M, _LEVELS_OF_FLOOR = 0.05, 4
+# A ray that falls less meets a wall: a level scan sees no floor.
+_LEAST_FALL = 0.08
+# Ground near the robot, in heights of the sensor: nearer, its rays are steep enough.
+_SEARCH_HEIGHTS, _SEARCH_M, _SEARCH_BLIND = 4.0, 3.0, 2.0
+# The floor of a map leans by no more, whether the map is tilted or the road climbs.
+_STEEPEST_FLOOR = 0.15
+_FLOOR_SPREAD, _FITS = 0.06, 3
 # No sensor sees this far: a number beyond it is no return.
 _FARTHEST_M = np.float32(FARTHEST_M)
 _MIN_SECTOR_RAD = 0.0175
@@ -81,6 +93,9 @@ class Scan(NamedTuple):
         seen: (side, side) uint8, per cell 0, FLOOR, STEP, or the code of the highest obstacle
             point.
         box: (4,) int64, half-open rectangle that holds the sensor's cell and all cells seen.
+        levels: (2, 64) float64, area of ground at each height, and area times height.
+        floor: (3,) float64, the floor as a plane: its height at the sensor's cell, and how much it
+            rises along x and y.
     """
 
     xyz: np.ndarray
@@ -93,6 +108,8 @@ class Scan(NamedTuple):
     reach_m: np.ndarray
     seen: np.ndarray
     box: np.ndarray
+    levels: np.ndarray
+    floor: np.ndarray
 
 
 def make_polar(range_m: float, resolution_m: float) -> Polar:
@@ -138,24 +155,34 @@ def make_scan(polar: Polar, capacity: int) -> Scan:
         reach_m=np.zeros(polar.sectors, np.float32),
         seen=np.zeros(polar.bin_of.shape, np.uint8),
         box=np.zeros(4, np.int64),
+        levels=np.zeros((2, 64)),
+        floor=np.zeros(3),
     )
 
 
-def own_body(T_base_sensor: np.ndarray, radius_m: float, height_m: float) -> np.ndarray:
+def search_range_m(height_m: float, min_range_m: float) -> float:
+    """Return how far to look for the floor that the robot stands on."""
+    return max(_SEARCH_M, _SEARCH_HEIGHTS * height_m, _SEARCH_BLIND * min_range_m)
+
+
+def own_body(
+    T_map_base: np.ndarray, T_base_sensor: np.ndarray, radius_m: float, height_m: float
+) -> np.ndarray:
     """Return the robot's shape as a sensor has it, for `from_depth` and `from_cloud`.
 
     The shape is a cylinder around the axis of the base. It has no lid: what is over the robot is no
     obstacle where it stands.
 
     Returns:
-        (3, 4) float32: rows x and y of the base from the sensor's frame; then the farthest that a
-        point of the robot is from the sensor, and the square of the radius.
+        (3, 4) float32: rows x and y of the base from the sensor's frame; then the squares of how
+        far the robot is from the sensor along x and y of `map` at most, and of the radius.
     """
     own = np.zeros((3, 4), np.float32)
     own[:2] = T_base_sensor[:2]
     if radius_m > 0.0:
         x, y, z = T_base_sensor[:3, 3]
-        own[2, :2] = math.hypot(radius_m + math.hypot(x, y), height_m + abs(z)), radius_m**2
+        tilted = math.hypot(T_map_base[2, 0], T_map_base[2, 1]) * (height_m + abs(z))
+        own[2, :2] = (radius_m + math.hypot(x, y) + tilted) ** 2, radius_m**2
     return own
 
 
@@ -180,7 +207,7 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, own, xy
     Returns:
         The number of points; pixels without a return give none, nor does the robot itself.
     """
-    n = 0
+    n, near_m2 = 0, own[2, 0]
     xx, yx, zx = T[0, 0], T[1, 0], T[2, 0]
     for v in range(stride_v // 2, depth_m.shape[0], stride_v):
         bx = T[0, 1] * row[v] + T[0, 2]
@@ -190,10 +217,10 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, own, xy
             d = depth_m[v, u]
             if not (d > min_range_m and d < _FARTHEST_M):
                 continue
-            if d < own[2, 0] and _is_own(own, d * column[u], d * row[v], d):
+            x, y = d * (xx * column[u] + bx), d * (yx * column[u] + by)
+            if x * x + y * y < near_m2 and _is_own(own, d * column[u], d * row[v], d):
                 continue
-            xyz[0, n] = d * (xx * column[u] + bx)
-            xyz[1, n] = d * (yx * column[u] + by)
+            xyz[0, n], xyz[1, n] = x, y
             xyz[2, n] = d * (zx * column[u] + bz) + T[2, 3]
             n += 1
     return n
@@ -202,16 +229,17 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, own, xy
 @njit(nogil=True, cache=True)
 def from_cloud(cloud_m, T, min_range_m, own, xyz):
     """Points of a cloud, like `from_depth`; what is not finite or too near gives none."""
-    n = 0
+    n, near_m2 = 0, own[2, 0]
     for i in range(cloud_m.shape[0]):
         a, b, c = cloud_m[i, 0], cloud_m[i, 1], cloud_m[i, 2]
         squared = a * a + b * b + c * c
         if not (squared > min_range_m * min_range_m and squared < _FARTHEST_M * _FARTHEST_M):
             continue
-        if squared < own[2, 0] * own[2, 0] and _is_own(own, a, b, c):
+        x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c
+        y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c
+        if x * x + y * y < near_m2 and _is_own(own, a, b, c):
             continue
-        xyz[0, n] = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c
-        xyz[1, n] = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c
+        xyz[0, n], xyz[1, n] = x, y
         xyz[2, n] = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
         n += 1
     return n
@@ -255,13 +283,95 @@ def bin_points(n_points, sensor_z, range_m, inv_res, fx, fy, polar, scan):
 
 
 @njit(nogil=True, cache=True)
-def sweep_ground(scan, polar, sensor_z, floor_z, slope, step_m, range_m, inv_res):
+def find_floor(scan, polar, sensor_z, base_z, step_m, search_m):
+    """Find the height of the floor: the lowest that much ground near the robot has.
+
+    What is higher may be a table, and what is much lower than the base is not under the robot.
+
+    Returns:
+        (height or NaN, area [m2] of what is lower than the base by more than a step).
+    """
+    area, moment = scan.levels[0], scan.levels[1]
+    scan.levels[:] = 0.0
+    lowest_z = base_z - _HIGHEST_BASE_M
+    used = min(int((_HIGHEST_BASE_M + step_m) / _LEVEL_M), len(area))
+    below_m2 = 0.0
+    wide = 2.0 * math.pi / polar.sectors * polar.ring_m
+    for s in range(polar.sectors):
+        for r in range(min(polar.rings, int(search_m / polar.ring_m))):
+            z, d = scan.lowest_m[s, r], (r + 0.5) * polar.ring_m
+            if not z < sensor_z - max(_LEAST_FALL * d, step_m):
+                continue
+            m2 = d * wide
+            if z < base_z - step_m:
+                below_m2 += m2
+            k = math.floor((z - lowest_z) / _LEVEL_M)
+            if 0 <= k < used:
+                area[k] += m2
+                moment[k] += m2 * z
+    most = 0.0
+    for k in range(used - _LEVELS_OF_FLOOR + 1):
+        most = max(most, area[k : k + _LEVELS_OF_FLOOR].sum())
+    for k in range(used - _LEVELS_OF_FLOOR + 1):
+        m2 = area[k : k + _LEVELS_OF_FLOOR].sum()
+        if m2 >= max(LEAST_FLOOR_M2, _LEAST_FLOOR_SHARE * most):
+            return moment[k : k + _LEVELS_OF_FLOOR].sum() / m2, below_m2
+    return np.nan, below_m2
+
+
+@njit(nogil=True, cache=True)
+def fit_floor(scan, polar, sensor_z, step_m, search_m):
+    """Fit scan.floor to the ground near the robot, for what a blind zone or a gap hides.
+
+    A thing that stands in a few sectors differs from what the others agree on, and is left out.
+
+    Returns:
+        Whether there was enough ground; else scan.floor is level, and as high as it was.
+    """
+    start_z = scan.floor[0]
+    a, b, c, total = start_z, 0.0, 0.0, 0.0
+    wide = 2.0 * math.pi / polar.sectors * polar.ring_m
+    for k in range(_FITS):
+        near_m, spread = (step_m, _FLOOR_SPREAD) if k == 0 else (0.5 * step_m, 0.0)
+        total = sx = sy = sz = sxx = sxy = syy = sxz = syz = 0.0
+        for s in range(polar.sectors):
+            for r in range(min(polar.rings, int(search_m / polar.ring_m))):
+                z, d = scan.lowest_m[s, r], (r + 0.5) * polar.ring_m
+                if not z < sensor_z - max(_LEAST_FALL * d, step_m):
+                    continue
+                x, y = d * polar.direction[s, 0], d * polar.direction[s, 1]
+                if abs(z - a - b * x - c * y) > near_m + spread * d:
+                    continue
+                m2, z = d * wide, z - start_z
+                total += m2
+                sx, sy, sz = sx + m2 * x, sy + m2 * y, sz + m2 * z
+                sxx, sxy, syy = sxx + m2 * x * x, sxy + m2 * x * y, syy + m2 * y * y
+                sxz, syz = sxz + m2 * x * z, syz + m2 * y * z
+        if total < LEAST_FLOOR_M2:
+            break
+        x, y, z = sx / total, sy / total, sz / total
+        # Of ground in one direction only the slope across it says little: a weak pull to level.
+        sxx, syy = sxx / total - x * x + 0.02, syy / total - y * y + 0.02
+        sxy, sxz, syz = sxy / total - x * y, sxz / total - x * z, syz / total - y * z
+        det = sxx * syy - sxy * sxy
+        b, c = (sxz * syy - syz * sxy) / det, (syz * sxx - sxz * sxy) / det
+        a = start_z + z - b * x - c * y
+    scan.floor[:] = a, b, c
+    if total < LEAST_FLOOR_M2 or math.hypot(b, c) > _STEEPEST_FLOOR:
+        scan.floor[:] = start_z, 0.0, 0.0
+        return False
+    return True
+
+
+@njit(nogil=True, cache=True)
+def sweep_ground(scan, polar, sensor_z, slope, step_m, range_m, inv_res):
     """Follow the ground outward in every sector; fill ground, pass slopes, reach and box.
 
-    The ground may rise or fall by `slope` from the last ground seen, but behind a gap nobody knows
-    what lies between: by `step_m` at most where it is first seen (a low box just outside the
-    blind zone is no ramp), later by twice that. A return far below is a drop: rays free nothing
-    beyond the last ground before it, unless level ground follows (a stray reflection).
+    It begins at scan.floor. The ground may rise or fall by `slope` from the last ground seen, but
+    behind a gap nobody knows what lies between: by `step_m` at most where it is first seen (a low
+    box just outside the blind zone is no ramp), later by twice that. A return far below is a drop:
+    rays free nothing beyond the last ground before it, unless level ground follows (a stray
+    reflection).
 
     Returns:
         (sum of the floor heights near the robot, their number).
@@ -276,8 +386,9 @@ def sweep_ground(scan, polar, sensor_z, floor_z, slope, step_m, range_m, inv_res
         scan.reach_m[s] = 0.0
         if last < 0 and not far:
             continue
+        lean = scan.floor[1] * polar.direction[s, 0] + scan.floor[2] * polar.direction[s, 1]
         reach_m, sum_m, count = _follow_ground(
-            scan.lowest_m, scan.ground_m, s, last, polar.ring_m, floor_z, slope, step_m
+            scan.lowest_m, scan.ground_m, s, last, polar.ring_m, scan.floor[0], lean, slope, step_m
         )
         near_sum += sum_m
         near_count += count
@@ -298,31 +409,33 @@ def _last_ring(lowest_m, s):
 
 
 @njit(nogil=True, cache=True, inline="always")
-def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, slope, step_m):
+def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, lean, slope, step_m):
     """Fill one sector's ground; returns its reach, and sum and number of near floor heights."""
     ground, ground_d, drop = floor_z, 0.0, False
     near_sum, near_count = 0.0, 0
     run_from, run_to, run_sum, run_count = 0, -1 - _RUN_GAP, 0.0, 0
     for r in range(last + 1):
-        z = lowest_m[s, r]
+        d = (r + 0.5) * ring_m
+        level, z = ground, lowest_m[s, r]
+        if ground_d == 0.0:
+            level += lean * d
         if z < np.inf:
-            d = (r + 0.5) * ring_m
             limit = step_m if ground_d == 0.0 else 2.0 * step_m
             allowed = min(slope * (d - ground_d) + _GROUND_NOISE_M, limit)
-            if abs(z - ground) <= allowed:
-                ground, ground_d, drop = z, d, False
+            if abs(z - level) <= allowed:
+                ground, ground_d, drop, level = z, d, False, z
                 if d < _NEAR_GROUND_M:
                     if r - run_to > _RUN_GAP:
                         run_from, run_sum, run_count = r, 0.0, 0
-                    run_to, run_sum, run_count = r, run_sum + z, run_count + 1
+                    run_to, run_sum, run_count = r, run_sum + z - lean * d, run_count + 1
                     if (r - run_from) * ring_m >= _GROUND_RUN_M:
                         near_sum, near_count = near_sum + run_sum, near_count + run_count
                         run_sum, run_count = 0.0, 0
-            elif z < ground:
+            elif z < level:
                 drop = True
-        ground_m[s, r] = ground
+        ground_m[s, r] = level
     for r in range(last + 1, lowest_m.shape[1]):
-        ground_m[s, r] = ground
+        ground_m[s, r] = ground if ground_d > 0.0 else ground + lean * (r + 0.5) * ring_m
     reach_m = max(last, 0) * ring_m
     return (min(reach_m, ground_d) if drop else reach_m), near_sum, near_count
 

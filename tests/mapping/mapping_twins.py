@@ -173,10 +173,51 @@ def scan_twin(xyz, sensor_z, range_m, inv_res, fx, fy, polar):
     return lowest, far_slope, (cy * polar.bin_of.shape[1] + cx)[near], z[near]
 
 
-def sweep_twin(lowest, far_slope, ring_m, sensor_z, floor_z, slope, step_m, range_m):
+def near_ground(lowest, polar, sensor_z, step_m, search_m):
+    """What may be floor: (x, y, z) and the area of each bin, for the twins below."""
+    s, r = np.nonzero(lowest[:, : int(search_m / polar.ring_m)] < np.inf)
+    d, z = (r + 0.5) * polar.ring_m, lowest[s, r].astype(np.float64)
+    keep = z < sensor_z - np.maximum(0.08 * d, step_m)
+    d, z, (x, y) = d[keep], z[keep], polar.direction[s[keep]].T.astype(np.float64)
+    return d * x, d * y, z, d * polar.ring_m * 2 * math.pi / polar.sectors
+
+
+def find_twin(lowest, polar, sensor_z, base_z, step_m, search_m):
+    """Twin of `find_floor`."""
+    _, _, z, m2 = near_ground(lowest, polar, sensor_z, step_m, search_m)
+    level = np.floor((z - (base_z - 0.9)) / 0.05).astype(int)
+    sums = []
+    for k in range(int((0.9 + step_m) / 0.05) - 3):
+        inside = (k <= level) & (level < k + 4)
+        sums.append((m2[inside].sum(), (m2 * z)[inside].sum()))
+    least = max(0.3, 0.3 * max(area for area, _ in sums))
+    found = next((total / area for area, total in sums if area >= least), math.nan)
+    return found, m2[z < base_z - step_m].sum()
+
+
+def fit_twin(lowest, polar, sensor_z, start_z, step_m, search_m):
+    """Twin of `fit_floor`: the plane, or None."""
+    x, y, z, m2 = near_ground(lowest, polar, sensor_z, step_m, search_m)
+    a, b, c = start_z, 0.0, 0.0
+    for k in range(3):
+        tolerance = step_m + 0.06 * np.hypot(x, y) if k == 0 else 0.5 * step_m
+        fits = np.abs(z - a - b * x - c * y) <= tolerance
+        w = m2[fits]
+        if w.sum() < 0.3:
+            return None
+        xy = np.stack([x, y], axis=1)[fits]
+        middle, height = np.average(xy, axis=0, weights=w), np.average(z[fits], weights=w)
+        spread = (xy - middle) * w[:, None] / w.sum()
+        matrix = spread.T @ (xy - middle) + 0.02 * np.eye(2)
+        b, c = np.linalg.solve(matrix, spread.T @ (z[fits] - height))
+        a = height - middle @ (b, c)
+    return None if math.hypot(b, c) > 0.15 else np.array([a, b, c])
+
+
+def sweep_twin(lowest, far_slope, polar, sensor_z, floor, slope, step_m, range_m):
     """Twin of `sweep_ground` for sectors with data: (ground_m, pass_slope, reach_m, heights of
     the floor near by)."""
-    sectors, rings = lowest.shape
+    (sectors, rings), ring_m = lowest.shape, polar.ring_m
     ground = np.full(lowest.shape, np.nan)
     passing = np.full(lowest.shape, np.inf)
     reach = np.zeros(sectors)
@@ -187,8 +228,11 @@ def sweep_twin(lowest, far_slope, ring_m, sensor_z, floor_z, slope, step_m, rang
         far = np.isfinite(far_slope[s])
         if len(hit) == 0 and not far:
             continue
-        level, at, drop = floor_z, 0.0, False
+        lean = floor[1:] @ polar.direction[s]
+        level, at, drop = floor[0], 0.0, False
         for r in range(rings):
+            if at == 0.0:
+                level = floor[0] + lean * (r + 0.5) * ring_m
             if r in hit:
                 d, z = (r + 0.5) * ring_m, lowest[s, r]
                 limit = step_m if at == 0.0 else 2 * step_m
@@ -198,7 +242,7 @@ def sweep_twin(lowest, far_slope, ring_m, sensor_z, floor_z, slope, step_m, rang
                         if run and r - run[-1][0] > 2:
                             near += _long(run, ring_m)
                             run = []
-                        run.append((r, z))
+                        run.append((r, z - lean * d))
                 elif z < level:
                     drop = True
             ground[s, r] = level

@@ -310,8 +310,9 @@ def test_creeping_up_to_a_bed_does_not_lift_the_floor(foot_m, from_m):
     grid = RollingMap(SMALL)
     bed = [(1.0, -0.8, foot_m, 3.0, 0.8, 0.5)]
     for x in np.arange(from_m, 0.75, 0.01):
-        look(grid, SE2(x, 0.0, 0.0), bed)
-    assert abs(grid._floor_z_m) < 0.02
+        update = look(grid, SE2(x, 0.0, 0.0), bed)
+    assert not update.floor_seen
+    assert not abs(update.floor_z_m) > 0.02
     for x, y in ((1.05, 0.0), (1.3, 0.3), (1.5, -0.4)):
         assert grid.state_at(x, y) == 100
 
@@ -322,6 +323,6 @@ def test_the_floor_follows_a_ramp():
     for step in range(60):
         rise_m, pose = 0.002 * step, SE2(0.02 * step, 0.0, 0.0)
         lower = pose.matrix(-rise_m) @ T_BASE_CAMERA
-        grid.update_depth(render(CAMERA, lower, []), CAMERA, pose.matrix(), T_BASE_CAMERA)
-    assert grid._floor_z_m == pytest.approx(rise_m, abs=0.03)
+        update = grid.update_depth(render(CAMERA, lower, []), CAMERA, pose.matrix(), T_BASE_CAMERA)
+    assert update.floor_z_m == pytest.approx(rise_m, abs=0.03)
     assert not (grid.snapshot().cells == 100).any()

@@ -35,8 +35,13 @@ def random_scan(seed: int, n: int):
 
 
 @settings(max_examples=25)
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 400), high_m=st.sampled_from([0.25, 1.0]))
-def test_point_kernels_agree_with_their_twins(seed, n, high_m):
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n=st.integers(0, 400),
+    high_m=st.sampled_from([0.25, 1.0]),
+    lean=st.sampled_from([(0.0, 0.0), (0.05, -0.1)]),
+)
+def test_point_kernels_agree_with_their_twins(seed, n, high_m, lean):
     scan, args = random_scan(seed, n)
     within = points.bin_points(n, *args, POLAR, scan)
     lowest, far_slope, cell, z_m = twins.scan_twin(scan.xyz[:, :n], *args, POLAR)
@@ -45,9 +50,10 @@ def test_point_kernels_agree_with_their_twins(seed, n, high_m):
     np.testing.assert_array_equal(scan.lowest_m, lowest)
     np.testing.assert_allclose(scan.far_slope, far_slope, rtol=1e-5)
 
-    total, count = points.sweep_ground(scan, POLAR, 0.6, 0.0, 0.3, 0.1, 3.0, 20.0)
+    scan.floor[:] = 0.0, *lean
+    total, count = points.sweep_ground(scan, POLAR, 0.6, 0.3, 0.1, 3.0, 20.0)
     ground, passing, reach, near = twins.sweep_twin(
-        lowest, scan.far_slope, POLAR.ring_m, 0.6, 0.0, 0.3, 0.1, 3.0
+        lowest, scan.far_slope, POLAR, 0.6, scan.floor, 0.3, 0.1, 3.0
     )
     assert count == len(near)
     assert total == pytest.approx(sum(near), abs=1e-4)
@@ -65,7 +71,34 @@ def test_point_kernels_agree_with_their_twins(seed, n, high_m):
     assert len(xs) == 0 or (xs.min() >= x0 and xs.max() < x1 and ys.min() >= y0 and ys.max() < y1)
 
 
+@settings(max_examples=40)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n=st.integers(0, 4000),
+    floor=st.tuples(st.floats(-0.6, 0.1), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2)),
+    base_z=st.sampled_from([0.0, -0.3, 2.0]),
+)
+def test_the_search_for_the_floor_agrees_with_its_twin(seed, n, floor, base_z):
+    rng = np.random.default_rng(seed)
+    scan, (_, _, inv_res, fx, fy) = random_scan(seed, n)
+    xyz = scan.xyz[:, :n]
+    xyz[2] = floor[0] + floor[1] * xyz[0] + floor[2] * xyz[1] + rng.normal(0, 0.02, n)
+    xyz[2] += rng.choice([0.0, 0.4, -0.3], n, p=[0.8, 0.1, 0.1])
+    points.bin_points(n, F(0.6), F(3.0), inv_res, fx, fy, POLAR, scan)
+    for search_m in (1.5, 3.0):
+        found = points.find_floor(scan, POLAR, 0.6, base_z, 0.1, search_m)
+        expected = twins.find_twin(scan.lowest_m, POLAR, 0.6, base_z, 0.1, search_m)
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+        scan.floor[:] = floor[0], 1.0, 1.0
+        fits = points.fit_floor(scan, POLAR, 0.6, 0.1, search_m)
+        plane = twins.fit_twin(scan.lowest_m, POLAR, 0.6, floor[0], 0.1, search_m)
+        assert fits == (plane is not None)
+        level = np.array([floor[0], 0.0, 0.0])
+        np.testing.assert_allclose(scan.floor, plane if fits else level, atol=1e-5)
+
+
 OWN_M = 0.9
+T_MAP_BASE = se3(1.0, 2.0, 0.5, 0.05, -0.1, 1.0)
 T_BASE_LIDAR = se3(0.2, -0.1, 0.5, 0.1, 0.4, 1.0)
 
 
@@ -84,7 +117,7 @@ def test_depth_points_agree_with_numpy_and_drop_what_is_no_return(bad):
     T = (SE2(1.0, 2.0, 0.7).matrix() @ twins.T_BASE_CAMERA)[:3].astype(F)
     column = ((np.arange(40) - camera.cx_px) / camera.fx_px).astype(F)
     row = ((np.arange(30) - camera.cy_px) / camera.fy_px).astype(F)
-    xyz, own = np.zeros((3, 1200), F), points.own_body(twins.T_BASE_CAMERA, OWN_M, 0.8)
+    xyz, own = np.zeros((3, 1200), F), points.own_body(np.eye(4), T_BASE_CAMERA, OWN_M, 0.8)
     n = points.from_depth(depth, 3, 2, column, row, T, F(0.1), own, xyz)
     v, u = np.meshgrid(np.arange(1, 30, 2), np.arange(1, 40, 3), indexing="ij")
     d = depth[v, u]
@@ -107,8 +140,8 @@ def test_cloud_points_agree_with_numpy_and_drop_what_is_not_finite():
     cloud[3::11, 2] = np.nan
     cloud[5] = 1e6
     cloud[6] = 0.0
-    T = se3(1, 2, 0.5, 0.1, 0.4, 1.0)[:3].astype(F)
-    xyz, own = np.zeros((3, 200), F), points.own_body(T_BASE_LIDAR, OWN_M, 9.0)
+    T = (T_MAP_BASE @ T_BASE_LIDAR)[:3].astype(F)
+    xyz, own = np.zeros((3, 200), F), points.own_body(T_MAP_BASE, T_BASE_LIDAR, OWN_M, 9.0)
     n = points.from_cloud(cloud, T, F(0.1), own, xyz)
     keep = np.isfinite(cloud).all(axis=1)
     keep[[5, 6]] = False
