@@ -131,12 +131,15 @@ class RollingMap:
         self._use_camera(camera)
         T, cell, fraction = self._locate(T_map_base, T_base_camera)
         rolled = self._follow(*cell)
-        n_points = points.from_depth(
+        seen = (
             ly.plain(depth_m), *self._strides, self._column, self._row, T,
-            np.float32(self.config.min_range_m), self._own(T_map_base, T_base_camera),
-            self._scan.xyz,
+            np.float32(self.config.min_range_m),
         )  # fmt: skip
-        return self._finish(n_points, T, cell, fraction, T_map_base, rolled)
+        n_points = points.from_depth(*seen, self._scan.xyz)
+        self._scan.lost[:] = 0
+        if n_points < self._n_pixels:
+            points.lost_rays(*seen, self._polar, self._scan.lost)
+        return self._finish(n_points, T, cell, fraction, T_map_base, T_base_camera, rolled)
 
     def update_cloud(
         self, cloud_m: np.ndarray, T_map_base: np.ndarray, T_base_lidar: np.ndarray
@@ -157,10 +160,10 @@ class RollingMap:
         T, cell, fraction = self._locate(T_map_base, T_base_lidar)
         rolled = self._follow(*cell)
         n_points = points.from_cloud(
-            ly.plain(cloud_m), T, np.float32(self.config.min_range_m),
-            self._own(T_map_base, T_base_lidar), self._scan.xyz,
-        )  # fmt: skip
-        return self._finish(n_points, T, cell, fraction, T_map_base, rolled)
+            ly.plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
+        )
+        self._scan.lost[:] = 0
+        return self._finish(n_points, T, cell, fraction, T_map_base, T_base_lidar, rolled)
 
     def state_at(self, x_m: float, y_m: float) -> int:
         """-1 unknown or outside the window, 0 free, 100 occupied or inflated."""
@@ -326,19 +329,17 @@ class RollingMap:
         u, v = np.arange(camera.width_px), np.arange(camera.height_px)
         self._column = ((u - camera.cx_px) / camera.fx_px).astype(np.float32)
         self._row = ((v - camera.cy_px) / camera.fy_px).astype(np.float32)
-        self._reserve(
-            -(-camera.width_px // self._strides[0]) * -(-camera.height_px // self._strides[1])
+        u, v = (
+            range(stride // 2, n, stride)
+            for n, stride in zip((camera.width_px, camera.height_px), self._strides, strict=True)
         )
+        self._n_pixels = len(u) * len(v)
+        self._reserve(self._n_pixels)
         self._camera = camera
 
     def _reserve(self, n_points: int) -> None:
         if len(self._scan.cell) < n_points:
             self._scan = points.make_scan(self._polar, n_points + n_points // 4)
-
-    def _own(self, T_map_base: np.ndarray, T_base_sensor: np.ndarray) -> np.ndarray:
-        robot = self._robot_shape
-        poses = T_map_base, T_base_sensor
-        return points.own_body(*poses, robot.self_filter_m or 0.0, robot.height_m)
 
     def _locate(
         self, T_map_base: np.ndarray, T_base_sensor: np.ndarray
@@ -363,11 +364,18 @@ class RollingMap:
         cell: tuple[int, int],
         fraction: tuple[np.float32, np.float32],
         T_map_base: np.ndarray,
+        T_base_sensor: np.ndarray,
         rolled: bool,
     ) -> MapUpdate:
         """Everything that follows once scan.xyz holds the points."""
         c, polar, scan, layers = self.config, self._polar, self._scan, self._layers
-        sensor_z = float(T[2, 3])
+        sensor_z, robot = float(T[2, 3]), self._robot_shape
+        if robot.self_filter_m:
+            axes = np.array(T_map_base[:3, :3], np.float32, order="C")
+            sensor_m = np.array([*T_base_sensor[:3, 3], sensor_z], np.float32)
+            n_points = points.drop_own(
+                n_points, scan.xyz, axes, sensor_m, robot.self_filter_m, robot.height_m
+            )
         n = points.bin_points(
             n_points, T[2, 3], np.float32(c.range_m), np.float32(1.0 / self.resolution_m),
             *fraction, polar, scan,
@@ -380,18 +388,19 @@ class RollingMap:
         shift, origin = self.window.shift, self.window.origin
         corner = (cell[0] - self._half - origin[0], cell[1] - self._half - origin[1])
         update.apply_scan(
-            layers, *shift, *corner, scan, polar, sensor_z, c.obstacle_max_m, coded_m,
-            c.clear_after, self._disc, self._changed, self._explored, self._flipped,
+            layers, *shift, *corner, scan, polar, sensor_z, c.obstacle_min_m,
+            c.obstacle_max_m, coded_m, c.clear_after, self._disc, self._changed, self._explored,
+            self._flipped,
         )  # fmt: skip
-        robot = self.window.cell_of(float(T_map_base[0, 3]), float(T_map_base[1, 3]))
+        robot_cell = self.window.cell_of(float(T_map_base[0, 3]), float(T_map_base[1, 3]))
         update.free_footprint(
-            layers, *shift, robot[0] - origin[0], robot[1] - origin[1],
+            layers, *shift, robot_cell[0] - origin[0], robot_cell[1] - origin[1],
             self._footprint, self._stood_on, self._disc, self._changed, self._explored,
         )  # fmt: skip
-        self._extend_trail(robot)
-        self.bumps.stand_on(robot)
+        self._extend_trail(robot_cell)
+        self.bumps.stand_on(robot_cell)
         self.bumps.open_seen_free()
-        self._note_written(cell, robot)
+        self._note_written(cell, robot_cell)
         changed = self._refresh_frontiers(rolled)
         floor_z = float(T_map_base[2, 3]) + self._floor_m
         return MapUpdate(changed, rolled, floor_z, floor_seen, self._nowhere)

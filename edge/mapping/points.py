@@ -47,6 +47,12 @@ _SEARCH_HEIGHTS, _SEARCH_M, _SEARCH_BLIND = 4.0, 3.0, 2.0
 # The floor of a map leans by no more, whether the map is tilted or the road climbs.
 _STEEPEST_FLOOR = 0.15
 _FLOOR_SPREAD, _FITS = 0.06, 3
+# Slopes of rays that gave no return are kept in a bit each, from here on in steps as wide: a lower
+# one meets the floor near the sensor, where many cameras return nothing.
+_LOST_FROM, _LOST_PER_SLOPE, _LOST_BITS = -0.75, 64, 64
+_LOST_NEAR_M = 1.0
+# Fewer are holes in the image.
+_LOST_LEAST = 3
 # No sensor sees this far: a number beyond it is no return.
 _FARTHEST_M = np.float32(FARTHEST_M)
 _MIN_SECTOR_RAD = 0.0175
@@ -87,6 +93,7 @@ class Scan(NamedTuple):
         z_m: (capacity,) float32, its height in `map`.
         lowest_m: (sectors, rings) float32, lowest point of each bin; inf = none.
         far_slope: (sectors,) float32, lowest slope (rise / run) of a ray beyond range; inf.
+        lost: (sectors,) uint64, a bit for each slope at which a ray gave no return; see `is_open`.
         ground_m: (sectors, rings) float32, height of the local ground.
         pass_slope: (sectors, rings) float32, lowest slope of a ray that flew over the bin.
         reach_m: (sectors,) float32, how far rays free unknown cells; 0 = nothing seen.
@@ -103,6 +110,7 @@ class Scan(NamedTuple):
     z_m: np.ndarray
     lowest_m: np.ndarray
     far_slope: np.ndarray
+    lost: np.ndarray
     ground_m: np.ndarray
     pass_slope: np.ndarray
     reach_m: np.ndarray
@@ -150,6 +158,7 @@ def make_scan(polar: Polar, capacity: int) -> Scan:
         z_m=np.zeros(capacity, np.float32),
         lowest_m=np.full(bins, np.inf, np.float32),
         far_slope=np.full(polar.sectors, np.inf, np.float32),
+        lost=np.zeros(polar.sectors, np.uint64),
         ground_m=np.zeros(bins, np.float32),
         pass_slope=np.zeros(bins, np.float32),
         reach_m=np.zeros(polar.sectors, np.float32),
@@ -165,49 +174,19 @@ def search_range_m(height_m: float, min_range_m: float) -> float:
     return max(_SEARCH_M, _SEARCH_HEIGHTS * height_m, _SEARCH_BLIND * min_range_m)
 
 
-def own_body(
-    T_map_base: np.ndarray, T_base_sensor: np.ndarray, radius_m: float, height_m: float
-) -> np.ndarray:
-    """Return the robot's shape as a sensor has it, for `from_depth` and `from_cloud`.
-
-    The shape is a cylinder around the axis of the base. It has no lid: what is over the robot is no
-    obstacle where it stands.
-
-    Returns:
-        (3, 4) float32: rows x and y of the base from the sensor's frame; then the squares of how
-        far the robot is from the sensor along x and y of `map` at most, and of the radius.
-    """
-    own = np.zeros((3, 4), np.float32)
-    own[:2] = T_base_sensor[:2]
-    if radius_m > 0.0:
-        x, y, z = T_base_sensor[:3, 3]
-        tilted = math.hypot(T_map_base[2, 0], T_map_base[2, 1]) * (height_m + abs(z))
-        own[2, :2] = (radius_m + math.hypot(x, y) + tilted) ** 2, radius_m**2
-    return own
-
-
-@njit(nogil=True, cache=True, inline="always")
-def _is_own(own, a, b, c):
-    """Return whether a point in the sensor's frame is the robot's own."""
-    x = own[0, 0] * a + own[0, 1] * b + own[0, 2] * c + own[0, 3]
-    y = own[1, 0] * a + own[1, 1] * b + own[1, 2] * c + own[1, 3]
-    return x * x + y * y < own[2, 1]
-
-
 @njit(nogil=True, cache=True)
-def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, own, xyz):
+def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
     """Points of every stride-th pixel, x and y relative to the sensor, z in `map`.
 
     Args:
         column, row: (w,), (h,) float32: (u - cx) / fx and (v - cy) / fy of each pixel.
         T: (3, 4) float32, `map` from the optical frame.
-        own: (3, 4) float32, see `own_body`.
         xyz: (3, capacity) float32, filled.
 
     Returns:
-        The number of points; pixels without a return give none, nor does the robot itself.
+        The number of points; pixels without a return give none.
     """
-    n, near_m2 = 0, own[2, 0]
+    n = 0
     xx, yx, zx = T[0, 0], T[1, 0], T[2, 0]
     for v in range(stride_v // 2, depth_m.shape[0], stride_v):
         bx = T[0, 1] * row[v] + T[0, 2]
@@ -217,32 +196,113 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, own, xy
             d = depth_m[v, u]
             if not (d > min_range_m and d < _FARTHEST_M):
                 continue
-            x, y = d * (xx * column[u] + bx), d * (yx * column[u] + by)
-            if x * x + y * y < near_m2 and _is_own(own, d * column[u], d * row[v], d):
-                continue
-            xyz[0, n], xyz[1, n] = x, y
+            xyz[0, n] = d * (xx * column[u] + bx)
+            xyz[1, n] = d * (yx * column[u] + by)
             xyz[2, n] = d * (zx * column[u] + bz) + T[2, 3]
             n += 1
     return n
 
 
 @njit(nogil=True, cache=True)
-def from_cloud(cloud_m, T, min_range_m, own, xyz):
+def lost_rays(depth_m, stride_u, stride_v, column, row, T, min_range_m, polar, lost):
+    """Note in `lost` the rays of the pixels that `from_depth` leaves out; see `is_open`."""
+    half = polar.bin_of.shape[0] // 2
+    for v in range(stride_v // 2, depth_m.shape[0], stride_v):
+        for u in range(stride_u // 2, depth_m.shape[1], stride_u):
+            d = depth_m[v, u]
+            if d > min_range_m and d < _FARTHEST_M:
+                continue
+            x = T[0, 0] * column[u] + T[0, 1] * row[v] + T[0, 2]
+            y = T[1, 0] * column[u] + T[1, 1] * row[v] + T[1, 2]
+            z = T[2, 0] * column[u] + T[2, 1] * row[v] + T[2, 2]
+            run = np.sqrt(x * x + y * y)
+            bit = int((z / run - _LOST_FROM) * _LOST_PER_SLOPE)
+            if not (_LOST_FROM * run <= z and bit < _LOST_BITS):
+                continue
+            cells = np.float32(half - 1) / run
+            sector = polar.sector_of[int(half + 0.5 + y * cells), int(half + 0.5 + x * cells)]
+            lost[sector] |= np.uint64(1) << np.uint64(bit)
+
+
+@njit(nogil=True, cache=True)
+def is_open(lost, below_m, over_m, d, step_m, high_m):
+    """Return whether nothing can stand in a cell that a ray flew over.
+
+    A ray that flew lower than a step shows that. A higher one does only if no ray was sent lower:
+    those that gave no return may have met a thing that none shows (black, glass). Rays that meet
+    the floor within `_LOST_NEAR_M` say nothing: many cameras see nothing so near.
+
+    Args:
+        lost: of the cell's sector, see `Scan`.
+        below_m: height over the ground at which the lowest ray flew over the cell.
+        over_m: height of the sensor over the ground there.
+        d: distance of the cell.
+        high_m: a ray that flew higher than this, and than the sensor is, shows nothing.
+    """
+    if below_m < step_m:
+        return True
+    if below_m > max(high_m, over_m):
+        return False
+    lowest = -over_m / max(d, np.float32(_LOST_NEAR_M))
+    first = int((lowest - _LOST_FROM) * _LOST_PER_SLOPE) + 1
+    end = int(((below_m - over_m) / d - _LOST_FROM) * _LOST_PER_SLOPE)
+    first, end = max(first, 0), min(end, _LOST_BITS)
+    if end <= first:
+        return True
+    bits = np.uint64(0xFFFFFFFFFFFFFFFF) >> np.uint64(_LOST_BITS - (end - first))
+    hidden = lost & (bits << np.uint64(first))
+    for _ in range(_LOST_LEAST - 1):
+        hidden &= hidden - np.uint64(1)  # one bit less
+    return hidden == np.uint64(0)
+
+
+@njit(nogil=True, cache=True)
+def from_cloud(cloud_m, T, min_range_m, xyz):
     """Points of a cloud, like `from_depth`; what is not finite or too near gives none."""
-    n, near_m2 = 0, own[2, 0]
+    n = 0
     for i in range(cloud_m.shape[0]):
         a, b, c = cloud_m[i, 0], cloud_m[i, 1], cloud_m[i, 2]
         squared = a * a + b * b + c * c
         if not (squared > min_range_m * min_range_m and squared < _FARTHEST_M * _FARTHEST_M):
             continue
-        x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c
-        y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c
-        if x * x + y * y < near_m2 and _is_own(own, a, b, c):
-            continue
-        xyz[0, n], xyz[1, n] = x, y
+        xyz[0, n] = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c
+        xyz[1, n] = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c
         xyz[2, n] = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
         n += 1
     return n
+
+
+@njit(nogil=True, cache=True)
+def drop_own(n, xyz, axes, sensor_m, radius_m, height_m):
+    """Take the points of the robot itself out of `xyz`; return how many points are left.
+
+    The robot is a cylinder around the axis of its base. It has no lid: what is over the robot is no
+    obstacle where it stands.
+
+    Args:
+        axes: (3, 3) float32, directions x, y, z of the base in `map`, as columns.
+        sensor_m: (4,) float32, the sensor on the base, and its z in `map`.
+        height_m: of the robot, so high that no point of it is missed if it is tilted.
+    """
+    x, y, z, map_z = sensor_m[0], sensor_m[1], sensor_m[2], sensor_m[3]
+    tilted_m = np.hypot(axes[2, 0], axes[2, 1]) * (height_m + abs(z))
+    far2 = (radius_m + np.hypot(x, y) + tilted_m) ** 2
+    xs, ys, zs = xyz[0], xyz[1], xyz[2]
+    near = 0
+    for i in range(n):
+        near += xs[i] * xs[i] + ys[i] * ys[i] < far2
+    if near == 0:
+        return n
+    left = 0
+    for i in range(n):
+        up = zs[i] - map_z
+        a = axes[0, 0] * xs[i] + axes[1, 0] * ys[i] + axes[2, 0] * up + x
+        b = axes[0, 1] * xs[i] + axes[1, 1] * ys[i] + axes[2, 1] * up + y
+        if xs[i] * xs[i] + ys[i] * ys[i] < far2 and a * a + b * b < radius_m * radius_m:
+            continue
+        xs[left], ys[left], zs[left] = xs[i], ys[i], zs[i]
+        left += 1
+    return left
 
 
 @njit(nogil=True, cache=True)

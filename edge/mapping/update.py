@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from edge.mapping.layers import BUMPED, FREE, OCCUPIED, UNSEEN, add_disc, bit_set, set_free
-from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE
+from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE, is_open
 
 SEEN_FREE = 10
 """`Layers.top` of a bumped cell that was floor in so many updates in a row, and nothing else."""
@@ -14,13 +14,14 @@ SEEN_FREE = 10
 
 @njit(nogil=True, cache=True)
 def apply_scan(
-    layers, shift_x, shift_y, corner_x, corner_y, scan, polar, sensor_z, obstacle_max_m,
-    coded_m, clear_after, disc, changed, explored, flipped,
+    layers, shift_x, shift_y, corner_x, corner_y, scan, polar, sensor_z, obstacle_min_m,
+    obstacle_max_m, coded_m, clear_after, disc, changed, explored, flipped,
 ):  # fmt: skip
     """Bring a classified scan into the map, and leave `scan.seen` empty.
 
-    An occupied cell without a hit is stale when a ray flew over it lower than its top, which
-    only a ray that would have hit it can do: what lies below the camera's view stays.
+    Of cells that were never seen a ray frees those that it shows to be open (`is_open`). An
+    occupied cell without a hit is stale when a ray flew over it lower than its top, which only a
+    ray that would have hit it can do: what lies below the camera's view stays.
 
     Args:
         corner_x, corner_y: window coordinates of the scratch's cell (0, 0).
@@ -52,8 +53,12 @@ def apply_scan(
                 ):  # fmt: skip
                     flipped[count] = (cy << 16) | cx
                     count += 1
-            elif state == UNSEEN and (code != 0 or distance_m[cy, cx] < reach_m[sector_of[cy, cx]]):
-                set_free(layers, shift_x, shift_y, cx + corner_x, cy + corner_y, changed)
+            elif state == UNSEEN:
+                free = code != 0
+                if not free and distance_m[cy, cx] < reach_m[sector_of[cy, cx]]:
+                    free = _is_open(scan, polar, cy, cx, sensor_z, obstacle_min_m, obstacle_max_m)
+                if free:
+                    set_free(layers, shift_x, shift_y, cx + corner_x, cy + corner_y, changed)
     for i in range(count):
         x, y = (flipped[i] & 0xFFFF) + corner_x, (flipped[i] >> 16) + corner_y
         occupied = raw[(y + shift_y) % n, (x + shift_x) % n] >= OCCUPIED
@@ -62,6 +67,23 @@ def apply_scan(
     explored[1] = min(explored[1], y0 + corner_y)
     explored[2] = max(explored[2], x1 + corner_x)
     explored[3] = max(explored[3], y1 + corner_y)
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _is_open(scan, polar, cy, cx, sensor_z, step_m, high_m):
+    """Return `is_open` of a cell, by the rays that end in the next ring or farther.
+
+    Near the sensor a cell is wider than a sector, and its returns are in any that it subtends.
+    """
+    sector, ring, d = polar.sector_of[cy, cx], polar.ring_of[cy, cx], polar.distance_m[cy, cx]
+    slope, wide = np.float32(np.inf), int(polar.spread[cy, cx])
+    for k in range(sector - wide, sector + wide + 1):
+        j = k % polar.sectors
+        if scan.reach_m[j] > 0.0:
+            slope = min(slope, scan.pass_slope[j, max(ring - 1, 0)])
+    over_m = sensor_z - scan.ground_m[sector, ring]
+    below_m = over_m + slope * d
+    return is_open(scan.lost[sector], below_m, over_m, d, step_m, high_m)
 
 
 @njit(nogil=True, cache=True)

@@ -200,3 +200,47 @@ def test_a_low_thing_just_outside_the_blind_zone_is_an_obstacle(road, thing):
     assert np.count_nonzero(near.all(axis=1)) >= 2
     if thing == "box":
         assert near.all()
+
+
+def unseen(grid: RollingMap, thing: Box, others: list[Box], lost: float = np.nan) -> None:
+    """Three looks at a scene in which one thing gives no return."""
+    T = camera()
+    there, without = (render(CAMERA, T, boxes) for boxes in ([thing, *others], others))
+    depth = np.where(np.abs(there - without) > 1e-3, np.float32(lost), there)
+    for _ in range(3):
+        grid.update_depth(depth, CAMERA, np.eye(4), T)
+
+
+@pytest.mark.parametrize("lost", [np.nan, 0.0, np.inf])
+@pytest.mark.parametrize("high_m", [0.25, 0.4, 0.6, 0.9])
+@pytest.mark.parametrize("x_m", [1.3, 1.8, 2.1])
+def test_a_thing_without_returns_is_not_free(x_m, high_m, lost):
+    """Black, or glass: the rays that pass over it are as high as it is at least."""
+    grid = RollingMap(SMALL.model_copy(update={"inflation_m": 0.0}))
+    unseen(grid, (x_m, -0.3, 0.0, x_m + 0.3, 0.3, high_m), WALLS, lost)
+    assert states_of(grid, *((x_m + 0.1, y) for y in (-0.2, 0.0, 0.2))) == [-1, -1, -1]
+    assert states_of(grid, (1.0, 0.0), (0.3, 0.0), (2.0, 1.0)) == [0, 0, 0]
+
+
+def test_holes_in_the_image_hide_no_floor():
+    """A tenth of the pixels, and all within a metre of the camera, as many have it."""
+    grid = RollingMap(SMALL.model_copy(update={"inflation_m": 0.0}))
+    rng, T = np.random.default_rng(0), camera()
+    across = (np.arange(CAMERA.width_px) - CAMERA.cx_px) / CAMERA.fx_px
+    for _ in range(3):
+        depth = render(CAMERA, T, WALLS)
+        near = depth * np.hypot(1.0, across) < 1.0
+        depth[(rng.random(depth.shape) < 0.1) | near] = 0.0
+        grid.update_depth(depth, CAMERA, np.eye(4), T)
+    x, y = np.meshgrid(np.arange(0.0, 2.4, 0.05), np.arange(-0.5, 0.5, 0.05))
+    ahead = np.abs(y) < 0.6 * (x - 0.1)
+    assert set(states_of(grid, *zip(x[ahead], y[ahead], strict=True))) == {0}
+
+
+def test_rays_over_the_robot_free_nothing():
+    """A camera that looks up sees a wall over the heads of all that may stand before it."""
+    grid = RollingMap(SMALL.model_copy(update={"inflation_m": 0.0}))
+    T = optical(se3(0.1, 0.0, CAMERA_M, pitch_rad=math.radians(-50)))
+    for _ in range(3):
+        grid.update_depth(render(CAMERA, T, WALLS, floor=False), CAMERA, np.eye(4), T)
+    assert states_of(grid, (0.6, 0.0), (2.2, 0.0)) == [0, -1]

@@ -97,40 +97,38 @@ def test_the_search_for_the_floor_agrees_with_its_twin(seed, n, floor, base_z):
         np.testing.assert_allclose(scan.floor, plane if fits else level, atol=1e-5)
 
 
-OWN_M = 0.9
-T_MAP_BASE = se3(1.0, 2.0, 0.5, 0.05, -0.1, 1.0)
-T_BASE_LIDAR = se3(0.2, -0.1, 0.5, 0.1, 0.4, 1.0)
-
-
-def is_own(sensor_m: np.ndarray, T_base_sensor: np.ndarray) -> np.ndarray:
-    """Whether each of (3, n) points is within `OWN_M` of the axis of the base."""
-    base_m = T_base_sensor[:3, :3] @ sensor_m + T_base_sensor[:3, 3:]
-    return np.hypot(base_m[0], base_m[1]) < OWN_M
-
-
 @pytest.mark.parametrize("bad", [np.nan, 0.0, np.inf, -np.inf, -1.0, 1e6, 1e30, 3.4e38])
 def test_depth_points_agree_with_numpy_and_drop_what_is_no_return(bad):
     camera = CameraModel.from_hfov(40, 30, 1.2)
     rng = np.random.default_rng(0)
     depth = rng.uniform(0.5, 4.0, (30, 40)).astype(F)
     depth[rng.random(depth.shape) < 0.3] = bad
-    T = (SE2(1.0, 2.0, 0.7).matrix() @ twins.T_BASE_CAMERA)[:3].astype(F)
+    T = (SE2(1.0, 2.0, 0.7).matrix() @ T_BASE_CAMERA)[:3].astype(F)
     column = ((np.arange(40) - camera.cx_px) / camera.fx_px).astype(F)
     row = ((np.arange(30) - camera.cy_px) / camera.fy_px).astype(F)
-    xyz, own = np.zeros((3, 1200), F), points.own_body(np.eye(4), T_BASE_CAMERA, OWN_M, 0.8)
-    n = points.from_depth(depth, 3, 2, column, row, T, F(0.1), own, xyz)
+    xyz = np.zeros((3, 1200), F)
+    n = points.from_depth(depth, 3, 2, column, row, T, F(0.1), xyz)
     v, u = np.meshgrid(np.arange(1, 30, 2), np.arange(1, 40, 3), indexing="ij")
     d = depth[v, u]
     good = (d > 0.1) & (d < 1e6)
-    optical = np.stack([d * column[u], d * row[v], d])
-    with np.errstate(invalid="ignore", over="ignore"):
-        good &= ~is_own(optical.reshape(3, -1), twins.T_BASE_CAMERA).reshape(good.shape)
-    assert np.count_nonzero(~good & (d > 0.5) & (d < 4.0)) > 0
-    optical = optical[:, good]
+    optical = np.stack([d * column[u], d * row[v], d])[:, good]
     expected = T[:, :3] @ optical
     expected[2] += T[2, 3]
     assert n == good.sum()
     np.testing.assert_allclose(xyz[:, :n], expected, atol=1e-5)
+
+    lost = np.zeros(POLAR.sectors, np.uint64)
+    points.lost_rays(depth, 3, 2, column, row, T, F(0.1), POLAR, lost)
+    rays = T[:, :3] @ np.stack([column[u], row[v], np.ones_like(column[u])])[:, ~good]
+    slope = rays[2] / np.hypot(rays[0], rays[1])
+    rays, slope = rays[:, np.abs(slope + 0.25) < 0.5], slope[np.abs(slope + 0.25) < 0.5]
+    sector = (np.arctan2(rays[1], rays[0]) + math.pi) / (2 * math.pi) * POLAR.sectors
+    bit = ((slope + 0.75) * 64).astype(int)
+    marked = [(s, k) for s in np.flatnonzero(lost) for k in range(64) if int(lost[s]) >> k & 1]
+    assert marked
+    for s, k in marked:  # a sector is that of a cell, whose middle may lie in the next
+        assert (np.abs(sector - s - 0.5)[bit == k] < 1.5).any()
+    assert len({k for _, k in marked} ^ set(bit.tolist())) == 0
 
 
 def test_cloud_points_agree_with_numpy_and_drop_what_is_not_finite():
@@ -140,18 +138,61 @@ def test_cloud_points_agree_with_numpy_and_drop_what_is_not_finite():
     cloud[3::11, 2] = np.nan
     cloud[5] = 1e6
     cloud[6] = 0.0
-    T = (T_MAP_BASE @ T_BASE_LIDAR)[:3].astype(F)
-    xyz, own = np.zeros((3, 200), F), points.own_body(T_MAP_BASE, T_BASE_LIDAR, OWN_M, 9.0)
-    n = points.from_cloud(cloud, T, F(0.1), own, xyz)
+    T = se3(1, 2, 0.5, 0.1, 0.4, 1.0)[:3].astype(F)
+    xyz = np.zeros((3, 200), F)
+    n = points.from_cloud(cloud, T, F(0.1), xyz)
     keep = np.isfinite(cloud).all(axis=1)
     keep[[5, 6]] = False
-    with np.errstate(invalid="ignore", over="ignore"):
-        keep &= ~is_own(cloud.T, T_BASE_LIDAR)
-    assert 0 < np.count_nonzero(~keep) < 150
     expected = T[:, :3] @ cloud[keep].T
     expected[2] += T[2, 3]
     assert n == keep.sum()
     np.testing.assert_allclose(xyz[:, :n], expected, atol=1e-5)
+
+
+@settings(max_examples=25)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    tilt_rad=st.sampled_from([0.0, 0.2]),
+    radius_m=st.sampled_from([0.05, 0.3, 0.9]),
+)
+def test_the_points_of_the_robot_are_dropped_as_numpy_does(seed, tilt_rad, radius_m):
+    rng = np.random.default_rng(seed)
+    T_map_base = se3(*rng.uniform(-9, 9, 3), tilt_rad, -tilt_rad, rng.uniform(-3, 3))
+    sensor_m = np.array([*rng.uniform(-0.3, 0.3, 2), rng.uniform(-0.3, 1.0)])
+    at_m = T_map_base[:3, :3] @ sensor_m + T_map_base[:3, 3]
+    base_m = rng.uniform(-1.0, 1.0, (3, 300))
+    in_map = T_map_base[:3, :3] @ base_m + T_map_base[:3, 3:]
+    xyz = (in_map - [[at_m[0]], [at_m[1]], [0.0]]).astype(F)
+    before = xyz.copy()
+    axes, sensor = T_map_base[:3, :3].astype(F, order="C"), np.array([*sensor_m, at_m[2]], F)
+    left = points.drop_own(300, xyz, axes, sensor, radius_m, 1.0)
+    keep = np.hypot(base_m[0], base_m[1]) >= radius_m
+    np.testing.assert_array_equal(xyz[:, :left], before[:, keep])
+
+
+@given(
+    slopes=st.lists(st.floats(-0.9, 0.9), max_size=9),
+    passes=st.floats(-0.9, 0.9),
+    d=st.floats(0.1, 5.0),
+    over_m=st.floats(0.1, 2.0),
+)
+def test_a_cell_is_open_as_its_rays_say(slopes, passes, d, over_m):
+    """Three lost rays between the floor and the lowest that passes close it, to a bit's width."""
+    slopes = [slope for slope in slopes if -0.75 <= slope < 0.25]
+    lost = np.uint64(sum({1 << int((slope + 0.75) * 64) for slope in slopes}))
+    below_m = over_m + passes * d
+    is_open = points.is_open(lost, below_m, over_m, F(d), 0.1, 1.0)
+    floor, slack = -over_m / max(d, 1.0), 1.1 / 64
+    hidden = [s for s in slopes if floor < s < passes]
+    surely = [s for s in slopes if floor + slack < s < passes - slack]
+    if below_m < 0.1:
+        assert is_open
+    elif below_m > max(1.0, over_m):
+        assert not is_open
+    elif len(hidden) < 3:
+        assert is_open
+    elif len({int((s + 0.75) * 64) for s in surely}) >= 3:
+        assert not is_open
 
 
 VGA = CameraModel.from_hfov(640, 480, math.radians(75))
