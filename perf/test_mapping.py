@@ -100,8 +100,8 @@ def update_all_round(m: grid.RollingMap):
     views = itertools.cycle(frames())
 
     def step() -> None:
-        depth, T, pose = next(views)
-        m.update_depth(depth, CAMERA, T, pose)
+        depth, _, pose = next(views)
+        m.update_depth(depth, CAMERA, pose.matrix(), T_BASE_CAMERA)
 
     return step
 

@@ -138,6 +138,11 @@ FAULTS = [
         {"robot": {"radius_m": "0.5"}, "mapping": {"extent_m": 12}},
         "f.yaml: mapping: extent_m: must be over twice range_m plus inflation",
     ),
+    (
+        {"robot": {"height_m": 0.06}},
+        "f.yaml: mapping: obstacle_max_m 0.075 (by default from robot.height_m): must be above "
+        "obstacle_min_m 0.1",
+    ),
     ({"mapping": {"extent_m": 3}}, "f.yaml: mapping: extent_m: must be over twice range_m"),
     (
         {"mapping": {"extent_m": 500, "resolution_m": 0.05}},
@@ -413,6 +418,19 @@ OVERRIDES = [
         lambda c: c.tasks.trajectory.clearance_m,
         0.5,
     ),
+    ({"EDGE__ROBOT__HEIGHT_M": "0.8"}, lambda c: c.mapping.obstacle_max_m, 1.0),
+    ({"EDGE__ROBOT__HEIGHT_M": "1.5"}, lambda c: c.mapping.obstacle_max_m, 1.7),
+    ({"EDGE__ROBOT__HEIGHT_M": "0.3"}, lambda c: c.mapping.obstacle_max_m, 0.375),
+    (
+        {"EDGE__ROBOT__HEIGHT_M": "0.3", "EDGE__MAPPING__OBSTACLE_MAX_M": "0.9"},
+        lambda c: c.mapping.obstacle_max_m,
+        0.9,
+    ),
+    ({"EDGE__SENSORS__LIDAR": "{z_m: -0.047}"}, lambda c: c.sensors.lidar.z_m, -0.047),
+    ({"EDGE__SENSORS__CAMERA__Z_M": "0"}, lambda c: c.sensors.camera.z_m, 0.0),
+    ({}, lambda c: c.robot.self_filter_m, 0.2),
+    ({"EDGE__ROBOT__RADIUS_M": "0.3"}, lambda c: c.robot.self_filter_m, 0.3),
+    ({"EDGE__ROBOT__SELF_FILTER_M": "0"}, lambda c: c.robot.self_filter_m, 0.0),
     ({"EDGE__POLICY__KIND": "nearest_frontier"}, lambda c: c.policy.kind, "nearest_frontier"),
     ({"EDGE__LOOP__LOCKSTEP": "true"}, lambda c: c.loop.lockstep, True),
     ({"EDGE__SENSORS__CAMERA__WIDTH_PX": "64"}, lambda c: c.sensors.camera.width_px, 64),

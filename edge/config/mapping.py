@@ -29,7 +29,8 @@ class Mapping(Section):
 
     Where the robot was held up by something that no sensor shows (a sill, glass) the map stays
     closed for `bump_memory_s`. Cells whose middle is within `inflation_m` of the rim of an occupied
-    cell are closed.
+    cell are closed. The robot passes under what is higher over the floor than `obstacle_max_m`: by
+    default its height and 0.2 m, or a quarter of its height if that is less.
     """
 
     input: Literal["depth", "cloud"] = "depth"
@@ -62,5 +63,8 @@ class Mapping(Section):
                 f"{math.floor(MAX_CELLS * self.resolution_m)}, or resolution_m from {finest_m:g}"
             )
         if self.obstacle_max_m <= self.obstacle_min_m:
-            raise ValueError("obstacle_max_m: must be above obstacle_min_m")
+            raise ValueError(
+                f"obstacle_max_m {self.obstacle_max_m:g} (by default from robot.height_m): must be "
+                f"above obstacle_min_m {self.obstacle_min_m:g}"
+            )
         return self

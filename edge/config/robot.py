@@ -6,14 +6,19 @@ import math
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from edge.config.section import NonNegative, Positive, Section
 from edge.geometry import CameraModel, optical, se3
 
 
 class Robot(Section):
-    """`name` is for people; by default the last word of `zenoh.prefix`, as `edge fleet` has it."""
+    """`name` is for people; by default the last word of `zenoh.prefix`, as `edge fleet` has it.
+
+    `radius_m` sets `mapping.inflation_m`, and `height_m` sets `mapping.obstacle_max_m`, where these
+    are not set. What sensors see within `self_filter_m` of the axis of the base is the robot itself
+    (posts, a gripper): by default `radius_m`; 0: nothing is.
+    """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")] | None = None
     radius_m: Positive = 0.2
@@ -22,18 +27,24 @@ class Robot(Section):
     max_turn_radps: Positive = 1.2
     max_accel_mps2: Positive = 1.0
     max_turn_accel_radps2: Positive = 3.0
+    self_filter_m: Annotated[NonNegative | None, Field(validate_default=True)] = None
+
+    @field_validator("self_filter_m")
+    @classmethod
+    def _as_wide_as_itself(cls, value: float | None, info: ValidationInfo) -> float | None:
+        return info.data.get("radius_m") if value is None else value
 
 
 class Mount(Section):
     """Where a sensor sits on the robot's base: x forward, y left, z up.
 
     The angles are about these axes, roll first, then pitch (positive: nose down), then yaw
-    (positive: to the left).
+    (positive: to the left). `z_m` is negative if the base frame is above the sensor.
     """
 
     x_m: float = 0.0
     y_m: float = 0.0
-    z_m: Positive = 0.5
+    z_m: float = 0.5
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
     yaw_deg: float = 0.0
@@ -52,7 +63,7 @@ class Camera(Mount):
     """
 
     x_m: float = 0.1
-    z_m: Positive = 0.6
+    z_m: float = 0.6
     pitch_deg: float = 5.0
     width_px: Annotated[int, Field(ge=16, le=4096)] = 320
     height_px: Annotated[int, Field(ge=16, le=4096)] = 256

@@ -27,6 +27,9 @@ from edge.host import resources
 
 CLEARANCE_M = 0.1
 """A trajectory stays so much farther from obstacles than the robot's radius."""
+HEADROOM_M, HEADROOM_SHARE = 0.2, 0.25
+"""The robot passes under what is higher than itself by so much, or by this share of its height if
+that is less."""
 
 ValueSource = Literal["similarity", "choice"]
 _GOES_BY: dict[str, ValueSource] = {"vlfm": "similarity", "directional": "choice"}
@@ -60,9 +63,10 @@ class Config(Section):
 
     @field_validator("mapping", "tasks", mode="before")
     @classmethod
-    def _wide_as_the_robot(cls, section: Any, info: ValidationInfo) -> Any:
+    def _fit_the_robot(cls, section: Any, info: ValidationInfo) -> Any:
         """Inflate obstacles by more around a wider robot, and keep its trajectories farther from
-        them, where `mapping.inflation_m` and `tasks.trajectory.clearance_m` are not set.
+        them, where `mapping.inflation_m` and `tasks.trajectory.clearance_m` are not set. A higher
+        robot has higher obstacles, where `mapping.obstacle_max_m` is not set.
 
         The robot comes before both sections, so that its radius is already a number here, however
         the file writes it.
@@ -72,7 +76,10 @@ class Config(Section):
             return section
         if info.field_name == "mapping":
             inflation_m = max(Mapping().inflation_m, robot.radius_m)
-            return _with_default(section, ("inflation_m",), inflation_m)
+            section = _with_default(section, ("inflation_m",), inflation_m)
+            headroom_m = min(HEADROOM_M, HEADROOM_SHARE * robot.height_m)
+            obstacle_max_m = round(robot.height_m + headroom_m, 3)
+            return _with_default(section, ("obstacle_max_m",), obstacle_max_m)
         clearance_m = max(TrajectoryLimits().clearance_m, round(robot.radius_m + CLEARANCE_M, 3))
         return _with_default(section, ("trajectory", "clearance_m"), clearance_m)
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from edge.config import Config
-from edge.geometry import SE2, Grid
+from edge.geometry import Grid
 from edge.host.worker import Worker
 from edge.mapping import regions
 from edge.mapping.grid import RollingMap
@@ -265,7 +265,7 @@ def make_prior(config: Config) -> Prior | None:
 def warm_up(config: Config) -> None:
     """Compile the kernels, or read them from the cache."""
     grid, sightings = RollingMap(config.mapping), Sightings(1)
-    grid.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), SE2(0.0, 0.0, 0.0))
+    grid.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), np.eye(4))
     table = load()
     prior = Prior("both", table, Words(table), TALL, inline=True)
     sightings.words.append(table.things[0])

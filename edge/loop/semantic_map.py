@@ -6,6 +6,7 @@ one owner, since it begins with the frame and ends with it.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -23,6 +24,8 @@ from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
 from edge.perception.sightings import SightingTracker
 from edge.types import Detections, Instance, Observation
+
+log = logging.getLogger("edge.loop.semantic_map")
 
 Kept = dict[str, np.ndarray]
 
@@ -53,8 +56,9 @@ class SemanticMap:
         )
         self.prior = make_prior(config)
         self.epoch = 0
+        self._floor_missing = False
         self._lifter = Lifter(perception)
-        self._lay(RollingMap(config.mapping))
+        self._lay(RollingMap(config.mapping, config.robot))
 
     def _lay(self, grid: RollingMap) -> None:
         """Put a grid in the place of the one that there was."""
@@ -70,17 +74,34 @@ class SemanticMap:
 
     def update(self, observation: Observation, now_ns: int) -> MapUpdate | None:
         """Fold the depth image or cloud in; None where the observation has none."""
-        grid, seen, pose, update = self.grid, observation, observation.pose, None
+        grid, seen, update = self.grid, observation, None
         grid.bumps.expire(now_ns)
         if self.config.mapping.input == "cloud":
             if seen.cloud_m is not None:
-                T_map_lidar = seen.T_map_base @ seen.T_base_lidar
-                update = grid.update_cloud(seen.cloud_m, T_map_lidar, pose)
+                update = grid.update_cloud(seen.cloud_m, seen.T_map_base, seen.T_base_lidar)
         elif seen.depth_m is not None and seen.camera is not None:
-            T_map_camera = seen.T_map_base @ seen.T_base_camera
-            update = grid.update_depth(seen.depth_m, seen.camera, T_map_camera, pose)
-        grid.reach.step(pose)
+            update = grid.update_depth(
+                seen.depth_m, seen.camera, seen.T_map_base, seen.T_base_camera
+            )
+        grid.reach.step(seen.pose)
+        if update is not None:
+            self._tell_of_floor(update, float(seen.T_map_base[2, 3]))
         return update
+
+    def _tell_of_floor(self, update: MapUpdate, base_z_m: float) -> None:
+        """Log that the floor is not where the mount says, and that it is found again."""
+        missing = update.floor_missing
+        if missing == self._floor_missing or not (missing or update.floor_seen):
+            return
+        self._floor_missing = missing
+        if missing:
+            log.warning(
+                "no floor near z = %.2f m of map, where the base is, but ground far below: nothing "
+                "is mapped; check z_m and pitch_deg of the sensor, and the frame of the odometry",
+                base_z_m,
+            )
+        else:
+            log.info("floor found at z = %.2f m of map", update.floor_z_m)
 
     def look(self, detections: Detections) -> None:
         """Boxes become sightings and instances, by the depth and pose that they were seen with."""
@@ -126,7 +147,7 @@ class SemanticMap:
     def forget(self) -> None:
         """The frame is another: nothing that was known means anything there."""
         self.epoch += 1
-        self._lay(RollingMap(self.config.mapping))
+        self._lay(RollingMap(self.config.mapping, self.config.robot))
         self.tracker.clear()
         self.sightings.clear()
         self.pool.clear()

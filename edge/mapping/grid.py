@@ -10,7 +10,7 @@ from weakref import proxy
 import numpy as np
 
 from edge import config
-from edge.geometry import FARTHEST_M, SE2, CameraModel, Grid
+from edge.geometry import FARTHEST_M, CameraModel, Grid
 from edge.mapping import clusters as cl
 from edge.mapping import layers as ly
 from edge.mapping import points, tiles, unknown, update
@@ -28,15 +28,23 @@ from edge.mapping.window import Window
 _SMALLEST_OBSTACLE_M = 0.1
 _SAMPLES_ACROSS, _SAMPLES_UP = 2, 4
 _FOOTPRINT_M = 0.3
+# The robot's centre is somewhere in its cell: a wall that it touches must not be under its body.
+_OFF_CENTRE_CELLS = 0.7
+# Of each sight of the floor so much counts.
+_FLOOR_GAIN = 0.2
 # Poses farther apart are not joined to one trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
+_ROBOT = config.Robot()
 _NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
 
 
 class RollingMap:
     """A square window of the world that follows the robot; memory is fixed at construction.
 
-    z = 0 of `map` is the floor that the robot starts on.
+    The floor is wherever it is seen near the robot, whatever z it has in `map`.
+
+    Args:
+        robot: its shape: what it sees of itself is no obstacle, and where it stands is free.
 
     Attributes:
         frontiers: refreshed in place by every update.
@@ -49,14 +57,16 @@ class RollingMap:
         layers: what updates write, read-only, by storage cell (see `edge.mapping.layers`).
     """
 
-    def __init__(self, config: config.Mapping) -> None:
+    def __init__(self, config: config.Mapping, robot: config.Robot = _ROBOT) -> None:
         c = self.config = config
+        self._robot_shape = robot
         res = c.resolution_m
         # An obstacle may stand at the rim of its cell, half a cell nearer than the middle.
         self._inflation_cells = c.inflation_m / res + 0.5
         self._disc = ly.disc_half_widths(self._inflation_cells)
         self._body = ly.disc_half_widths(max(self._inflation_cells - ROUNDING_CELLS, 0.0))
-        self._footprint = ly.disc_half_widths(_FOOTPRINT_M / res)
+        self._footprint = ly.disc_half_widths(max(_FOOTPRINT_M, robot.radius_m) / res)
+        self._stood_on = ly.disc_half_widths(max(robot.radius_m / res - _OFF_CENTRE_CELLS, 0.0))
         self._polar = points.make_polar(c.range_m, res)
         self._half = self._polar.bin_of.shape[0] // 2
         # Cells that must lie in the window on each side of the sensor.
@@ -70,7 +80,9 @@ class RollingMap:
         self._n_pending = 0
         self._scan = points.make_scan(self._polar, 1024)
         self._robot: tuple[int, int] | None = None  # its world cell at the last update
-        self._floor_z_m = 0.0
+        self._floor_m = math.nan  # height of the floor over the base, if it was seen,
+        self._base_z_m = math.nan  # and of the base when it was last seen
+        self._nowhere = False  # the ground is far below the base: what is free nobody knows
         self._changed = np.array(_NOTHING, np.int64)
         self._explored = np.array(_NOTHING, np.int64)
         self._flipped = np.zeros(self._polar.bin_of.size, np.int32)
@@ -94,15 +106,19 @@ class RollingMap:
         self.bumps = Bumps(self._layers, self.window, c, write)
 
     def update_depth(
-        self, depth_m: np.ndarray, camera: CameraModel, T_map_camera: np.ndarray, pose: SE2
+        self,
+        depth_m: np.ndarray,
+        camera: CameraModel,
+        T_map_base: np.ndarray,
+        T_base_camera: np.ndarray,
     ) -> MapUpdate:
         """Bring a depth image into the map (VL-Nav algorithm 1).
 
         Args:
             depth_m: (h, w) float32; NaN, 0, inf and what is over 1e6 = no return.
             camera: its intrinsics.
-            T_map_camera: (4, 4), `map` from the optical frame at the image's stamp.
-            pose: the robot's at that stamp.
+            T_map_base: (4, 4), the robot's base at the image's stamp.
+            T_base_camera: (4, 4), base from the optical frame.
 
         Raises:
             ValueError: the image's size is not the camera's, or a pose is not finite.
@@ -113,21 +129,30 @@ class RollingMap:
                 f"{camera.width_px} (height x width): send the matching camera info"
             )
         self._use_camera(camera)
-        T, cell, fraction = self._locate(T_map_camera, pose)
+        T, cell, fraction = self._locate(T_map_base, T_base_camera)
         rolled = self._follow(*cell)
-        n_points = points.from_depth(
+        seen = (
             ly.plain(depth_m), *self._strides, self._column, self._row, T,
-            np.float32(self.config.min_range_m), self._scan.xyz,
+            np.float32(self.config.min_range_m),
         )  # fmt: skip
-        return self._finish(n_points, n_points, T, cell, fraction, pose, rolled)
+        n_points = points.from_depth(*seen, self._scan.xyz)
+        self._scan.lost[:] = 0
+        if n_points < self._n_pixels:
+            points.lost_rays(*seen, self._polar, self._scan.lost)
+        return self._finish(
+            n_points, n_points, T, cell, fraction, T_map_base, T_base_camera, rolled
+        )
 
-    def update_cloud(self, cloud_m: np.ndarray, T_map_lidar: np.ndarray, pose: SE2) -> MapUpdate:
+    def update_cloud(
+        self, cloud_m: np.ndarray, T_map_base: np.ndarray, T_base_lidar: np.ndarray
+    ) -> MapUpdate:
         """Bring a point cloud into the map; like `update_depth`.
 
         Args:
             cloud_m: (n, 3) float32 in the LiDAR's frame; points that are not finite are dropped. A
                 row (x, y, inf) is a ray that met nothing up to (x, y, 0): it frees only.
-            T_map_lidar: (4, 4), `map` from the LiDAR's frame.
+            T_map_base: (4, 4), the robot's base when the cloud was taken.
+            T_base_lidar: (4, 4), base from the LiDAR's frame.
 
         Raises:
             ValueError: the cloud is not (n, 3), or a pose is not finite.
@@ -135,12 +160,13 @@ class RollingMap:
         if cloud_m.ndim != 2 or cloud_m.shape[1] != 3:
             raise ValueError(f"cloud has shape {cloud_m.shape}, expected (n, 3): x, y, z in metres")
         self._reserve(len(cloud_m))
-        T, cell, fraction = self._locate(T_map_lidar, pose)
+        T, cell, fraction = self._locate(T_map_base, T_base_lidar)
         rolled = self._follow(*cell)
         hits, n_points = points.from_cloud(
             ly.plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
         )
-        return self._finish(n_points, hits, T, cell, fraction, pose, rolled)
+        self._scan.lost[:] = 0
+        return self._finish(n_points, hits, T, cell, fraction, T_map_base, T_base_lidar, rolled)
 
     def state_at(self, x_m: float, y_m: float) -> int:
         """-1 unknown or outside the window, 0 free, 100 occupied or inflated."""
@@ -242,7 +268,7 @@ class RollingMap:
         return {
             "origin": np.array(self.window.origin, np.int64),
             "cells": np.array(self.window.n, np.int64),
-            "floor_z_m": np.array(self._floor_z_m),
+            "floor_z_m": np.array(self._floor_m),
             "robot": robot.reshape(-1, 2),
             **{f"cluster_{name}": of for name, of in cl.kept(self._clusters).items()},
         }
@@ -269,7 +295,8 @@ class RollingMap:
         layers, window, n = self._layers, self.window, self.window.n
         robot = [(int(x), int(y)) for x, y in kept["robot"]]
         self._robot = robot[0] if robot else None
-        self._floor_z_m = float(kept["floor_z_m"])
+        floor_m = float(kept["floor_z_m"])
+        self._floor_m = floor_m if abs(floor_m) < FARTHEST_M else math.nan
         x, y = (int(at) for at in kept["origin"])
         if kept["cells"] != n and robot:
             x, y = (at - n // 2 for at in robot[0])
@@ -305,9 +332,12 @@ class RollingMap:
         u, v = np.arange(camera.width_px), np.arange(camera.height_px)
         self._column = ((u - camera.cx_px) / camera.fx_px).astype(np.float32)
         self._row = ((v - camera.cy_px) / camera.fy_px).astype(np.float32)
-        self._reserve(
-            -(-camera.width_px // self._strides[0]) * -(-camera.height_px // self._strides[1])
+        u, v = (
+            range(stride // 2, n, stride)
+            for n, stride in zip((camera.width_px, camera.height_px), self._strides, strict=True)
         )
+        self._n_pixels = len(u) * len(v)
+        self._reserve(self._n_pixels)
         self._camera = camera
 
     def _reserve(self, n_points: int) -> None:
@@ -315,10 +345,11 @@ class RollingMap:
             self._scan = points.make_scan(self._polar, n_points + n_points // 4)
 
     def _locate(
-        self, T_map_sensor: np.ndarray, pose: SE2
+        self, T_map_base: np.ndarray, T_base_sensor: np.ndarray
     ) -> tuple[np.ndarray, tuple[int, int], tuple[np.float32, np.float32]]:
         """The transform as (3, 4) float32, the sensor's world cell, its place in the scratch."""
-        place = (*T_map_sensor[:2, 3], pose.x_m, pose.y_m)
+        T_map_sensor = T_map_base @ T_base_sensor
+        place = (*T_map_sensor[:2, 3], *T_map_base[:2, 3])
         if not np.isfinite(T_map_sensor).all() or not all(abs(v) < FARTHEST_M for v in place):
             raise ValueError(
                 f"sensor or robot pose is not finite or beyond {FARTHEST_M:.0e} m: "
@@ -336,46 +367,79 @@ class RollingMap:
         T: np.ndarray,
         cell: tuple[int, int],
         fraction: tuple[np.float32, np.float32],
-        pose: SE2,
+        T_map_base: np.ndarray,
+        T_base_sensor: np.ndarray,
         rolled: bool,
     ) -> MapUpdate:
         """Everything that follows once scan.xyz holds the points: `hits`, then free rays' ends."""
         c, polar, scan, layers = self.config, self._polar, self._scan, self._layers
-        sensor_z = float(T[2, 3])
+        sensor_z, robot = float(T[2, 3]), self._robot_shape
+        if robot.self_filter_m:
+            axes = np.array(T_map_base[:3, :3], np.float32, order="C")
+            sensor_m = np.array([*T_base_sensor[:3, 3], sensor_z], np.float32)
+            n_points, hits = points.drop_own(
+                n_points, hits, scan.xyz, axes, sensor_m, robot.self_filter_m, robot.height_m
+            )
         n = points.bin_points(
             n_points, hits, T[2, 3], np.float32(c.range_m),
             np.float32(1.0 / self.resolution_m), *fraction, polar, scan,
         )  # fmt: skip
-        total, count = points.sweep_ground(
-            scan,
-            polar,
-            sensor_z,
-            self._floor_z_m,
-            c.ground_slope,
-            c.obstacle_min_m,
-            c.range_m,
-            1.0 / self.resolution_m,
-        )
-        if count:
-            self._floor_z_m += 0.2 * (total / count - self._floor_z_m)
-        points.classify(n, scan, polar, c.obstacle_min_m, c.obstacle_max_m)
+        floor_seen = self._find_floor(sensor_z, float(T_map_base[2, 3]))
+        if self._nowhere:
+            n, scan.reach_m[:] = 0, 0.0
+        coded_m = max(c.obstacle_max_m, points.CODED_M)
+        points.classify(n, scan, polar, c.obstacle_min_m, c.obstacle_max_m, coded_m)
         shift, origin = self.window.shift, self.window.origin
         corner = (cell[0] - self._half - origin[0], cell[1] - self._half - origin[1])
         update.apply_scan(
-            layers, *shift, *corner, scan, polar, sensor_z, c.obstacle_max_m, c.clear_after,
-            self._disc, self._changed, self._explored, self._flipped,
+            layers, *shift, *corner, scan, polar, sensor_z, c.obstacle_min_m,
+            c.obstacle_max_m, coded_m, c.clear_after, self._disc, self._changed, self._explored,
+            self._flipped,
         )  # fmt: skip
-        robot = self.window.cell_of(pose.x_m, pose.y_m)
+        robot_cell = self.window.cell_of(float(T_map_base[0, 3]), float(T_map_base[1, 3]))
         update.free_footprint(
-            layers, *shift, robot[0] - origin[0], robot[1] - origin[1],
-            self._footprint, self._changed, self._explored,
+            layers, *shift, robot_cell[0] - origin[0], robot_cell[1] - origin[1],
+            self._footprint, self._stood_on, self._disc, self._changed, self._explored,
         )  # fmt: skip
-        self._extend_trail(robot)
-        self.bumps.stand_on(robot)
+        self._extend_trail(robot_cell)
+        self.bumps.stand_on(robot_cell)
         self.bumps.open_seen_free()
-        self._note_written(cell, robot)
+        self._note_written(cell, robot_cell)
         changed = self._refresh_frontiers(rolled)
-        return MapUpdate(changed, rolled)
+        floor_z = float(T_map_base[2, 3]) + self._floor_m
+        return MapUpdate(changed, rolled, floor_z, floor_seen, self._nowhere)
+
+    def _find_floor(self, sensor_z: float, base_z: float) -> bool:
+        """Follow the ground from the floor that the robot stands on; return whether it was seen.
+
+        The floor keeps its distance from the base, as in a lift. It is searched for until it is
+        known, and again when the base moves up or down at once: the robot may have crouched.
+        """
+        c, polar, scan, step_m = self.config, self._polar, self._scan, self.config.obstacle_min_m
+        near_m = points.search_range_m(sensor_z - base_z, c.min_range_m)
+        floor_z, below_m2 = base_z + self._floor_m, 0.0
+        if not abs(base_z - self._base_z_m) <= 0.5 * step_m:
+            search = scan, polar, sensor_z, base_z, step_m
+            found_z, below_m2 = points.find_floor(*search, near_m)
+            if math.isnan(found_z):
+                found_z, below_m2 = points.find_floor(*search, c.range_m)
+            if not abs(found_z - floor_z) <= step_m:
+                # A sensor that sees no floor is over it, if only by what is no obstacle.
+                guesses = found_z, floor_z, min(base_z, sensor_z - 2.0 * step_m)
+                floor_z = next(z for z in guesses if math.isfinite(z))
+        scan.floor[:] = floor_z, 0.0, 0.0
+        sweep = scan, polar, sensor_z, c.ground_slope, step_m, c.range_m, 1.0 / self.resolution_m
+        total, count = points.sweep_ground(*sweep)
+        fit = scan, polar, sensor_z, step_m
+        if not count and any(points.fit_floor(*fit, m) for m in (near_m, c.range_m)):
+            total, count = scan.floor[0], 1
+            points.sweep_ground(*sweep)
+        if count:
+            known = abs(floor_z - base_z - self._floor_m) <= step_m
+            floor_z += (_FLOOR_GAIN if known else 1.0) * (total / count - floor_z)
+            self._floor_m, self._base_z_m = floor_z - base_z, base_z
+        self._nowhere = not count and below_m2 > points.LEAST_FLOOR_M2
+        return count > 0
 
     def _write(self, x: int, y: int, state: int, top: int = 0) -> None:
         """Set one world cell of the window by hand, and what is inflated by it."""

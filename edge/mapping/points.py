@@ -16,13 +16,17 @@ from numba import njit
 from edge.geometry import FARTHEST_M
 
 # What `seen` holds of a cell: floor, a step that is too low for an obstacle but no floor, or
-# 3 + height in units of obstacle_max_m / HEIGHT_CODES above the ground, as `top` does.
+# 3 + height in units of coded_m / HEIGHT_CODES above the ground, as `top` does.
 FLOOR, STEP = 1, 2
 LOWEST_OBSTACLE, HEIGHT_CODES = 3, 250
 # From this part of obstacle_min_m on it is a step: a sill that stops the robot is one.
 _STEP_FROM = 0.5
 TALL = LOWEST_OBSTACLE + int(0.85 * HEIGHT_CODES)
 """`Layers.top` from which an obstacle is wall, or as good as one: nobody sees over it."""
+CODED_M = 1.0
+"""Heights are coded up to this, or `obstacle_max_m` if that is more: a low robot knows walls."""
+# An obstacle that ends so little below `obstacle_max_m` goes on in what is seen above that.
+_GOES_ON_M = 0.1
 # Ground that wobbles by less is still the same ground (depth noise, carpets).
 _GROUND_NOISE_M = 0.02
 # Rings near enough to tell the height of the floor that the robot stands on.
@@ -31,6 +35,24 @@ _NEAR_GROUND_M = 1.5
 # whose floor lies in the blind zone is one ring, and creeping up to it would lift the floor.
 _GROUND_RUN_M = 0.3
 _RUN_GAP = 2  # rings
+# The base frame is so high over the floor at most (that of a legged robot is in its body).
+_HIGHEST_BASE_M = 0.9
+# Less ground is no floor: a wall has one ring, and something on the floor is not so wide.
+LEAST_FLOOR_M2, _LEAST_FLOOR_SHARE = 0.3, 0.3
+_LEVEL_M, _LEVELS_OF_FLOOR = 0.05, 4
+# A ray that falls less meets a wall: a level scan sees no floor.
+_LEAST_FALL = 0.08
+# Ground near the robot, in heights of the sensor: nearer, its rays are steep enough.
+_SEARCH_HEIGHTS, _SEARCH_M, _SEARCH_BLIND = 4.0, 3.0, 2.0
+# The floor of a map leans by no more, whether the map is tilted or the road climbs.
+_STEEPEST_FLOOR = 0.15
+_FLOOR_SPREAD, _FITS = 0.06, 3
+# Slopes of rays that gave no return are kept in a bit each, from here on in steps as wide: a lower
+# one meets the floor near the sensor, where many cameras return nothing.
+_LOST_FROM, _LOST_PER_SLOPE, _LOST_BITS = -0.75, 64, 64
+_LOST_NEAR_M = 1.0
+# Fewer are holes in the image.
+_LOST_LEAST = 3
 # No sensor sees this far: a number beyond it is no return.
 _FARTHEST_M = np.float32(FARTHEST_M)
 _MIN_SECTOR_RAD = 0.0175
@@ -71,12 +93,16 @@ class Scan(NamedTuple):
         z_m: (capacity,) float32, its height in `map`.
         lowest_m: (sectors, rings) float32, lowest point of each bin; inf = none.
         far_slope: (sectors,) float32, lowest slope (rise / run) of a ray beyond range; inf.
+        lost: (sectors,) uint64, a bit for each slope at which a ray gave no return; see `is_open`.
         ground_m: (sectors, rings) float32, height of the local ground.
         pass_slope: (sectors, rings) float32, lowest slope of a ray that flew over the bin.
         reach_m: (sectors,) float32, how far rays free unknown cells; 0 = nothing seen.
         seen: (side, side) uint8, per cell 0, FLOOR, STEP, or the code of the highest obstacle
             point.
         box: (4,) int64, half-open rectangle that holds the sensor's cell and all cells seen.
+        levels: (2, 64) float64, area of ground at each height, and area times height.
+        floor: (3,) float64, the floor as a plane: its height at the sensor's cell, and how much it
+            rises along x and y.
     """
 
     xyz: np.ndarray
@@ -84,11 +110,14 @@ class Scan(NamedTuple):
     z_m: np.ndarray
     lowest_m: np.ndarray
     far_slope: np.ndarray
+    lost: np.ndarray
     ground_m: np.ndarray
     pass_slope: np.ndarray
     reach_m: np.ndarray
     seen: np.ndarray
     box: np.ndarray
+    levels: np.ndarray
+    floor: np.ndarray
 
 
 def make_polar(range_m: float, resolution_m: float) -> Polar:
@@ -129,12 +158,20 @@ def make_scan(polar: Polar, capacity: int) -> Scan:
         z_m=np.zeros(capacity, np.float32),
         lowest_m=np.full(bins, np.inf, np.float32),
         far_slope=np.full(polar.sectors, np.inf, np.float32),
+        lost=np.zeros(polar.sectors, np.uint64),
         ground_m=np.zeros(bins, np.float32),
         pass_slope=np.zeros(bins, np.float32),
         reach_m=np.zeros(polar.sectors, np.float32),
         seen=np.zeros(polar.bin_of.shape, np.uint8),
         box=np.zeros(4, np.int64),
+        levels=np.zeros((2, 64)),
+        floor=np.zeros(3),
     )
+
+
+def search_range_m(height_m: float, min_range_m: float) -> float:
+    """Return how far to look for the floor that the robot stands on."""
+    return max(_SEARCH_M, _SEARCH_HEIGHTS * height_m, _SEARCH_BLIND * min_range_m)
 
 
 @njit(nogil=True, cache=True)
@@ -164,6 +201,59 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
             xyz[2, n] = d * (zx * column[u] + bz) + T[2, 3]
             n += 1
     return n
+
+
+@njit(nogil=True, cache=True)
+def lost_rays(depth_m, stride_u, stride_v, column, row, T, min_range_m, polar, lost):
+    """Note in `lost` the rays of the pixels that `from_depth` leaves out; see `is_open`."""
+    half = polar.bin_of.shape[0] // 2
+    for v in range(stride_v // 2, depth_m.shape[0], stride_v):
+        for u in range(stride_u // 2, depth_m.shape[1], stride_u):
+            d = depth_m[v, u]
+            if d > min_range_m and d < _FARTHEST_M:
+                continue
+            x = T[0, 0] * column[u] + T[0, 1] * row[v] + T[0, 2]
+            y = T[1, 0] * column[u] + T[1, 1] * row[v] + T[1, 2]
+            z = T[2, 0] * column[u] + T[2, 1] * row[v] + T[2, 2]
+            run = np.sqrt(x * x + y * y)
+            bit = int((z / run - _LOST_FROM) * _LOST_PER_SLOPE)
+            if not (_LOST_FROM * run <= z and bit < _LOST_BITS):
+                continue
+            cells = np.float32(half - 1) / run
+            sector = polar.sector_of[int(half + 0.5 + y * cells), int(half + 0.5 + x * cells)]
+            lost[sector] |= np.uint64(1) << np.uint64(bit)
+
+
+@njit(nogil=True, cache=True)
+def is_open(lost, below_m, over_m, d, step_m, high_m):
+    """Return whether nothing can stand in a cell that a ray flew over.
+
+    A ray that flew lower than a step shows that. A higher one does only if no ray was sent lower:
+    those that gave no return may have met a thing that none shows (black, glass). Rays that meet
+    the floor within `_LOST_NEAR_M` say nothing: many cameras see nothing so near.
+
+    Args:
+        lost: of the cell's sector, see `Scan`.
+        below_m: height over the ground at which the lowest ray flew over the cell.
+        over_m: height of the sensor over the ground there.
+        d: distance of the cell.
+        high_m: a ray that flew higher than this, and than the sensor is, shows nothing.
+    """
+    if below_m < step_m:
+        return True
+    if below_m > max(high_m, over_m):
+        return False
+    lowest = -over_m / max(d, np.float32(_LOST_NEAR_M))
+    first = int((lowest - _LOST_FROM) * _LOST_PER_SLOPE) + 1
+    end = int(((below_m - over_m) / d - _LOST_FROM) * _LOST_PER_SLOPE)
+    first, end = max(first, 0), min(end, _LOST_BITS)
+    if end <= first:
+        return True
+    bits = np.uint64(0xFFFFFFFFFFFFFFFF) >> np.uint64(_LOST_BITS - (end - first))
+    hidden = lost & (bits << np.uint64(first))
+    for _ in range(_LOST_LEAST - 1):
+        hidden &= hidden - np.uint64(1)  # one bit less
+    return hidden == np.uint64(0)
 
 
 @njit(nogil=True, cache=True)
@@ -200,6 +290,43 @@ def from_cloud(cloud_m, T, min_range_m, xyz):
             xyz[2, n] = T[2, 0] * a + T[2, 1] * b + T[2, 3]
             n += 1
     return hits, n
+
+
+@njit(nogil=True, cache=True)
+def drop_own(n, hits, xyz, axes, sensor_m, radius_m, height_m):
+    """Take the points of the robot itself out of `xyz`.
+
+    The robot is a cylinder around the axis of its base. It has no lid: what is over the robot is no
+    obstacle where it stands.
+
+    Args:
+        axes: (3, 3) float32, directions x, y, z of the base in `map`, as columns.
+        sensor_m: (4,) float32, the sensor on the base, and its z in `map`.
+        height_m: of the robot, so high that no point of it is missed if it is tilted.
+
+    Returns:
+        (how many of the `n` are left, how many of the `hits`, which come first).
+    """
+    x, y, z, map_z = sensor_m[0], sensor_m[1], sensor_m[2], sensor_m[3]
+    tilted_m = np.hypot(axes[2, 0], axes[2, 1]) * (height_m + abs(z))
+    far2 = (radius_m + np.hypot(x, y) + tilted_m) ** 2
+    xs, ys, zs = xyz[0], xyz[1], xyz[2]
+    near = 0
+    for i in range(n):
+        near += xs[i] * xs[i] + ys[i] * ys[i] < far2
+    if near == 0:
+        return n, hits
+    left = left_hits = 0
+    for i in range(n):
+        up = zs[i] - map_z
+        a = axes[0, 0] * xs[i] + axes[1, 0] * ys[i] + axes[2, 0] * up + x
+        b = axes[0, 1] * xs[i] + axes[1, 1] * ys[i] + axes[2, 1] * up + y
+        if xs[i] * xs[i] + ys[i] * ys[i] < far2 and a * a + b * b < radius_m * radius_m:
+            continue
+        xs[left], ys[left], zs[left] = xs[i], ys[i], zs[i]
+        left += 1
+        left_hits += i < hits
+    return left, left_hits
 
 
 @njit(nogil=True, cache=True)
@@ -253,13 +380,95 @@ def bin_points(n_points, hits, sensor_z, range_m, inv_res, fx, fy, polar, scan):
 
 
 @njit(nogil=True, cache=True)
-def sweep_ground(scan, polar, sensor_z, floor_z, slope, step_m, range_m, inv_res):
+def find_floor(scan, polar, sensor_z, base_z, step_m, search_m):
+    """Find the height of the floor: the lowest that much ground near the robot has.
+
+    What is higher may be a table, and what is much lower than the base is not under the robot.
+
+    Returns:
+        (height or NaN, area [m2] of what is lower than the base by more than a step).
+    """
+    area, moment = scan.levels[0], scan.levels[1]
+    scan.levels[:] = 0.0
+    lowest_z = base_z - _HIGHEST_BASE_M
+    used = min(int((_HIGHEST_BASE_M + step_m) / _LEVEL_M), len(area))
+    below_m2 = 0.0
+    wide = 2.0 * math.pi / polar.sectors * polar.ring_m
+    for s in range(polar.sectors):
+        for r in range(min(polar.rings, int(search_m / polar.ring_m))):
+            z, d = scan.lowest_m[s, r], (r + 0.5) * polar.ring_m
+            if not z < sensor_z - max(_LEAST_FALL * d, step_m):
+                continue
+            m2 = d * wide
+            if z < base_z - step_m:
+                below_m2 += m2
+            k = math.floor((z - lowest_z) / _LEVEL_M)
+            if 0 <= k < used:
+                area[k] += m2
+                moment[k] += m2 * z
+    most = 0.0
+    for k in range(used - _LEVELS_OF_FLOOR + 1):
+        most = max(most, area[k : k + _LEVELS_OF_FLOOR].sum())
+    for k in range(used - _LEVELS_OF_FLOOR + 1):
+        m2 = area[k : k + _LEVELS_OF_FLOOR].sum()
+        if m2 >= max(LEAST_FLOOR_M2, _LEAST_FLOOR_SHARE * most):
+            return moment[k : k + _LEVELS_OF_FLOOR].sum() / m2, below_m2
+    return np.nan, below_m2
+
+
+@njit(nogil=True, cache=True)
+def fit_floor(scan, polar, sensor_z, step_m, search_m):
+    """Fit scan.floor to the ground near the robot, for what a blind zone or a gap hides.
+
+    A thing that stands in a few sectors differs from what the others agree on, and is left out.
+
+    Returns:
+        Whether there was enough ground; else scan.floor is level, and as high as it was.
+    """
+    start_z = scan.floor[0]
+    a, b, c, total = start_z, 0.0, 0.0, 0.0
+    wide = 2.0 * math.pi / polar.sectors * polar.ring_m
+    for k in range(_FITS):
+        near_m, spread = (step_m, _FLOOR_SPREAD) if k == 0 else (0.5 * step_m, 0.0)
+        total = sx = sy = sz = sxx = sxy = syy = sxz = syz = 0.0
+        for s in range(polar.sectors):
+            for r in range(min(polar.rings, int(search_m / polar.ring_m))):
+                z, d = scan.lowest_m[s, r], (r + 0.5) * polar.ring_m
+                if not z < sensor_z - max(_LEAST_FALL * d, step_m):
+                    continue
+                x, y = d * polar.direction[s, 0], d * polar.direction[s, 1]
+                if abs(z - a - b * x - c * y) > near_m + spread * d:
+                    continue
+                m2, z = d * wide, z - start_z
+                total += m2
+                sx, sy, sz = sx + m2 * x, sy + m2 * y, sz + m2 * z
+                sxx, sxy, syy = sxx + m2 * x * x, sxy + m2 * x * y, syy + m2 * y * y
+                sxz, syz = sxz + m2 * x * z, syz + m2 * y * z
+        if total < LEAST_FLOOR_M2:
+            break
+        x, y, z = sx / total, sy / total, sz / total
+        # Of ground in one direction only the slope across it says little: a weak pull to level.
+        sxx, syy = sxx / total - x * x + 0.02, syy / total - y * y + 0.02
+        sxy, sxz, syz = sxy / total - x * y, sxz / total - x * z, syz / total - y * z
+        det = sxx * syy - sxy * sxy
+        b, c = (sxz * syy - syz * sxy) / det, (syz * sxx - sxz * sxy) / det
+        a = start_z + z - b * x - c * y
+    scan.floor[:] = a, b, c
+    if total < LEAST_FLOOR_M2 or math.hypot(b, c) > _STEEPEST_FLOOR:
+        scan.floor[:] = start_z, 0.0, 0.0
+        return False
+    return True
+
+
+@njit(nogil=True, cache=True)
+def sweep_ground(scan, polar, sensor_z, slope, step_m, range_m, inv_res):
     """Follow the ground outward in every sector; fill ground, pass slopes, reach and box.
 
-    The ground may rise or fall by `slope` from the last ground seen, but behind a gap nobody knows
-    what lies between: by `step_m` at most where it is first seen (a low box just outside the
-    blind zone is no ramp), later by twice that. A return far below is a drop: rays free nothing
-    beyond the last ground before it, unless level ground follows (a stray reflection).
+    It begins at scan.floor. The ground may rise or fall by `slope` from the last ground seen, but
+    behind a gap nobody knows what lies between: by `step_m` at most where it is first seen (a low
+    box just outside the blind zone is no ramp), later by twice that. A return far below is a drop:
+    rays free nothing beyond the last ground before it, unless level ground follows (a stray
+    reflection).
 
     Returns:
         (sum of the floor heights near the robot, their number).
@@ -274,8 +483,9 @@ def sweep_ground(scan, polar, sensor_z, floor_z, slope, step_m, range_m, inv_res
         scan.reach_m[s] = 0.0
         if last < 0 and not far:
             continue
+        lean = scan.floor[1] * polar.direction[s, 0] + scan.floor[2] * polar.direction[s, 1]
         reach_m, sum_m, count = _follow_ground(
-            scan.lowest_m, scan.ground_m, s, last, polar.ring_m, floor_z, slope, step_m
+            scan.lowest_m, scan.ground_m, s, last, polar.ring_m, scan.floor[0], lean, slope, step_m
         )
         near_sum += sum_m
         near_count += count
@@ -296,31 +506,33 @@ def _last_ring(lowest_m, s):
 
 
 @njit(nogil=True, cache=True, inline="always")
-def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, slope, step_m):
+def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, lean, slope, step_m):
     """Fill one sector's ground; returns its reach, and sum and number of near floor heights."""
     ground, ground_d, drop = floor_z, 0.0, False
     near_sum, near_count = 0.0, 0
     run_from, run_to, run_sum, run_count = 0, -1 - _RUN_GAP, 0.0, 0
     for r in range(last + 1):
-        z = lowest_m[s, r]
+        d = (r + 0.5) * ring_m
+        level, z = ground, lowest_m[s, r]
+        if ground_d == 0.0:
+            level += lean * d
         if z < np.inf:
-            d = (r + 0.5) * ring_m
             limit = step_m if ground_d == 0.0 else 2.0 * step_m
             allowed = min(slope * (d - ground_d) + _GROUND_NOISE_M, limit)
-            if abs(z - ground) <= allowed:
-                ground, ground_d, drop = z, d, False
+            if abs(z - level) <= allowed:
+                ground, ground_d, drop, level = z, d, False, z
                 if d < _NEAR_GROUND_M:
                     if r - run_to > _RUN_GAP:
                         run_from, run_sum, run_count = r, 0.0, 0
-                    run_to, run_sum, run_count = r, run_sum + z, run_count + 1
+                    run_to, run_sum, run_count = r, run_sum + z - lean * d, run_count + 1
                     if (r - run_from) * ring_m >= _GROUND_RUN_M:
                         near_sum, near_count = near_sum + run_sum, near_count + run_count
                         run_sum, run_count = 0.0, 0
-            elif z < ground:
+            elif z < level:
                 drop = True
-        ground_m[s, r] = ground
+        ground_m[s, r] = level
     for r in range(last + 1, lowest_m.shape[1]):
-        ground_m[s, r] = ground
+        ground_m[s, r] = ground if ground_d > 0.0 else ground + lean * (r + 0.5) * ring_m
     reach_m = max(last, 0) * ring_m
     return (min(reach_m, ground_d) if drop else reach_m), near_sum, near_count
 
@@ -351,14 +563,15 @@ def _grow_box(box, polar, s, end_cells, half):
 
 
 @njit(nogil=True, cache=True)
-def classify(n, scan, polar, obstacle_min_m, obstacle_max_m):
+def classify(n, scan, polar, obstacle_min_m, obstacle_max_m, coded_m):
     """Split points by height over the local ground; obstacles end the rays of their sectors.
 
-    Below `obstacle_min_m` is floor, above `obstacle_max_m` an overhang with free space beneath.
+    Below `obstacle_min_m` is floor, above `obstacle_max_m` an overhang with free space beneath. An
+    obstacle that reaches `obstacle_max_m` goes on in what is over it, up to `coded_m`.
     """
-    per_m = np.float32(HEIGHT_CODES / obstacle_max_m)
+    per_m = np.float32(HEIGHT_CODES / coded_m)
     lowest, highest = np.float32(obstacle_min_m), np.float32(obstacle_max_m)
-    step = np.float32(_STEP_FROM * obstacle_min_m)
+    step, coded = np.float32(_STEP_FROM * obstacle_min_m), np.float32(coded_m)
     bins, seen, ground = polar.bin_of.ravel(), scan.seen.ravel(), scan.ground_m.ravel()
     cells, heights = scan.cell, scan.z_m
     for i in range(n):
@@ -375,6 +588,14 @@ def classify(n, scan, polar, obstacle_min_m, obstacle_max_m):
             code = LOWEST_OBSTACLE + int(height * per_m)
             if code > seen[cell]:
                 seen[cell] = code
+    if coded <= highest:
+        return
+    goes_on = LOWEST_OBSTACLE + int((highest - np.float32(_GOES_ON_M)) * per_m)
+    for i in range(n):
+        cell = cells[i]
+        height = heights[i] - ground[bins[cell]]
+        if highest < height <= coded and seen[cell] >= max(goes_on, LOWEST_OBSTACLE):
+            seen[cell] = max(seen[cell], LOWEST_OBSTACLE + int(height * per_m))
 
 
 @njit(nogil=True, cache=True)

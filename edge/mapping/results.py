@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,10 +16,17 @@ class MapUpdate:
         changed: (ix0, iy0, ix1, iy1), half-open rectangle of world cells (x = ix * resolution)
             whose published state changed; all zero when none did.
         rolled: whether the window moved.
+        floor_z_m: height of the floor under the robot in `map`; NaN until it was seen.
+        floor_seen: whether this update saw it.
+        floor_missing: whether there was no floor where the base and its sensor's mount say that it
+            must be, but ground far below; then nothing but the footprint was mapped.
     """
 
     changed: tuple[int, int, int, int]
     rolled: bool
+    floor_z_m: float = math.nan
+    floor_seen: bool = False
+    floor_missing: bool = False
 
 
 @dataclass(slots=True, eq=False)

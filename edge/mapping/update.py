@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from edge.mapping.layers import BUMPED, FREE, OCCUPIED, UNSEEN, add_disc, bit_set, set_free
-from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE
+from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE, is_open
 
 SEEN_FREE = 10
 """`Layers.top` of a bumped cell that was floor in so many updates in a row, and nothing else."""
@@ -14,13 +14,14 @@ SEEN_FREE = 10
 
 @njit(nogil=True, cache=True)
 def apply_scan(
-    layers, shift_x, shift_y, corner_x, corner_y, scan, polar, sensor_z, obstacle_max_m,
-    clear_after, disc, changed, explored, flipped,
+    layers, shift_x, shift_y, corner_x, corner_y, scan, polar, sensor_z, obstacle_min_m,
+    obstacle_max_m, coded_m, clear_after, disc, changed, explored, flipped,
 ):  # fmt: skip
     """Bring a classified scan into the map, and leave `scan.seen` empty.
 
-    An occupied cell without a hit is stale when a ray flew over it lower than its top, which
-    only a ray that would have hit it can do: what lies below the camera's view stays.
+    Of cells that were never seen a ray frees those that it shows to be open (`is_open`). An
+    occupied cell without a hit is stale when a ray flew over it lower than its top, which only a
+    ray that would have hit it can do: what lies below the camera's view stays.
 
     Args:
         corner_x, corner_y: window coordinates of the scratch's cell (0, 0).
@@ -48,12 +49,16 @@ def apply_scan(
             if code >= LOWEST_OBSTACLE or state >= OCCUPIED:
                 if _update_obstacle(
                     layers, sy, sx, state, code, scan, polar, cy, cx, sensor_z, obstacle_max_m,
-                    clear_after,
+                    coded_m, clear_after,
                 ):  # fmt: skip
                     flipped[count] = (cy << 16) | cx
                     count += 1
-            elif state == UNSEEN and (code != 0 or distance_m[cy, cx] < reach_m[sector_of[cy, cx]]):
-                set_free(layers, shift_x, shift_y, cx + corner_x, cy + corner_y, changed)
+            elif state == UNSEEN:
+                free = code != 0
+                if not free and distance_m[cy, cx] < reach_m[sector_of[cy, cx]]:
+                    free = _is_open(scan, polar, cy, cx, sensor_z, obstacle_min_m, obstacle_max_m)
+                if free:
+                    set_free(layers, shift_x, shift_y, cx + corner_x, cy + corner_y, changed)
     for i in range(count):
         x, y = (flipped[i] & 0xFFFF) + corner_x, (flipped[i] >> 16) + corner_y
         occupied = raw[(y + shift_y) % n, (x + shift_x) % n] >= OCCUPIED
@@ -64,9 +69,26 @@ def apply_scan(
     explored[3] = max(explored[3], y1 + corner_y)
 
 
+@njit(nogil=True, cache=True, inline="always")
+def _is_open(scan, polar, cy, cx, sensor_z, step_m, high_m):
+    """Return `is_open` of a cell, by the rays that end in the next ring or farther.
+
+    Near the sensor a cell is wider than a sector, and its returns are in any that it subtends.
+    """
+    sector, ring, d = polar.sector_of[cy, cx], polar.ring_of[cy, cx], polar.distance_m[cy, cx]
+    slope, wide = np.float32(np.inf), int(polar.spread[cy, cx])
+    for k in range(sector - wide, sector + wide + 1):
+        j = k % polar.sectors
+        if scan.reach_m[j] > 0.0:
+            slope = min(slope, scan.pass_slope[j, max(ring - 1, 0)])
+    over_m = sensor_z - scan.ground_m[sector, ring]
+    below_m = over_m + slope * d
+    return is_open(scan.lost[sector], below_m, over_m, d, step_m, high_m)
+
+
 @njit(nogil=True, cache=True)
 def _update_obstacle(
-    layers, sy, sx, state, code, scan, polar, cy, cx, sensor_z, obstacle_max_m, clear_after
+    layers, sy, sx, state, code, scan, polar, cy, cx, sensor_z, obstacle_max_m, coded_m, clear_after
 ):
     """Update a cell that is or was occupied; whether it became so or ceased to be.
 
@@ -82,7 +104,7 @@ def _update_obstacle(
     slope = scan.pass_slope[sector, ring] if scan.reach_m[sector] > 0.0 else np.float32(np.inf)
     # Height over the ground at which the lowest ray flew over this cell.
     below_m = sensor_z + slope * polar.distance_m[cy, cx] - scan.ground_m[sector, ring]
-    metres = obstacle_max_m / HEIGHT_CODES
+    metres = coded_m / HEIGHT_CODES
     top = layers.top[sy, sx]
     if code >= LOWEST_OBSTACLE:
         if state >= OCCUPIED and top > code:
@@ -94,7 +116,7 @@ def _update_obstacle(
         bit_set(layers.known, sy, sx, True)
         return state < OCCUPIED
     # A code is rounded down, and the beams of a planar LiDAR are as high as their hits.
-    if below_m >= (top - LOWEST_OBSTACLE + 1) * metres:
+    if below_m >= min((top - LOWEST_OBSTACLE + 1) * metres, obstacle_max_m):
         return False
     if state - OCCUPIED + 1 < clear_after:
         layers.raw[sy, sx] = state + 1
@@ -105,17 +127,32 @@ def _update_obstacle(
 
 
 @njit(nogil=True, cache=True)
-def free_footprint(layers, shift_x, shift_y, x, y, disc, changed, explored):
-    """Where the robot stands nothing else does: unknown cells of the disc become free."""
+def free_footprint(layers, shift_x, shift_y, x, y, footprint, body, disc, changed, explored):
+    """Free what the robot stands on: unknown cells of the footprint, and all of the body.
+
+    A bumped cell stays: it was touched, and only standing on its middle opens it (see `Bumps`).
+
+    Args:
+        footprint, body: discs around the robot's cell; the footprint is the larger one.
+        disc: of the inflation.
+    """
     n = layers.raw.shape[0]
-    radius = len(disc) // 2
-    for k in range(len(disc)):
+    clip = (0, 0, n, n)
+    radius, inner = len(footprint) // 2, len(body) // 2
+    for k in range(len(footprint)):
         wy = y + k - radius
         if wy < 0 or wy >= n:
             continue
-        for wx in range(max(x - disc[k], 0), min(x + disc[k] + 1, n)):
-            if layers.raw[(wy + shift_y) % n, (wx + shift_x) % n] == UNSEEN:
+        row = k - radius + inner
+        half = body[row] if 0 <= row < len(body) else -1
+        for wx in range(max(x - footprint[k], 0), min(x + footprint[k] + 1, n)):
+            sy, sx = (wy + shift_y) % n, (wx + shift_x) % n
+            state = layers.raw[sy, sx]
+            if state == UNSEEN:
                 set_free(layers, shift_x, shift_y, wx, wy, changed)
+            elif OCCUPIED <= state < BUMPED and abs(wx - x) <= half:
+                layers.raw[sy, sx], layers.top[sy, sx] = FREE, 0
+                add_disc(layers, shift_x, shift_y, wx, wy, -1, disc, clip, changed)
     explored[0] = min(explored[0], max(x - radius, 0))
     explored[1] = min(explored[1], max(y - radius, 0))
     explored[2] = max(explored[2], min(x + radius + 1, n))

@@ -19,8 +19,8 @@ def warmup(mapping: config.Mapping) -> None:
     T = np.eye(4)
     T[:3, :3] = ((0, 0, 1), (-1, 0, 0), (0, -1, 0))
     T[2, 3] = 0.5
-    grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, T, SE2(0.0, 0.0, 0.0))
-    grid.update_cloud(np.ones((4, 3), np.float32), np.eye(4), SE2(0.0, 0.0, 0.0))
+    grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, np.eye(4), T)
+    grid.update_cloud(np.ones((4, 3), np.float32), np.eye(4), np.eye(4))
     grid.bumps.close(SE2(0.0, 0.0, 0.0), (0.4, 0.0), 0.2, 0)
     grid.bumps.open_all()
     grid.reach.step(SE2(0.0, 0.0, 0.0))
@@ -46,5 +46,4 @@ def warmup(mapping: config.Mapping) -> None:
     grid.values.write_directions(sight, "x", np.ones((1, 2), np.float32), np.ones(1), 1.0)
     grid.values.best(0, points_m, 1, 0.5, np.zeros(8, np.float32))
     far = grid.window.n * grid.resolution_m
-    T[0, 3] = far
-    grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, T, SE2(far, 0.0, 0.0))
+    grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, SE2(far, 0.0, 0.0).matrix(), T)

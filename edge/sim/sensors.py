@@ -14,11 +14,20 @@ from edge.bus.topics import Topic
 from edge.bus.wire import messages
 from edge.config import Config
 from edge.geometry import SE2
-from edge.sim.base import Fan, World
+from edge.sim.base import Fan, World, WorldError
 from edge.sim.robot import Motion
 
 CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
 Message = tuple[Topic, bytes]
+
+
+def _over_the_floor(config: Config, key: str, z_m: float) -> None:
+    """Refuse a sensor that would be in the floor: the base of the simulated robot is on it."""
+    if z_m <= 0.0:
+        raise WorldError(
+            f"{config.at(key)}: {z_m:g}: the base of the simulated robot is on the floor, so its "
+            "sensors must be higher: take a value above 0"
+        )
 
 
 class CameraRig:
@@ -30,6 +39,7 @@ class CameraRig:
 
     def __init__(self, config: Config, world: World, colour: bool = True) -> None:
         camera, self._world = config.sensors.camera, world
+        _over_the_floor(config, "sensors.camera.z_m", camera.z_m)
         self.model = camera.intrinsics()
         self.T_base_camera = camera.T_base_camera()
         shape = (camera.height_px, camera.width_px)
@@ -70,6 +80,7 @@ class LidarRig:
     def __init__(self, config: Config, world: World) -> None:
         lidar = config.sensors.lidar
         assert lidar is not None
+        _over_the_floor(config, "sensors.lidar.z_m", lidar.z_m)
         self._world, self._fan, self._noise_m = world, Fan.of(lidar), lidar.noise_m
         self.rate_hz = lidar.rate_hz
         self.T_base_lidar = lidar.T_base_mount()

@@ -102,7 +102,7 @@ class Survey:
         T_map_base, pose = observation.T_map_base, observation.pose
         T_map_cloud = T_map_base @ T_base_cloud
         points_m = _moved(T_map_cloud, cloud_m)
-        self.map.update_cloud(cloud_m, T_map_cloud, pose)
+        self.map.update_cloud(cloud_m, T_map_base, T_base_cloud)
         base_z_m = float(T_map_base[2, 3])
         ground = terrain.ground_around(points_m, pose.x_m, pose.y_m, base_z_m, self._range_m)
         above = terrain.height_above(ground, points_m)

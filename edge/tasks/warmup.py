@@ -34,7 +34,7 @@ def warm_up() -> None:
     for way in (seen, _as_cloud(seen)):
         add_found(objects, replace(found, observation=way), 2.0 * _WALL_M)
     grid = RollingMap(Mapping(extent_m=4.0 * _WALL_M))
-    grid.update_depth(seen.depth_m, seen.camera, seen.T_map_base @ seen.T_base_camera, seen.pose)
+    grid.update_depth(seen.depth_m, seen.camera, seen.T_map_base, seen.T_base_camera)
     points_m = np.array([[_WALL_M, 0.0, 0.5]], np.float32)
     thing = Instance(1, "box", points_m[0], points_m, 1.0, 1, 0, 0)
     scene = scene_of_map(MapView(grid), seen, (thing,), _CLEARANCE_M)

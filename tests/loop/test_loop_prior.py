@@ -11,7 +11,7 @@ from simulated import simulated
 
 from edge.config import DetectorSim, Mapping
 from edge.eval.closed_loop import ClosedLoop
-from edge.geometry import SE2
+from edge.geometry import se3
 from edge.loop.prior import DRAWN_M, LEAST, MOST, PERIOD_NS, Prior, make_prior
 from edge.mapping.grid import RollingMap
 from edge.mapping.points import HEIGHT_CODES
@@ -33,11 +33,9 @@ def walls(*ends: tuple[float, float, float, float]) -> MapView:
             points += [
                 (x0 + f * (x1 - x0), y0 + f * (y1 - y0), z) for z in np.linspace(0, 0.99, 12)
             ]
-    T = np.eye(4)
-    T[2, 3] = 0.6
     cloud = np.array(points, np.float32).reshape(-1, 3) - np.float32([0, 0, 0.6])
     for _ in range(2):
-        grid.update_cloud(cloud, T, SE2(0.0, 0.0, 0.0))
+        grid.update_cloud(cloud, np.eye(4), se3(z_m=0.6))
     return MapView(grid)
 
 

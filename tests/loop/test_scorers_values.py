@@ -52,8 +52,7 @@ class Case:
         self.scorers, self.targets = scorers, targets
         self.grid, self.tracker = RollingMap(config.mapping), InstanceTracker(config.perception)
         start = seen_from(SE2(0.0, 0.0, 0.0))
-        T = start.T_map_base @ MOUNT
-        self.grid.update_depth(start.depth_m, CAMERA, T, start.pose)
+        self.grid.update_depth(start.depth_m, CAMERA, start.T_map_base, MOUNT)
         self.grid.values.begin(targets)
 
     def ask(self, pose: SE2, candidates: Candidates, seq: int = 1, prior=None) -> None:

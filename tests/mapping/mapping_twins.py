@@ -49,8 +49,9 @@ def render(
 
 def look(grid: RollingMap, pose: SE2, boxes: Sequence[Box], camera: CameraModel = CAMERA):
     """One update from what a camera on a robot at `pose` sees."""
-    T = pose.matrix() @ T_BASE_CAMERA
-    return grid.update_depth(render(camera, T, boxes), camera, T, pose)
+    T_map_base = pose.matrix()
+    depth = render(camera, T_map_base @ T_BASE_CAMERA, boxes)
+    return grid.update_depth(depth, camera, T_map_base, T_BASE_CAMERA)
 
 
 def seen_around(
@@ -177,10 +178,51 @@ def scan_twin(xyz, hits, sensor_z, range_m, inv_res, fx, fy, polar):
     return lowest, far_slope, (cy * polar.bin_of.shape[1] + cx)[near], z[near]
 
 
-def sweep_twin(lowest, far_slope, ring_m, sensor_z, floor_z, slope, step_m, range_m):
+def near_ground(lowest, polar, sensor_z, step_m, search_m):
+    """What may be floor: (x, y, z) and the area of each bin, for the twins below."""
+    s, r = np.nonzero(lowest[:, : int(search_m / polar.ring_m)] < np.inf)
+    d, z = (r + 0.5) * polar.ring_m, lowest[s, r].astype(np.float64)
+    keep = z < sensor_z - np.maximum(0.08 * d, step_m)
+    d, z, (x, y) = d[keep], z[keep], polar.direction[s[keep]].T.astype(np.float64)
+    return d * x, d * y, z, d * polar.ring_m * 2 * math.pi / polar.sectors
+
+
+def find_twin(lowest, polar, sensor_z, base_z, step_m, search_m):
+    """Twin of `find_floor`."""
+    _, _, z, m2 = near_ground(lowest, polar, sensor_z, step_m, search_m)
+    level = np.floor((z - (base_z - 0.9)) / 0.05).astype(int)
+    sums = []
+    for k in range(int((0.9 + step_m) / 0.05) - 3):
+        inside = (k <= level) & (level < k + 4)
+        sums.append((m2[inside].sum(), (m2 * z)[inside].sum()))
+    least = max(0.3, 0.3 * max(area for area, _ in sums))
+    found = next((total / area for area, total in sums if area >= least), math.nan)
+    return found, m2[z < base_z - step_m].sum()
+
+
+def fit_twin(lowest, polar, sensor_z, start_z, step_m, search_m):
+    """Twin of `fit_floor`: the plane, or None."""
+    x, y, z, m2 = near_ground(lowest, polar, sensor_z, step_m, search_m)
+    a, b, c = start_z, 0.0, 0.0
+    for k in range(3):
+        tolerance = step_m + 0.06 * np.hypot(x, y) if k == 0 else 0.5 * step_m
+        fits = np.abs(z - a - b * x - c * y) <= tolerance
+        w = m2[fits]
+        if w.sum() < 0.3:
+            return None
+        xy = np.stack([x, y], axis=1)[fits]
+        middle, height = np.average(xy, axis=0, weights=w), np.average(z[fits], weights=w)
+        spread = (xy - middle) * w[:, None] / w.sum()
+        matrix = spread.T @ (xy - middle) + 0.02 * np.eye(2)
+        b, c = np.linalg.solve(matrix, spread.T @ (z[fits] - height))
+        a = height - middle @ (b, c)
+    return None if math.hypot(b, c) > 0.15 else np.array([a, b, c])
+
+
+def sweep_twin(lowest, far_slope, polar, sensor_z, floor, slope, step_m, range_m):
     """Twin of `sweep_ground` for sectors with data: (ground_m, pass_slope, reach_m, heights of
     the floor near by)."""
-    sectors, rings = lowest.shape
+    (sectors, rings), ring_m = lowest.shape, polar.ring_m
     ground = np.full(lowest.shape, np.nan)
     passing = np.full(lowest.shape, np.inf)
     reach = np.zeros(sectors)
@@ -191,8 +233,11 @@ def sweep_twin(lowest, far_slope, ring_m, sensor_z, floor_z, slope, step_m, rang
         far = np.isfinite(far_slope[s])
         if len(hit) == 0 and not far:
             continue
-        level, at, drop = floor_z, 0.0, False
+        lean = floor[1:] @ polar.direction[s]
+        level, at, drop = floor[0], 0.0, False
         for r in range(rings):
+            if at == 0.0:
+                level = floor[0] + lean * (r + 0.5) * ring_m
             if r in hit:
                 d, z = (r + 0.5) * ring_m, lowest[s, r]
                 limit = step_m if at == 0.0 else 2 * step_m
@@ -202,7 +247,7 @@ def sweep_twin(lowest, far_slope, ring_m, sensor_z, floor_z, slope, step_m, rang
                         if run and r - run[-1][0] > 2:
                             near += _long(run, ring_m)
                             run = []
-                        run.append((r, z))
+                        run.append((r, z - lean * d))
                 elif z < level:
                     drop = True
             ground[s, r] = level
@@ -221,7 +266,7 @@ def _long(run: list[tuple[int, float]], ring_m: float) -> list[float]:
     return [z for _, z in run] if run and (run[-1][0] - run[0][0]) * ring_m >= 0.3 else []
 
 
-def classify_twin(cell, z_m, ground, polar, low_m, high_m):
+def classify_twin(cell, z_m, ground, polar, low_m, high_m, coded_m):
     """Twin of `classify`: (side, side) uint8 codes."""
     height = z_m - ground.ravel()[polar.bin_of.ravel()[cell]]
     codes = np.zeros(polar.bin_of.size, np.uint8)
@@ -229,8 +274,12 @@ def classify_twin(cell, z_m, ground, polar, low_m, high_m):
     codes[cell[floor]] = 1
     codes[cell[floor & (height >= np.float32(0.5 * low_m))]] = 2
     obstacle = (height >= np.float32(low_m)) & (height <= np.float32(high_m))
-    code = 3 + (height[obstacle] * np.float32(250 / high_m)).astype(np.int64)
-    np.maximum.at(codes, cell[obstacle], code.astype(np.uint8))
+    over = (height > np.float32(high_m)) & (height <= np.float32(coded_m))
+    code = 3 + (height * np.float32(250 / coded_m)).astype(np.int64)
+    goes_on = 3 + int((np.float32(high_m) - np.float32(0.1)) * np.float32(250 / coded_m))
+    over &= np.isin(cell, cell[obstacle & (code >= goes_on)])
+    for some in (obstacle, over):
+        np.maximum.at(codes, cell[some], code[some].astype(np.uint8))
     return codes.reshape(polar.bin_of.shape)
 
 

@@ -234,11 +234,9 @@ def test_a_map_from_a_cloud_serves_as_well():
     circle = np.arange(0, 2 * math.pi, 0.02)
     rings = [(0.1 * k, 0.0) for k in range(4, 20)] + [(2.0, 0.5)]
     cloud = [np.stack([r * np.cos(circle), r * np.sin(circle), 0 * circle + z]) for r, z in rings]
-    T = np.eye(4)
-    T[2, 3] = 0.5
     points = (np.concatenate(cloud, axis=1).T - (0, 0, 0.5)).astype(np.float32)
     for _ in range(3):
-        grid.update_cloud(points, T, SE2(0.0, 0.0, 0.0))
+        grid.update_cloud(points, np.eye(4), se3(z_m=0.5))
     complete(grid, SE2(0.0, 0.0, 0.0))
     grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0)), 3.0, 1)
     assert place(grid, 1.5, 0.0) == 1

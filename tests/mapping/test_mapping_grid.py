@@ -20,6 +20,7 @@ from edge.mapping.warmup import warmup
 from edge.types import Observation
 
 ORIGIN = SE2(0.0, 0.0, 0.0)
+STILL = np.eye(4), np.eye(4)
 
 
 def test_an_empty_map_is_unknown_everywhere():
@@ -36,7 +37,7 @@ def test_an_empty_map_is_unknown_everywhere():
 @pytest.mark.parametrize("value", [np.nan, 0.0, np.inf, -1.0])
 def test_an_image_without_returns_frees_the_footprint_alone(value):
     grid = RollingMap(SMALL)
-    grid.update_depth(np.full((120, 160), value, np.float32), CAMERA, np.eye(4), ORIGIN)
+    grid.update_depth(np.full((120, 160), value, np.float32), CAMERA, np.eye(4), np.eye(4))
     assert grid.state_at(0.0, 0.0) == 0
     assert grid.state_at(1.0, 0.0) == -1
 
@@ -118,9 +119,9 @@ def test_missing_returns_clear_nothing():
     grid = RollingMap(SMALL)
     look(grid, ORIGIN, [(1.5, -0.3, 0.0, 1.6, 0.3, 0.8)])
     before = twins.states(grid)
-    T = ORIGIN.matrix() @ T_BASE_CAMERA
     for _ in range(4):
-        grid.update_depth(np.full((120, 160), np.nan, np.float32), CAMERA, T, ORIGIN)
+        nothing = np.full((120, 160), np.nan, np.float32)
+        grid.update_depth(nothing, CAMERA, np.eye(4), T_BASE_CAMERA)
     np.testing.assert_array_equal(twins.states(grid), before)
 
 
@@ -182,13 +183,13 @@ def test_the_map_keeps_what_is_in_the_window_while_it_rolls():
 @pytest.mark.parametrize("shape", [(120, 161), (160, 120), (0, 0), (120, 160, 1)])
 def test_a_depth_image_of_the_wrong_size_is_an_error_that_says_so(shape):
     with pytest.raises(ValueError, match="120x160"):
-        RollingMap(SMALL).update_depth(np.zeros(shape, np.float32), CAMERA, np.eye(4), ORIGIN)
+        RollingMap(SMALL).update_depth(np.zeros(shape, np.float32), CAMERA, *STILL)
 
 
 @pytest.mark.parametrize("shape", [(3,), (4, 2), (2, 3, 1)])
 def test_a_cloud_of_the_wrong_shape_is_an_error_that_says_so(shape):
     with pytest.raises(ValueError, match=r"\(n, 3\)"):
-        RollingMap(SMALL).update_cloud(np.zeros(shape, np.float32), np.eye(4), ORIGIN)
+        RollingMap(SMALL).update_cloud(np.zeros(shape, np.float32), *STILL)
 
 
 def test_a_pose_that_is_not_finite_is_an_error_and_leaves_the_map_alone():
@@ -198,16 +199,16 @@ def test_a_pose_that_is_not_finite_is_an_error_and_leaves_the_map_alone():
     T = np.eye(4)
     T[0, 3] = np.nan
     with pytest.raises(ValueError, match="not finite"):
-        grid.update_depth(np.ones((120, 160), np.float32), CAMERA, T, ORIGIN)
+        grid.update_depth(np.ones((120, 160), np.float32), CAMERA, np.eye(4), T)
     with pytest.raises(ValueError, match="not finite"):
-        grid.update_depth(np.ones((120, 160), np.float32), CAMERA, np.eye(4), SE2(0, math.inf, 0))
+        grid.update_depth(np.ones((120, 160), np.float32), CAMERA, T, np.eye(4))
     np.testing.assert_array_equal(twins.states(grid), before)
 
 
 @pytest.mark.parametrize("cloud", [np.zeros((0, 3)), np.full((5, 3), np.inf)], ids=["no", "inf"])
 def test_a_cloud_without_returns_frees_the_footprint_alone(cloud):
     grid = RollingMap(SMALL)
-    grid.update_cloud(cloud.astype(np.float32), np.eye(4), ORIGIN)
+    grid.update_cloud(cloud.astype(np.float32), *STILL)
     assert set(np.unique(grid.layers.raw)) == {layers.UNSEEN, layers.FREE}
     assert 0.2 < grid.known_m2 < 0.4  # a disc of 0.3 m
 
@@ -223,8 +224,7 @@ def test_degenerate_depth_never_breaks_the_layers(seed):
         depth = rng.uniform(0.0, 5.0, (24, 32)).astype(np.float32)
         depth[rng.random(depth.shape) < 0.4] = rng.choice([np.nan, 0.0, np.inf])
         pose = SE2(*rng.uniform(-8, 8, 2), rng.uniform(-3, 3))
-        T = pose.matrix() @ T_BASE_CAMERA
-        grid.update_depth(depth, camera, T, pose)
+        grid.update_depth(depth, camera, pose.matrix(), T_BASE_CAMERA)
         state = twins.states(grid)
         np.testing.assert_array_equal(twins.window(grid, "near") > 0, state == 100)
         np.testing.assert_array_equal(twins.window(grid, "blocked") > 0, state == 100)
@@ -239,17 +239,16 @@ def test_degenerate_depth_never_breaks_the_layers(seed):
 def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():
     grid = RollingMap(config.Mapping())
     camera = CameraModel.from_hfov(320, 256, math.radians(75))
-    pose = SE2(0.0, 0.0, 0.0)
-    T = pose.matrix() @ T_BASE_CAMERA
-    depth = twins.render(camera, T, room(3.0))
+    pose, T_map_base = ORIGIN, np.eye(4)
+    depth = twins.render(camera, T_BASE_CAMERA, room(3.0))
     size = sum(layer.nbytes for layer in grid._layers)
     for _ in range(3):
-        grid.update_depth(depth, camera, T, pose)
+        grid.update_depth(depth, camera, T_map_base, T_BASE_CAMERA)
         grid.reach.step(pose)
     tracemalloc.start()
     try:
         for _ in range(5):
-            grid.update_depth(depth, camera, T, pose)
+            grid.update_depth(depth, camera, T_map_base, T_BASE_CAMERA)
             grid.reach.step(pose)
         assert tracemalloc.get_traced_memory()[1] < 64 * 1024
     finally:
@@ -283,8 +282,8 @@ def test_nothing_is_compiled_after_warmup(kind):
         depth = depth.astype(np.float64)
     for x in (np.float32(0.0), 1, 30.0, 30.5, 24.0):
         pose = SE2(x, 0.0, 0.0)
-        grid.update_depth(depth, CAMERA, pose.matrix() @ T_BASE_CAMERA, pose)
-        grid.update_cloud(depth[:, :3], pose.matrix(0.5), pose)
+        grid.update_depth(depth, CAMERA, pose.matrix(), T_BASE_CAMERA)
+        grid.update_cloud(depth[:, :3], pose.matrix(), SE2(0.0, 0.0, 0.0).matrix(0.5))
         grid.reach.step(pose)
         grid.reach.nearest(grid.frontiers.xy_m[0, 0], grid.frontiers.xy_m[0, 1], 0.6)
         shown_m = layers.read_only(grid.frontiers.xy_m)  # as policies have it
@@ -311,8 +310,9 @@ def test_creeping_up_to_a_bed_does_not_lift_the_floor(foot_m, from_m):
     grid = RollingMap(SMALL)
     bed = [(1.0, -0.8, foot_m, 3.0, 0.8, 0.5)]
     for x in np.arange(from_m, 0.75, 0.01):
-        look(grid, SE2(x, 0.0, 0.0), bed)
-    assert abs(grid._floor_z_m) < 0.02
+        update = look(grid, SE2(x, 0.0, 0.0), bed)
+    assert not update.floor_seen
+    assert not abs(update.floor_z_m) > 0.02
     for x, y in ((1.05, 0.0), (1.3, 0.3), (1.5, -0.4)):
         assert grid.state_at(x, y) == 100
 
@@ -322,9 +322,7 @@ def test_the_floor_follows_a_ramp():
     grid = RollingMap(SMALL)
     for step in range(60):
         rise_m, pose = 0.002 * step, SE2(0.02 * step, 0.0, 0.0)
-        T = pose.matrix() @ T_BASE_CAMERA
-        lower = T.copy()
-        lower[2, 3] -= rise_m
-        grid.update_depth(render(CAMERA, lower, []), CAMERA, T, pose)
-    assert grid._floor_z_m == pytest.approx(rise_m, abs=0.03)
+        lower = pose.matrix(-rise_m) @ T_BASE_CAMERA
+        update = grid.update_depth(render(CAMERA, lower, []), CAMERA, pose.matrix(), T_BASE_CAMERA)
+    assert update.floor_z_m == pytest.approx(rise_m, abs=0.03)
     assert not (grid.snapshot().cells == 100).any()

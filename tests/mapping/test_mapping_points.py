@@ -17,6 +17,7 @@ from edge.mapping.grid import RollingMap
 from edge.mapping.layers import OCCUPIED
 
 F = np.float32
+T_BASE_CAMERA = twins.T_BASE_CAMERA
 POLAR = points.make_polar(3.0, 0.05)
 
 
@@ -27,15 +28,21 @@ def random_scan(seed: int, n: int):
     # Some in few directions, dense enough for runs of ground.
     ray, reach_m = rng.choice([0.3, 1.7, -2.0], n // 2), rng.uniform(0.2, 3.5, n // 2)
     scan.xyz[:2, : n // 2] = reach_m * np.cos(ray), reach_m * np.sin(ray)
-    scan.xyz[2, :n] = rng.choice([0.0, 0.3, 1.5, -0.4], n) + rng.normal(0, 0.02, n)
+    scan.xyz[2, :n] = rng.choice([0.0, 0.2, 0.3, 0.8, 1.5, -0.4], n) + rng.normal(0, 0.02, n)
     half = POLAR.bin_of.shape[0] // 2
     args = (F(0.6), F(3.0), F(20.0), F(half + 0.3), F(half + 0.8))
     return scan, args
 
 
 @settings(max_examples=25)
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 400), share=st.sampled_from([1.0, 0.7]))
-def test_point_kernels_agree_with_their_twins(seed, n, share):
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n=st.integers(0, 400),
+    share=st.sampled_from([1.0, 0.7]),
+    high_m=st.sampled_from([0.25, 1.0]),
+    lean=st.sampled_from([(0.0, 0.0), (0.05, -0.1)]),
+)
+def test_point_kernels_agree_with_their_twins(seed, n, share, high_m, lean):
     scan, args = random_scan(seed, n)
     hits = int(share * n)
     within = points.bin_points(n, hits, *args, POLAR, scan)
@@ -45,9 +52,10 @@ def test_point_kernels_agree_with_their_twins(seed, n, share):
     np.testing.assert_array_equal(scan.lowest_m, lowest)
     np.testing.assert_allclose(scan.far_slope, far_slope, rtol=1e-5)
 
-    total, count = points.sweep_ground(scan, POLAR, 0.6, 0.0, 0.3, 0.1, 3.0, 20.0)
+    scan.floor[:] = 0.0, *lean
+    total, count = points.sweep_ground(scan, POLAR, 0.6, 0.3, 0.1, 3.0, 20.0)
     ground, passing, reach, near = twins.sweep_twin(
-        lowest, scan.far_slope, POLAR.ring_m, 0.6, 0.0, 0.3, 0.1, 3.0
+        lowest, scan.far_slope, POLAR, 0.6, scan.floor, 0.3, 0.1, 3.0
     )
     assert count == len(near)
     assert total == pytest.approx(sum(near), abs=1e-4)
@@ -57,12 +65,38 @@ def test_point_kernels_agree_with_their_twins(seed, n, share):
     # A slope that rounds to the other side of its limit in float32 ends a sector elsewhere.
     assert np.count_nonzero(np.abs(scan.reach_m - reach) > 1e-5) <= 1
 
-    points.classify(within, scan, POLAR, 0.1, 1.0)
-    expected = twins.classify_twin(cell, z_m, scan.ground_m, POLAR, 0.1, 1.0)
+    points.classify(within, scan, POLAR, 0.1, high_m, 1.0)
+    expected = twins.classify_twin(cell, z_m, scan.ground_m, POLAR, 0.1, high_m, 1.0)
     np.testing.assert_array_equal(scan.seen, expected)
     ys, xs = np.nonzero(scan.seen)
     x0, y0, x1, y1 = scan.box
     assert len(xs) == 0 or (xs.min() >= x0 and xs.max() < x1 and ys.min() >= y0 and ys.max() < y1)
+
+
+@settings(max_examples=40)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n=st.integers(0, 4000),
+    floor=st.tuples(st.floats(-0.6, 0.1), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2)),
+    base_z=st.sampled_from([0.0, -0.3, 2.0]),
+)
+def test_the_search_for_the_floor_agrees_with_its_twin(seed, n, floor, base_z):
+    rng = np.random.default_rng(seed)
+    scan, (_, _, inv_res, fx, fy) = random_scan(seed, n)
+    xyz = scan.xyz[:, :n]
+    xyz[2] = floor[0] + floor[1] * xyz[0] + floor[2] * xyz[1] + rng.normal(0, 0.02, n)
+    xyz[2] += rng.choice([0.0, 0.4, -0.3], n, p=[0.8, 0.1, 0.1])
+    points.bin_points(n, n, F(0.6), F(3.0), inv_res, fx, fy, POLAR, scan)
+    for search_m in (1.5, 3.0):
+        found = points.find_floor(scan, POLAR, 0.6, base_z, 0.1, search_m)
+        expected = twins.find_twin(scan.lowest_m, POLAR, 0.6, base_z, 0.1, search_m)
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+        scan.floor[:] = floor[0], 1.0, 1.0
+        fits = points.fit_floor(scan, POLAR, 0.6, 0.1, search_m)
+        plane = twins.fit_twin(scan.lowest_m, POLAR, 0.6, floor[0], 0.1, search_m)
+        assert fits == (plane is not None)
+        level = np.array([floor[0], 0.0, 0.0])
+        np.testing.assert_allclose(scan.floor, plane if fits else level, atol=1e-5)
 
 
 @pytest.mark.parametrize("bad", [np.nan, 0.0, np.inf, -np.inf, -1.0, 1e6, 1e30, 3.4e38])
@@ -71,7 +105,7 @@ def test_depth_points_agree_with_numpy_and_drop_what_is_no_return(bad):
     rng = np.random.default_rng(0)
     depth = rng.uniform(0.5, 4.0, (30, 40)).astype(F)
     depth[rng.random(depth.shape) < 0.3] = bad
-    T = (SE2(1.0, 2.0, 0.7).matrix() @ twins.T_BASE_CAMERA)[:3].astype(F)
+    T = (SE2(1.0, 2.0, 0.7).matrix() @ T_BASE_CAMERA)[:3].astype(F)
     column = ((np.arange(40) - camera.cx_px) / camera.fx_px).astype(F)
     row = ((np.arange(30) - camera.cy_px) / camera.fy_px).astype(F)
     xyz = np.zeros((3, 1200), F)
@@ -84,6 +118,19 @@ def test_depth_points_agree_with_numpy_and_drop_what_is_no_return(bad):
     expected[2] += T[2, 3]
     assert n == good.sum()
     np.testing.assert_allclose(xyz[:, :n], expected, atol=1e-5)
+
+    lost = np.zeros(POLAR.sectors, np.uint64)
+    points.lost_rays(depth, 3, 2, column, row, T, F(0.1), POLAR, lost)
+    rays = T[:, :3] @ np.stack([column[u], row[v], np.ones_like(column[u])])[:, ~good]
+    slope = rays[2] / np.hypot(rays[0], rays[1])
+    rays, slope = rays[:, np.abs(slope + 0.25) < 0.5], slope[np.abs(slope + 0.25) < 0.5]
+    sector = (np.arctan2(rays[1], rays[0]) + math.pi) / (2 * math.pi) * POLAR.sectors
+    bit = ((slope + 0.75) * 64).astype(int)
+    marked = [(s, k) for s in np.flatnonzero(lost) for k in range(64) if int(lost[s]) >> k & 1]
+    assert marked
+    for s, k in marked:  # a sector is that of a cell, whose middle may lie in the next
+        assert (np.abs(sector - s - 0.5)[bit == k] < 1.5).any()
+    assert len({k for _, k in marked} ^ set(bit.tolist())) == 0
 
 
 def test_cloud_points_agree_with_numpy_and_drop_what_is_not_finite():
@@ -109,6 +156,53 @@ def test_cloud_points_agree_with_numpy_and_drop_what_is_not_finite():
     np.testing.assert_allclose(xyz[:, :n], expected, atol=1e-5)
 
 
+@settings(max_examples=25)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    tilt_rad=st.sampled_from([0.0, 0.2]),
+    radius_m=st.sampled_from([0.05, 0.3, 0.9]),
+)
+def test_the_points_of_the_robot_are_dropped_as_numpy_does(seed, tilt_rad, radius_m):
+    rng = np.random.default_rng(seed)
+    T_map_base = se3(*rng.uniform(-9, 9, 3), tilt_rad, -tilt_rad, rng.uniform(-3, 3))
+    sensor_m = np.array([*rng.uniform(-0.3, 0.3, 2), rng.uniform(-0.3, 1.0)])
+    at_m = T_map_base[:3, :3] @ sensor_m + T_map_base[:3, 3]
+    base_m = rng.uniform(-1.0, 1.0, (3, 300))
+    in_map = T_map_base[:3, :3] @ base_m + T_map_base[:3, 3:]
+    xyz = (in_map - [[at_m[0]], [at_m[1]], [0.0]]).astype(F)
+    before = xyz.copy()
+    axes, sensor = T_map_base[:3, :3].astype(F, order="C"), np.array([*sensor_m, at_m[2]], F)
+    left, hits = points.drop_own(300, 200, xyz, axes, sensor, radius_m, 1.0)
+    keep = np.hypot(base_m[0], base_m[1]) >= radius_m
+    assert hits == np.count_nonzero(keep[:200])
+    np.testing.assert_array_equal(xyz[:, :left], before[:, keep])
+
+
+@given(
+    slopes=st.lists(st.floats(-0.9, 0.9), max_size=9),
+    passes=st.floats(-0.9, 0.9),
+    d=st.floats(0.1, 5.0),
+    over_m=st.floats(0.1, 2.0),
+)
+def test_a_cell_is_open_as_its_rays_say(slopes, passes, d, over_m):
+    """Three lost rays between the floor and the lowest that passes close it, to a bit's width."""
+    slopes = [slope for slope in slopes if -0.75 <= slope < 0.25]
+    lost = np.uint64(sum({1 << int((slope + 0.75) * 64) for slope in slopes}))
+    below_m = over_m + passes * d
+    is_open = points.is_open(lost, below_m, over_m, F(d), 0.1, 1.0)
+    floor, slack = -over_m / max(d, 1.0), 1.1 / 64
+    hidden = [s for s in slopes if floor < s < passes]
+    surely = [s for s in slopes if floor + slack < s < passes - slack]
+    if below_m < 0.1:
+        assert is_open
+    elif below_m > max(1.0, over_m):
+        assert not is_open
+    elif len(hidden) < 3:
+        assert is_open
+    elif len({int((s + 0.75) * 64) for s in surely}) >= 3:
+        assert not is_open
+
+
 VGA = CameraModel.from_hfov(640, 480, math.radians(75))
 QVGA = CameraModel.from_hfov(320, 256, math.radians(75))
 
@@ -122,15 +216,13 @@ def test_skipping_pixels_misses_no_obstacle_of_a_decimetre(camera, low_m, height
     out by 0.1 m.
     """
     rng = np.random.default_rng(2)
-    pose = SE2(0.0, 0.0, 0.0)
-    T = pose.matrix() @ twins.T_BASE_CAMERA
     for _ in range(15):
         r, bearing = rng.uniform(1.2, 4.85), rng.uniform(-0.55, 0.55)
         x, y = 0.1 + r * math.cos(bearing), r * math.sin(bearing)
         cube = (x - 0.05, y - 0.05, 0.0, x + 0.05, y + 0.05, height_m)
         grid = RollingMap(config.Mapping(inflation_m=0.0, obstacle_min_m=low_m))
-        depth = twins.render(camera, T, [cube])
-        grid.update_depth(depth, camera, T, pose)
+        depth = twins.render(camera, T_BASE_CAMERA, [cube])
+        grid.update_depth(depth, camera, np.eye(4), T_BASE_CAMERA)
         assert (grid.layers.raw >= OCCUPIED).any(), (r, bearing)
 
 
@@ -176,10 +268,11 @@ def tilted_lidar(boxes, slope=0.0, rings=40, columns=360):
 
 def lidar_map(boxes, slope=0.0):
     grid = RollingMap(config.Mapping(input="cloud", range_m=4.0, inflation_m=0.0))
-    T = se3(0, 0, 0.6, pitch_rad=math.radians(23), yaw_rad=0.4)
+    T_base_lidar = se3(0, 0, 0.6, pitch_rad=math.radians(23))
+    T = SE2(0.0, 0.0, 0.4).matrix() @ T_base_lidar
     with np.errstate(invalid="ignore"):
         cloud = tilted_lidar(boxes, slope) @ T[:3, :3].astype(F)
-    grid.update_cloud(np.ascontiguousarray(cloud), T, SE2(0, 0, 0.4))
+    grid.update_cloud(np.ascontiguousarray(cloud), SE2(0.0, 0.0, 0.4).matrix(), T_base_lidar)
     return grid
 
 
@@ -205,7 +298,7 @@ def test_rays_stop_where_the_floor_drops():
     y = np.linspace(-0.3, 0.3, 40)
     xx, yy = (a.ravel() for a in np.meshgrid(x, y))
     zz = np.where(xx > 2.0, -1.0, 0.0) - 0.5
-    grid.update_cloud(np.stack([xx, yy, zz], axis=1).astype(F), se3(z_m=0.5), SE2(0, 0, 0))
+    grid.update_cloud(np.stack([xx, yy, zz], axis=1).astype(F), np.eye(4), se3(z_m=0.5))
     assert grid.state_at(1.5, 0.0) == 0
     assert grid.state_at(3.0, 0.0) == -1
 
@@ -218,7 +311,7 @@ def test_a_beam_that_met_nothing_frees_to_its_end_and_marks_nothing(beams, range
     x, y = end_m * np.cos(angles), end_m * np.sin(angles)
     cloud = np.stack([x, y, np.full(beams, np.inf)], axis=1).astype(F)
     grid = RollingMap(config.Mapping(input="cloud", range_m=range_m, inflation_m=0.0))
-    grid.update_cloud(cloud, se3(z_m=0.2), SE2(0, 0, 0))
+    grid.update_cloud(cloud, np.eye(4), se3(z_m=0.2))
     for angle in np.radians(np.arange(0, 360, 0.5)):
         c, s = math.cos(angle), math.sin(angle)
         states = [
@@ -237,7 +330,7 @@ def test_beams_that_met_nothing_free_nothing_behind_what_others_met():
     r = np.where(near, 1.52 / np.cos(angles), 12.0)
     cloud[:, 0], cloud[:, 1], cloud[~near, 2] = r * np.cos(angles), r * np.sin(angles), np.inf
     grid = RollingMap(config.Mapping(input="cloud", range_m=4.0, inflation_m=0.0))
-    grid.update_cloud(cloud, se3(z_m=0.2), SE2(0, 0, 0))
+    grid.update_cloud(cloud, np.eye(4), se3(z_m=0.2))
     assert all(grid.state_at(1.52, y) == 100 for y in np.arange(-0.45, 0.5, 0.05))
     assert {grid.state_at(x, x * math.tan(a)) for x in (1.7, 3.0) for a in wall[3:-3]} == {-1}
     assert {grid.state_at(-x, x * math.tan(a)) for x in (1.7, 3.0) for a in wall} == {0}
@@ -253,7 +346,7 @@ def test_what_a_planar_lidar_saw_is_cleared_by_beams_at_that_very_height(z_m, be
         free = np.isinf(r)
         r = np.where(free, 3.0, r)
         rows = [r * np.cos(angles), r * np.sin(angles), np.where(free, np.inf, 0.0)]
-        grid.update_cloud(np.stack(rows, axis=1).astype(F), se3(z_m=z_m), SE2(0, 0, 0))
+        grid.update_cloud(np.stack(rows, axis=1).astype(F), np.eye(4), se3(z_m=z_m))
 
     grid = RollingMap(config.Mapping(input="cloud", range_m=4.0, inflation_m=0.0))
     sweep(grid, np.where(np.cos(angles) > 0.9, 1.52, behind_m))

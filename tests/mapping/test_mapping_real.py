@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edge import config
-from edge.geometry import CameraModel, se2_of, se3
+from edge.geometry import CameraModel, invert, se2_of, se3
 from edge.mapping.grid import RollingMap
 
 # y is up in Redwood's world, and its floor lies at 0.13 m.
@@ -43,7 +43,8 @@ def test_redwood_furniture_is_occupied_and_its_floor_free(shared_dir):
     v, u = np.mgrid[:480, :640]
     rays = np.stack([(u - 319.5) / 525, (v - 239.5) / 525, np.ones_like(u)], axis=-1)
     for depth, T in redwood(shared_dir / "logs/redwood_rgbd"):
-        grid.update_depth(depth, camera, T, se2_of(T))
+        T_map_base = se2_of(T).matrix()
+        grid.update_depth(depth, camera, T_map_base, invert(T_map_base) @ T)
         assert not (depth > 0).all(), "the sensor leaves holes"
         surface = (rays * depth[..., None])[depth > 0] @ T[:3, :3].T + T[:3, 3]
     z = surface[:, 2]
@@ -65,7 +66,6 @@ def test_kitti_cars_are_occupied_and_the_road_is_free(shared_dir, frame):
     scan = np.fromfile(folder / f"velodyne/{frame:06d}.bin", np.float32).reshape(-1, 4)
     label = np.fromfile(folder / f"labels/{frame:06d}.label", np.uint32) & 0xFFFF
     cloud = np.ascontiguousarray(scan[:, :3])
-    T = se3(z_m=1.73)
     grid = RollingMap(
         config.Mapping(
             input="cloud",
@@ -78,7 +78,7 @@ def test_kitti_cars_are_occupied_and_the_road_is_free(shared_dir, frame):
             obstacle_max_m=2.0,
         )
     )
-    grid.update_cloud(cloud, T, se2_of(T))
+    grid.update_cloud(cloud, np.eye(4), se3(z_m=1.73))
     near = np.hypot(cloud[:, 0], cloud[:, 1]) < 19.0
     height = cloud[:, 2] + 1.73
     car = near & np.isin(label, (CAR, MOVING_CAR)) & (height > 0.6) & (height < 1.5)

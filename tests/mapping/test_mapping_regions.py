@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from mapping_twins import basins
 
 from edge.config import Mapping
-from edge.geometry import SE2
 from edge.mapping import regions
 from edge.mapping.grid import RollingMap
 from edge.mapping.layers import FREE, OCCUPIED, make_layers
@@ -111,7 +110,7 @@ def test_nothing_to_survey():
     config = Mapping()
     empty = RollingMap(config)
     assert regions.survey(empty.layers, empty.window, 200, 0.1).cells.size == 0
-    empty.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), SE2(0.0, 0.0, 0.0))
+    empty.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), np.eye(4))
     grid = regions.survey(empty.layers, empty.window, 200, 0.1)
     assert set(np.unique(grid.cells)) == {UNKNOWN, OPEN}  # the robot's own place
 

@@ -13,9 +13,10 @@ from simulated import simulated
 from edge.bus import topics
 from edge.bus.wire import messages
 from edge.geometry import SE2
+from edge.sim.base import WorldError
 from edge.sim.process import next_frame
 from edge.sim.robot import DriveTrain
-from edge.sim.sensors import CameraRig, LidarRig, odometry_message, truth_message
+from edge.sim.sensors import CameraRig, LidarRig, make_rigs, odometry_message, truth_message
 from edge.sim.worlds import load_world
 
 POSE = SE2(3.0, 2.0, 0.3)
@@ -128,3 +129,11 @@ def test_odometry_and_truth_tell_of_the_same_instant(world):
 )
 def test_late_pictures_are_left_out(now_s: float, expected_s: float):
     assert next_frame(10.0, 0.1, now_s) == pytest.approx(expected_s)
+
+
+@pytest.mark.parametrize("sensor", ["camera", "lidar"])
+def test_a_simulated_sensor_is_over_the_floor(world, sensor):
+    """A real base frame may be above its sensor; the simulated one is on the floor."""
+    sensors = {"lidar": {}, sensor: {"z_m": -0.05}}
+    with pytest.raises(WorldError, match=f"^f.yaml: sensors.{sensor}.z_m: -0.05: .* above 0$"):
+        make_rigs(simulated({"sensors": sensors}, "f.yaml"), world)

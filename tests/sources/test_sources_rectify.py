@@ -142,7 +142,7 @@ def test_a_thing_stays_in_its_place_on_the_map(name):
 
     def mapped(depth: np.ndarray) -> set[tuple[int, int]]:
         grid = RollingMap(config.Mapping(range_m=3.0, extent_m=9.0, inflation_m=0.0))
-        grid.update_depth(depth, camera, T, SE2(0.0, 0.0, 0.0))
+        grid.update_depth(depth, camera, np.eye(4), T)
         found = grid.snapshot(inflated=0)
         rows, columns = np.nonzero(found.cells == 100)
         return {tuple(np.floor(p / 0.05 + 0.5)) for p in found.centres_m(rows, columns) - 0.025}

@@ -139,7 +139,7 @@ def mapped(*boxes: tuple[float, float, float, float]) -> MapView:
     for x0, y0, x1, y1 in boxes:
         x, y = np.meshgrid(np.arange(x0, x1, 0.05), np.arange(y0, y1, 0.05))
         cloud = np.stack((x, y, np.full_like(x, 0.5)), axis=-1).reshape(-1, 3).astype(np.float32)
-        grid.update_cloud(cloud, np.eye(4), SE2(0.0, 0.0, 0.0))
+        grid.update_cloud(cloud, np.eye(4), np.eye(4))
     return MapView(grid)
 
 

@@ -246,9 +246,7 @@ def forget(grid, inner_m, outer_m):
 def of_service(instances, boxes=STREET, found=False, blind_m=0.0):
     observation, _ = street(boxes)
     grid = RollingMap(MAP)
-    grid.update_cloud(
-        observation.cloud_m, observation.T_map_base @ observation.T_base_lidar, observation.pose
-    )
+    grid.update_cloud(observation.cloud_m, observation.T_map_base, observation.T_base_lidar)
     forget(grid, 0.5, blind_m)
     seen = found_in(observation, boxes) if found else None
     return scene_of_map(MapView(grid), observation, instances, 0.3, seen)
