@@ -25,6 +25,7 @@ _FLOOR_M = 0.1  # the lowest that is seen lies so near to the floor of the mount
 _LOWEST = 10  # percentile of heights; below it lie noise and stairs
 _STEEP = 0.25  # rays that fall so fast see the floor, if nothing stands on it
 _STRIDE = 8
+_LENS = {"none": "", "rectified": ", rectified", "ignored": ", its distortion is ignored"}
 
 
 def listen(config: Config, seconds: float) -> list[Finding]:
@@ -105,7 +106,8 @@ class _Heard:
         if seen.camera is not None:
             camera, said = seen.camera, _mounted(seen.T_base_camera, seen.T_base_camera[:3, 2])
             size = f"{camera.width_px}x{camera.height_px} px, {np.degrees(camera.hfov_rad):.0f}°"
-            yield Finding("ok", f"camera: {size} wide; {said}")
+            lens = _LENS[seen.distortion]
+            yield Finding("ok", f"camera: {size} wide{lens}; {said}")
         if seen.cloud_m is not None:
             said = _mounted(seen.T_base_lidar, seen.T_base_lidar[:3, 0])
             yield Finding("ok", f"lidar: {len(seen.cloud_m)} points; {said}")
@@ -187,4 +189,4 @@ def _floor_heights(seen: Observation) -> np.ndarray:
     T = seen.T_base_lidar
     fall = seen.cloud_m @ T[2, :3].astype(np.float32)
     steep = -fall >= _STEEP * np.linalg.norm(seen.cloud_m, axis=1)
-    return T[2, 3] + fall[steep & (fall < 0.0)]
+    return T[2, 3] + fall[steep & (fall < 0.0) & np.isfinite(fall)]

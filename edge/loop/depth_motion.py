@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.geometry import CameraModel
+from edge.geometry import FARTHEST_M, CameraModel
 
 MISFIT = 0.45
 """Of the points that tell, this share in the wrong place is too much: usually it is below 0.1."""
@@ -139,7 +139,7 @@ def _view(
     (v, u), z = stride, sample_m
     row = (v // 2 + v * np.arange(z.shape[0]) - camera.cy_px) / camera.fy_px
     column = (u // 2 + u * np.arange(z.shape[1]) - camera.cx_px) / camera.fx_px
-    at = np.nonzero(z > 0.0)
+    at = np.nonzero((z > 0.0) & (z < FARTHEST_M))
     z = z[at].astype(np.float64)
     points_m = np.column_stack((column[at[1]] * z, row[at[0]] * z, z))
     points_m = points_m @ T_map_camera[:3, :3].T + T_map_camera[:3, 3]

@@ -18,6 +18,7 @@ import numpy as np
 from edge.config import Config
 from edge.geometry import FARTHEST_M, SE2, CameraModel, wrap_angle
 from edge.loop.depth_motion import MISFIT, DepthMotion
+from edge.mapping.results import MapUpdate
 from edge.types import Observation
 
 Consequence = Literal["warn", "degrade", "stand"]
@@ -44,6 +45,7 @@ _FEWEST, _NEAR_SHARE = 50, 0.05  # pixels with a value, and the share of them th
 # The floor lies at most so far below the base, and is seen by rays at least so steep.
 _BELOW_BASE_M, _STEEP, _MARGIN = 1.0, 0.25, 1.3
 _FARTHEST_M = 100.0  # no depth camera sees only what is farther
+_POSE_OLD_S = 0.05  # at 1 rad/s a wall 2 m away is off by two cells
 
 
 class FrameFacts:
@@ -59,12 +61,15 @@ class FrameFacts:
         rgb_levels: difference between the lightest and the darkest value of the colour image.
         rgb_level: mean of its green values, 0 to 255.
         axis_z: z of the camera's optical axis in the base frame, -1 (down) to 1 (up).
+        floor_lost: 1 if the last update of the map found no floor where the mount says, else 0.
         late_s: how much newer the newest pose is than the frame.
+        pose_age_s: how much older the frame's pose is than the frame; 0: interpolated.
     """
 
     __slots__ = (
         "axis_z", "cloud_driven_m", "cloud_points", "depth_driven_m", "depth_misfit", "depth_scale",
-        "depth_valid", "late_s", "rgb_driven_m", "rgb_level", "rgb_levels",
+        "depth_valid", "floor_lost", "late_s", "pose_age_s", "rgb_driven_m", "rgb_level",
+        "rgb_levels",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -141,6 +146,14 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
                   "camera: it looks up or down (z {value:+.2f} in the base frame)",
                   "is its frame an optical one (z forward, x right)?",
                   "warn", lowest=-0.9, highest=0.7),
+        DataCheck("floor", lambda f: f.floor_lost,
+                  "map: no floor near the base, but ground far below it; nothing is mapped",
+                  "check z_m and pitch_deg of the sensor, and the frame of the odometry",
+                  "degrade", highest=0.0),
+        DataCheck("pose_age", lambda f: f.pose_age_s,
+                  "odom: frames are mapped with poses or transforms {value:.2f} s old",
+                  "speed up the localization or its link, or raise source.wait_s",
+                  "warn", highest=_POSE_OLD_S),
     )  # fmt: skip
     unused = {"depth", "cloud"} - {mapped, lifted}
     return tuple(check for check in table if check.name.partition("_")[0] not in unused)
@@ -195,10 +208,16 @@ class Plausibility:
         self._close_at: SE2 | None = None
         self._slow_ns = -_SLOW_NS
         self._scale = math.nan
+        self._floor_lost = False
         self._levels = math.nan, math.nan
         self._depth, self._rgb, self._cloud = _Repeats(), _Repeats(), _Repeats()
         self._floor = _FloorLimit()
         self._motion = DepthMotion(config.robot.max_speed_mps, config.robot.max_turn_radps)
+
+    def on_mapped(self, update: MapUpdate) -> None:
+        """Note whether the map found the floor; an update may see neither floor nor gap."""
+        if update.floor_missing or update.floor_seen:
+            self._floor_lost = update.floor_missing
 
     def judge(self, observation: Observation, now_ns: int) -> Use:
         """Return what the observation is good for."""
@@ -260,7 +279,8 @@ class Plausibility:
         slow = not 0 <= now_ns - self._slow_ns < _SLOW_NS
         self._slow_ns = now_ns if slow else self._slow_ns
         self.sighted_ns = now_ns - seen.lag_ns
-        facts.late_s = seen.lag_ns * 1e-9
+        facts.late_s, facts.pose_age_s = seen.lag_ns * 1e-9, seen.pose_age_ns * 1e-9
+        facts.floor_lost = float(self._floor_lost)
         wall = False
         if seen.depth_m is not None and seen.camera is not None:
             sample = self._depth.sample(seen.depth_m)

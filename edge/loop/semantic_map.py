@@ -6,7 +6,6 @@ one owner, since it begins with the frame and ends with it.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -24,8 +23,6 @@ from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
 from edge.perception.sightings import SightingTracker
 from edge.types import Detections, Instance, Observation
-
-log = logging.getLogger("edge.loop.semantic_map")
 
 Kept = dict[str, np.ndarray]
 
@@ -56,7 +53,6 @@ class SemanticMap:
         )
         self.prior = make_prior(config)
         self.epoch = 0
-        self._floor_missing = False
         self._lifter = Lifter(perception)
         self._lay(RollingMap(config.mapping, config.robot))
 
@@ -84,24 +80,7 @@ class SemanticMap:
                 seen.depth_m, seen.camera, seen.T_map_base, seen.T_base_camera
             )
         grid.reach.step(seen.pose)
-        if update is not None:
-            self._tell_of_floor(update, float(seen.T_map_base[2, 3]))
         return update
-
-    def _tell_of_floor(self, update: MapUpdate, base_z_m: float) -> None:
-        """Log that the floor is not where the mount says, and that it is found again."""
-        missing = update.floor_missing
-        if missing == self._floor_missing or not (missing or update.floor_seen):
-            return
-        self._floor_missing = missing
-        if missing:
-            log.warning(
-                "no floor near z = %.2f m of map, where the base is, but ground far below: nothing "
-                "is mapped; check z_m and pitch_deg of the sensor, and the frame of the odometry",
-                base_z_m,
-            )
-        else:
-            log.info("floor found at z = %.2f m of map", update.floor_z_m)
 
     def look(self, detections: Detections) -> None:
         """Boxes become sightings and instances, by the depth and pose that they were seen with."""

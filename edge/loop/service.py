@@ -243,7 +243,10 @@ class Service:
         """Stage 3: fold the depth image or cloud into the map."""
         update = self.map.update(observation, now_ns)
         self._changed = NOTHING_CHANGED if update is None else update.changed
-        if update is not None and update.rolled:
+        if update is None:
+            return
+        self.plausibility.on_mapped(update)
+        if update.rolled:
             self.policy.reset("map rolled")
 
     def _lift(self, detections: Detections | None, now_ns: int) -> None:

@@ -17,8 +17,9 @@ from simulated import simulated
 
 from edge.config import Config
 from edge.eval.closed_loop import START_NS, ClosedLoop
-from edge.geometry import SE2, CameraModel
+from edge.geometry import SE2, CameraModel, optical, se3
 from edge.loop.plausibility import LASTS_NS, TELL_AGAIN_NS, Plausibility
+from edge.loop.semantic_map import SemanticMap
 from edge.loop.status import status_of
 from edge.types import Observation
 
@@ -169,6 +170,17 @@ def room(x_m: float = 0.0) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def floor(z_m: float | None) -> dict[str, Any]:
+    """A level floor at a height over the base, from a camera that looks down; None: no return."""
+    T = optical(se3(0.1, 0.0, 0.6, pitch_rad=0.3))
+    fall = -(T[2, 1] * (np.arange(48) - CAMERA.cy_px) / CAMERA.fy_px + T[2, 2])
+    depth = np.full(48, np.nan)
+    if z_m is not None:
+        depth[fall > 0] = (0.6 - z_m) / fall[fall > 0]
+    image = np.repeat(depth[:, None], 64, axis=1).astype(np.float32)
+    return {"depth_m": image, "camera": CAMERA, "T_base_camera": T}
+
+
 class Judge:
     """A stage, with what it reports."""
 
@@ -230,16 +242,33 @@ DOWN = np.array([[0, -1.0, 0, 0.1], [-1, 0, 0, 0], [0, 0, -1, 0.4], [0, 0, 0, 1]
         ("T_base_camera", lambda T: DOWN, "camera_axis", ""),
         ("lag_ns", lambda _: 900_000_000, "late", "map"),
         ("lag_ns", lambda _: 700_000_000, None, ""),
+        ("pose_age_ns", lambda _: 200_000_000, "pose_age", ""),
+        ("pose_age_ns", lambda _: 20_000_000, None, ""),
     ],
 )
 def test_each_check_fails_by_its_own_fault(name, value, check, use):
-    fields, judge = room() | {"lag_ns": 0}, Judge()
+    fields, judge = room() | {"lag_ns": 0, "pose_age_ns": 0}, Judge()
     fields[name] = np.asarray(value(fields[name])).astype(getattr(fields[name], "dtype", int))
-    fields["lag_ns"] = int(fields["lag_ns"])
+    for field in ("lag_ns", "pose_age_ns"):
+        fields[field] = int(fields[field])
     for _ in range(7):
         found = judge.see(**fields)
     assert found == use
     assert [f for f in judge.failing() if f != "rgb_dark" or check == f] == [check] * bool(check)
+
+
+def test_without_the_floor_that_the_mount_says_the_robot_is_not_ready():
+    judge, known = Judge(), SemanticMap(CONFIG, ("bed",))
+    states = []
+    for floor_z_m in (None, -2.0, -2.0, None, -2.0, 0.0, 0.0, None):
+        seen = Observation(0, judge.now_ns, np.eye(4), **floor(floor_z_m))
+        judge.stage.on_mapped(known.update(seen, judge.now_ns))
+        for _ in range(7):
+            judge.see(**room())
+        states.append("floor" in judge.failing())
+    known.close()
+    assert states == [False, True, True, True, True, False, False, False]
+    assert [line[:13] for line, _ in judge.said] == ["map: no floor", "floor: good a"]
 
 
 def test_a_camera_too_close_to_a_wall_lets_the_robot_turn_away_but_not_drive_on():
