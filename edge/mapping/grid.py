@@ -80,6 +80,8 @@ class RollingMap:
         self._n_pending = 0
         self._scan = points.make_scan(self._polar, 1024)
         self._robot: tuple[int, int] | None = None  # its world cell at the last update
+        self._lost = np.zeros(self._polar.sectors, np.uint64)
+        self._floor, self._levels = np.zeros(3), np.zeros((2, 64))
         self._floor_m = math.nan  # height of the floor over the base, if it was seen,
         self._base_z_m = math.nan  # and of the base when it was last seen
         self._nowhere = False  # the ground is far below the base: what is free nobody knows
@@ -136,9 +138,9 @@ class RollingMap:
             np.float32(self.config.min_range_m),
         )  # fmt: skip
         n_points = points.from_depth(*seen, self._scan.xyz)
-        self._scan.lost[:] = 0
+        self._lost[:] = 0
         if n_points < self._n_pixels:
-            points.lost_rays(*seen, self._polar, self._scan.lost)
+            points.lost_rays(*seen, self._polar, self._lost)
         return self._finish(
             n_points, n_points, T, cell, fraction, T_map_base, T_base_camera, rolled
         )
@@ -165,7 +167,7 @@ class RollingMap:
         hits, n_points = points.from_cloud(
             ly.plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
         )
-        self._scan.lost[:] = 0
+        self._lost[:] = 0
         return self._finish(n_points, hits, T, cell, fraction, T_map_base, T_base_lidar, rolled)
 
     def state_at(self, x_m: float, y_m: float) -> int:
@@ -375,10 +377,17 @@ class RollingMap:
         c, polar, scan, layers = self.config, self._polar, self._scan, self._layers
         sensor_z, robot = float(T[2, 3]), self._robot_shape
         if robot.self_filter_m:
-            axes = np.array(T_map_base[:3, :3], np.float32, order="C")
-            sensor_m = np.array([*T_base_sensor[:3, 3], sensor_z], np.float32)
+            axes = T_map_base[:3, :3].astype(np.float32, order="C")
+            sensor_m = T_base_sensor[:3, 3].astype(np.float32)
             n_points, hits = points.drop_own(
-                n_points, hits, scan.xyz, axes, sensor_m, robot.self_filter_m, robot.height_m
+                n_points,
+                hits,
+                scan.xyz,
+                axes,
+                sensor_m,
+                T[2, 3],
+                robot.self_filter_m,
+                robot.height_m,
             )
         n = points.bin_points(
             n_points, hits, T[2, 3], np.float32(c.range_m),
@@ -392,7 +401,7 @@ class RollingMap:
         shift, origin = self.window.shift, self.window.origin
         corner = (cell[0] - self._half - origin[0], cell[1] - self._half - origin[1])
         update.apply_scan(
-            layers, *shift, *corner, scan, polar, sensor_z, c.obstacle_min_m,
+            layers, *shift, *corner, scan, polar, self._lost, sensor_z, c.obstacle_min_m,
             c.obstacle_max_m, coded_m, c.clear_after, self._disc, self._changed, self._explored,
             self._flipped,
         )  # fmt: skip
@@ -415,24 +424,28 @@ class RollingMap:
         The floor keeps its distance from the base, as in a lift. It is searched for until it is
         known, and again when the base moves up or down at once: the robot may have crouched.
         """
-        c, polar, scan, step_m = self.config, self._polar, self._scan, self.config.obstacle_min_m
+        c, polar, scan, floor = self.config, self._polar, self._scan, self._floor
+        step_m = c.obstacle_min_m
         near_m = points.search_range_m(sensor_z - base_z, c.min_range_m)
         floor_z, below_m2 = base_z + self._floor_m, 0.0
         if not abs(base_z - self._base_z_m) <= 0.5 * step_m:
-            search = scan, polar, sensor_z, base_z, step_m
-            found_z, below_m2 = points.find_floor(*search, near_m)
+            search = scan.lowest_m, polar, sensor_z, base_z, step_m
+            found_z, below_m2 = points.find_floor(*search, near_m, self._levels)
             if math.isnan(found_z):
-                found_z, below_m2 = points.find_floor(*search, c.range_m)
+                found_z, below_m2 = points.find_floor(*search, c.range_m, self._levels)
             if not abs(found_z - floor_z) <= step_m:
                 # A sensor that sees no floor is over it, if only by what is no obstacle.
                 guesses = found_z, floor_z, min(base_z, sensor_z - 2.0 * step_m)
                 floor_z = next(z for z in guesses if math.isfinite(z))
-        scan.floor[:] = floor_z, 0.0, 0.0
-        sweep = scan, polar, sensor_z, c.ground_slope, step_m, c.range_m, 1.0 / self.resolution_m
+        floor[0], floor[1], floor[2] = floor_z, 0.0, 0.0
+        sweep = (
+            scan, polar, floor, sensor_z, c.ground_slope, step_m, c.range_m,
+            1.0 / self.resolution_m,
+        )  # fmt: skip
         total, count = points.sweep_ground(*sweep)
-        fit = scan, polar, sensor_z, step_m
-        if not count and any(points.fit_floor(*fit, m) for m in (near_m, c.range_m)):
-            total, count = scan.floor[0], 1
+        fit = scan.lowest_m, polar, sensor_z, step_m
+        if not count and any(points.fit_floor(*fit, m, floor) for m in (near_m, 2.0 * near_m)):
+            total, count = float(floor[0]), 1
             points.sweep_ground(*sweep)
         if count:
             known = abs(floor_z - base_z - self._floor_m) <= step_m

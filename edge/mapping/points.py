@@ -93,16 +93,12 @@ class Scan(NamedTuple):
         z_m: (capacity,) float32, its height in `map`.
         lowest_m: (sectors, rings) float32, lowest point of each bin; inf = none.
         far_slope: (sectors,) float32, lowest slope (rise / run) of a ray beyond range; inf.
-        lost: (sectors,) uint64, a bit for each slope at which a ray gave no return; see `is_open`.
         ground_m: (sectors, rings) float32, height of the local ground.
         pass_slope: (sectors, rings) float32, lowest slope of a ray that flew over the bin.
         reach_m: (sectors,) float32, how far rays free unknown cells; 0 = nothing seen.
         seen: (side, side) uint8, per cell 0, FLOOR, STEP, or the code of the highest obstacle
             point.
         box: (4,) int64, half-open rectangle that holds the sensor's cell and all cells seen.
-        levels: (2, 64) float64, area of ground at each height, and area times height.
-        floor: (3,) float64, the floor as a plane: its height at the sensor's cell, and how much it
-            rises along x and y.
     """
 
     xyz: np.ndarray
@@ -110,14 +106,11 @@ class Scan(NamedTuple):
     z_m: np.ndarray
     lowest_m: np.ndarray
     far_slope: np.ndarray
-    lost: np.ndarray
     ground_m: np.ndarray
     pass_slope: np.ndarray
     reach_m: np.ndarray
     seen: np.ndarray
     box: np.ndarray
-    levels: np.ndarray
-    floor: np.ndarray
 
 
 def make_polar(range_m: float, resolution_m: float) -> Polar:
@@ -158,14 +151,11 @@ def make_scan(polar: Polar, capacity: int) -> Scan:
         z_m=np.zeros(capacity, np.float32),
         lowest_m=np.full(bins, np.inf, np.float32),
         far_slope=np.full(polar.sectors, np.inf, np.float32),
-        lost=np.zeros(polar.sectors, np.uint64),
         ground_m=np.zeros(bins, np.float32),
         pass_slope=np.zeros(bins, np.float32),
         reach_m=np.zeros(polar.sectors, np.float32),
         seen=np.zeros(polar.bin_of.shape, np.uint8),
         box=np.zeros(4, np.int64),
-        levels=np.zeros((2, 64)),
-        floor=np.zeros(3),
     )
 
 
@@ -205,7 +195,11 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
 
 @njit(nogil=True, cache=True)
 def lost_rays(depth_m, stride_u, stride_v, column, row, T, min_range_m, polar, lost):
-    """Note in `lost` the rays of the pixels that `from_depth` leaves out; see `is_open`."""
+    """Note the rays of the pixels that `from_depth` leaves out; see `is_open`.
+
+    Args:
+        lost: (sectors,) uint64, a bit for each slope at which a ray gave no return.
+    """
     half = polar.bin_of.shape[0] // 2
     for v in range(stride_v // 2, depth_m.shape[0], stride_v):
         for u in range(stride_u // 2, depth_m.shape[1], stride_u):
@@ -233,7 +227,7 @@ def is_open(lost, below_m, over_m, d, step_m, high_m):
     the floor within `_LOST_NEAR_M` say nothing: many cameras see nothing so near.
 
     Args:
-        lost: of the cell's sector, see `Scan`.
+        lost: of the cell's sector, a bit for each slope, see `lost_rays`.
         below_m: height over the ground at which the lowest ray flew over the cell.
         over_m: height of the sensor over the ground there.
         d: distance of the cell.
@@ -293,7 +287,7 @@ def from_cloud(cloud_m, T, min_range_m, xyz):
 
 
 @njit(nogil=True, cache=True)
-def drop_own(n, hits, xyz, axes, sensor_m, radius_m, height_m):
+def drop_own(n, hits, xyz, axes, sensor_m, sensor_z, radius_m, height_m):
     """Take the points of the robot itself out of `xyz`.
 
     The robot is a cylinder around the axis of its base. It has no lid: what is over the robot is no
@@ -301,13 +295,13 @@ def drop_own(n, hits, xyz, axes, sensor_m, radius_m, height_m):
 
     Args:
         axes: (3, 3) float32, directions x, y, z of the base in `map`, as columns.
-        sensor_m: (4,) float32, the sensor on the base, and its z in `map`.
+        sensor_m: (3,) float32, the sensor on the base.
         height_m: of the robot, so high that no point of it is missed if it is tilted.
 
     Returns:
         (how many of the `n` are left, how many of the `hits`, which come first).
     """
-    x, y, z, map_z = sensor_m[0], sensor_m[1], sensor_m[2], sensor_m[3]
+    x, y, z = sensor_m[0], sensor_m[1], sensor_m[2]
     tilted_m = np.hypot(axes[2, 0], axes[2, 1]) * (height_m + abs(z))
     far2 = (radius_m + np.hypot(x, y) + tilted_m) ** 2
     xs, ys, zs = xyz[0], xyz[1], xyz[2]
@@ -318,7 +312,7 @@ def drop_own(n, hits, xyz, axes, sensor_m, radius_m, height_m):
         return n, hits
     left = left_hits = 0
     for i in range(n):
-        up = zs[i] - map_z
+        up = zs[i] - sensor_z
         a = axes[0, 0] * xs[i] + axes[1, 0] * ys[i] + axes[2, 0] * up + x
         b = axes[0, 1] * xs[i] + axes[1, 1] * ys[i] + axes[2, 1] * up + y
         if xs[i] * xs[i] + ys[i] * ys[i] < far2 and a * a + b * b < radius_m * radius_m:
@@ -380,23 +374,26 @@ def bin_points(n_points, hits, sensor_z, range_m, inv_res, fx, fy, polar, scan):
 
 
 @njit(nogil=True, cache=True)
-def find_floor(scan, polar, sensor_z, base_z, step_m, search_m):
+def find_floor(lowest_m, polar, sensor_z, base_z, step_m, search_m, levels):
     """Find the height of the floor: the lowest that much ground near the robot has.
 
     What is higher may be a table, and what is much lower than the base is not under the robot.
 
+    Args:
+        levels: (2, 64) float64 scratch: area of ground at each height, and area times height.
+
     Returns:
         (height or NaN, area [m2] of what is lower than the base by more than a step).
     """
-    area, moment = scan.levels[0], scan.levels[1]
-    scan.levels[:] = 0.0
+    area, moment = levels[0], levels[1]
+    levels[:] = 0.0
     lowest_z = base_z - _HIGHEST_BASE_M
     used = min(int((_HIGHEST_BASE_M + step_m) / _LEVEL_M), len(area))
     below_m2 = 0.0
     wide = 2.0 * math.pi / polar.sectors * polar.ring_m
     for s in range(polar.sectors):
         for r in range(min(polar.rings, int(search_m / polar.ring_m))):
-            z, d = scan.lowest_m[s, r], (r + 0.5) * polar.ring_m
+            z, d = lowest_m[s, r], (r + 0.5) * polar.ring_m
             if not z < sensor_z - max(_LEAST_FALL * d, step_m):
                 continue
             m2 = d * wide
@@ -417,15 +414,19 @@ def find_floor(scan, polar, sensor_z, base_z, step_m, search_m):
 
 
 @njit(nogil=True, cache=True)
-def fit_floor(scan, polar, sensor_z, step_m, search_m):
-    """Fit scan.floor to the ground near the robot, for what a blind zone or a gap hides.
+def fit_floor(lowest_m, polar, sensor_z, step_m, search_m, floor):
+    """Fit a plane to the ground near the robot, for what a blind zone or a gap hides.
 
     A thing that stands in a few sectors differs from what the others agree on, and is left out.
 
+    Args:
+        floor: (3,) float64: height at the sensor's cell, and how much it rises along x and y;
+            begins level, and is written.
+
     Returns:
-        Whether there was enough ground; else scan.floor is level, and as high as it was.
+        Whether there was enough ground; else the floor is level, and as high as it was.
     """
-    start_z = scan.floor[0]
+    start_z = floor[0]
     a, b, c, total = start_z, 0.0, 0.0, 0.0
     wide = 2.0 * math.pi / polar.sectors * polar.ring_m
     for k in range(_FITS):
@@ -433,7 +434,7 @@ def fit_floor(scan, polar, sensor_z, step_m, search_m):
         total = sx = sy = sz = sxx = sxy = syy = sxz = syz = 0.0
         for s in range(polar.sectors):
             for r in range(min(polar.rings, int(search_m / polar.ring_m))):
-                z, d = scan.lowest_m[s, r], (r + 0.5) * polar.ring_m
+                z, d = lowest_m[s, r], (r + 0.5) * polar.ring_m
                 if not z < sensor_z - max(_LEAST_FALL * d, step_m):
                     continue
                 x, y = d * polar.direction[s, 0], d * polar.direction[s, 1]
@@ -453,22 +454,22 @@ def fit_floor(scan, polar, sensor_z, step_m, search_m):
         det = sxx * syy - sxy * sxy
         b, c = (sxz * syy - syz * sxy) / det, (syz * sxx - sxz * sxy) / det
         a = start_z + z - b * x - c * y
-    scan.floor[:] = a, b, c
+    floor[0], floor[1], floor[2] = a, b, c
     if total < LEAST_FLOOR_M2 or math.hypot(b, c) > _STEEPEST_FLOOR:
-        scan.floor[:] = start_z, 0.0, 0.0
+        floor[0], floor[1], floor[2] = start_z, 0.0, 0.0
         return False
     return True
 
 
 @njit(nogil=True, cache=True)
-def sweep_ground(scan, polar, sensor_z, slope, step_m, range_m, inv_res):
+def sweep_ground(scan, polar, floor, sensor_z, slope, step_m, range_m, inv_res):
     """Follow the ground outward in every sector; fill ground, pass slopes, reach and box.
 
-    It begins at scan.floor. The ground may rise or fall by `slope` from the last ground seen, but
-    behind a gap nobody knows what lies between: by `step_m` at most where it is first seen (a low
-    box just outside the blind zone is no ramp), later by twice that. A return far below is a drop:
-    rays free nothing beyond the last ground before it, unless level ground follows (a stray
-    reflection).
+    It begins at the floor (see `fit_floor`). The ground may rise or fall by `slope` from the last
+    ground seen, but behind a gap nobody knows what lies between: by `step_m` at most where it is
+    first seen (a low box just outside the blind zone is no ramp), later by twice that. A return far
+    below is a drop: rays free nothing beyond the last ground before it, unless level ground follows
+    (a stray reflection).
 
     Returns:
         (sum of the floor heights near the robot, their number).
@@ -483,9 +484,9 @@ def sweep_ground(scan, polar, sensor_z, slope, step_m, range_m, inv_res):
         scan.reach_m[s] = 0.0
         if last < 0 and not far:
             continue
-        lean = scan.floor[1] * polar.direction[s, 0] + scan.floor[2] * polar.direction[s, 1]
+        lean = floor[1] * polar.direction[s, 0] + floor[2] * polar.direction[s, 1]
         reach_m, sum_m, count = _follow_ground(
-            scan.lowest_m, scan.ground_m, s, last, polar.ring_m, scan.floor[0], lean, slope, step_m
+            scan.lowest_m, scan.ground_m, s, last, polar.ring_m, floor[0], lean, slope, step_m
         )
         near_sum += sum_m
         near_count += count

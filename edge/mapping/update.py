@@ -14,8 +14,8 @@ SEEN_FREE = 10
 
 @njit(nogil=True, cache=True)
 def apply_scan(
-    layers, shift_x, shift_y, corner_x, corner_y, scan, polar, sensor_z, obstacle_min_m,
-    obstacle_max_m, coded_m, clear_after, disc, changed, explored, flipped,
+    layers, shift_x, shift_y, corner_x, corner_y, scan, polar, lost, sensor_z,
+    obstacle_min_m, obstacle_max_m, coded_m, clear_after, disc, changed, explored, flipped,
 ):  # fmt: skip
     """Bring a classified scan into the map, and leave `scan.seen` empty.
 
@@ -24,6 +24,7 @@ def apply_scan(
     ray that would have hit it can do: what lies below the camera's view stays.
 
     Args:
+        lost: (sectors,) uint64, see `lost_rays`.
         corner_x, corner_y: window coordinates of the scratch's cell (0, 0).
         clear_after: updates in a row that must see through an obstacle to clear it.
         changed: rectangle of cells whose published state changed.
@@ -56,7 +57,9 @@ def apply_scan(
             elif state == UNSEEN:
                 free = code != 0
                 if not free and distance_m[cy, cx] < reach_m[sector_of[cy, cx]]:
-                    free = _is_open(scan, polar, cy, cx, sensor_z, obstacle_min_m, obstacle_max_m)
+                    free = _is_open(
+                        scan, polar, lost, cy, cx, sensor_z, obstacle_min_m, obstacle_max_m
+                    )
                 if free:
                     set_free(layers, shift_x, shift_y, cx + corner_x, cy + corner_y, changed)
     for i in range(count):
@@ -70,7 +73,7 @@ def apply_scan(
 
 
 @njit(nogil=True, cache=True, inline="always")
-def _is_open(scan, polar, cy, cx, sensor_z, step_m, high_m):
+def _is_open(scan, polar, lost, cy, cx, sensor_z, step_m, high_m):
     """Return `is_open` of a cell, by the rays that end in the next ring or farther.
 
     Near the sensor a cell is wider than a sector, and its returns are in any that it subtends.
@@ -83,7 +86,7 @@ def _is_open(scan, polar, cy, cx, sensor_z, step_m, high_m):
             slope = min(slope, scan.pass_slope[j, max(ring - 1, 0)])
     over_m = sensor_z - scan.ground_m[sector, ring]
     below_m = over_m + slope * d
-    return is_open(scan.lost[sector], below_m, over_m, d, step_m, high_m)
+    return is_open(lost[sector], below_m, over_m, d, step_m, high_m)
 
 
 @njit(nogil=True, cache=True)

@@ -52,10 +52,10 @@ def test_point_kernels_agree_with_their_twins(seed, n, share, high_m, lean):
     np.testing.assert_array_equal(scan.lowest_m, lowest)
     np.testing.assert_allclose(scan.far_slope, far_slope, rtol=1e-5)
 
-    scan.floor[:] = 0.0, *lean
-    total, count = points.sweep_ground(scan, POLAR, 0.6, 0.3, 0.1, 3.0, 20.0)
+    floor = np.array([0.0, *lean])
+    total, count = points.sweep_ground(scan, POLAR, floor, 0.6, 0.3, 0.1, 3.0, 20.0)
     ground, passing, reach, near = twins.sweep_twin(
-        lowest, scan.far_slope, POLAR, 0.6, scan.floor, 0.3, 0.1, 3.0
+        lowest, scan.far_slope, POLAR, 0.6, floor, 0.3, 0.1, 3.0
     )
     assert count == len(near)
     assert total == pytest.approx(sum(near), abs=1e-4)
@@ -88,15 +88,17 @@ def test_the_search_for_the_floor_agrees_with_its_twin(seed, n, floor, base_z):
     xyz[2] += rng.choice([0.0, 0.4, -0.3], n, p=[0.8, 0.1, 0.1])
     points.bin_points(n, n, F(0.6), F(3.0), inv_res, fx, fy, POLAR, scan)
     for search_m in (1.5, 3.0):
-        found = points.find_floor(scan, POLAR, 0.6, base_z, 0.1, search_m)
+        found = points.find_floor(
+            scan.lowest_m, POLAR, 0.6, base_z, 0.1, search_m, np.ones((2, 64))
+        )
         expected = twins.find_twin(scan.lowest_m, POLAR, 0.6, base_z, 0.1, search_m)
         np.testing.assert_allclose(found, expected, atol=1e-6)
-        scan.floor[:] = floor[0], 1.0, 1.0
-        fits = points.fit_floor(scan, POLAR, 0.6, 0.1, search_m)
+        fitted = np.array([floor[0], 1.0, 1.0])
+        fits = points.fit_floor(scan.lowest_m, POLAR, 0.6, 0.1, search_m, fitted)
         plane = twins.fit_twin(scan.lowest_m, POLAR, 0.6, floor[0], 0.1, search_m)
         assert fits == (plane is not None)
         level = np.array([floor[0], 0.0, 0.0])
-        np.testing.assert_allclose(scan.floor, plane if fits else level, atol=1e-5)
+        np.testing.assert_allclose(fitted, plane if fits else level, atol=1e-5)
 
 
 @pytest.mark.parametrize("bad", [np.nan, 0.0, np.inf, -np.inf, -1.0, 1e6, 1e30, 3.4e38])
@@ -171,8 +173,8 @@ def test_the_points_of_the_robot_are_dropped_as_numpy_does(seed, tilt_rad, radiu
     in_map = T_map_base[:3, :3] @ base_m + T_map_base[:3, 3:]
     xyz = (in_map - [[at_m[0]], [at_m[1]], [0.0]]).astype(F)
     before = xyz.copy()
-    axes, sensor = T_map_base[:3, :3].astype(F, order="C"), np.array([*sensor_m, at_m[2]], F)
-    left, hits = points.drop_own(300, 200, xyz, axes, sensor, radius_m, 1.0)
+    axes, sensor = T_map_base[:3, :3].astype(F, order="C"), sensor_m.astype(F)
+    left, hits = points.drop_own(300, 200, xyz, axes, sensor, F(at_m[2]), radius_m, 1.0)
     keep = np.hypot(base_m[0], base_m[1]) >= radius_m
     assert hits == np.count_nonzero(keep[:200])
     np.testing.assert_array_equal(xyz[:, :left], before[:, keep])
