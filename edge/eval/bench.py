@@ -131,16 +131,18 @@ def run_bench(
         report = running.service.latency.report()
         counters = dict(running.source.counters)
         memory_mb = resident_mb()
+        failing = "; ".join(check.message for check in running.service.plausibility.failed)
         if not own:
             for line in playback.outcome():
                 log.info("%s", line)
     tick = report.tick
     slowdown = 1.0 if report.calibration is None else report.calibration.slowdown
     if tick.n == 0 or report.stage("detect").n == 0:
+        detections = report.stage("detect").n
+        why = failing or ("give it more --seconds" if own else "the log says why")
         raise UserError(
-            f"bench: nothing measured in {seconds:g} s ({tick.n} ticks, "
-            f"{report.stage('detect').n} detections): "
-            f"{'give it more --seconds' if own else 'the log says why'}; counters: {counters}"
+            f"bench: nothing measured in {seconds:g} s: {why} ({tick.n} ticks, {detections} "
+            f"detections; counters: {counters})"
         )
     return {
         "table": report.table(),

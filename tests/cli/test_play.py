@@ -8,10 +8,12 @@ import re
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
-from bags import N, camera, odometry, plain, together, write_bag, write_mcap
+from bags import OPTICAL, RGB, N, camera, odometry, plain, together, write_bag, write_mcap
 from public_logs import carmen, redwood
 
+from edge.bus.wire import messages
 from edge.cli.main import main
 from edge.config import load
 from edge.errors import UserError
@@ -123,6 +125,17 @@ def test_a_bench_takes_it_too(config, tmp_path):
     figures = bench.run_bench(load(config), path, 20.0, threading.Event())
     assert 0 < figures["counters"]["observations"] <= N
     assert 0 < figures["latency"]["tick"]["count"] <= N
+
+
+def test_a_bench_of_a_covered_camera_says_so(config, tmp_path):
+    grey = np.full((12, 16, 3), 90, np.uint8)
+    sent = [
+        (topic, kind, ns, messages.encode_image(ns, OPTICAL, grey) if topic == RGB else payload)
+        for topic, kind, ns, payload in plain()
+    ]
+    path = write_mcap(tmp_path / "robot.mcap", sent)
+    with pytest.raises(UserError, match=r"measured in 20 s: .*camera/rgb: the image has one colour"):
+        bench.run_bench(load(config), path, 20.0, threading.Event())
 
 
 def test_a_bench_tells_what_is_missing(config, tmp_path):
