@@ -87,7 +87,7 @@ TABLE: dict[str, Column] = {
     **_of(
         "map",
         origin=Column("i8", (2,), -(1 << 32), 1 << 32), cells=Column("i8", (), 64, 1 << 16),
-        floor_z_m=Column("f8", (), None), robot=Column("i8", ("one", 2), -(1 << 32), 1 << 32),
+        floor_m=Column("f8", (2,), None), robot=Column("i8", ("one", 2), -(1 << 32), 1 << 32),
         cluster_id=Column("i4", ("cluster",), 1, clusters.MAX_CLUSTERS - 1),
         cluster_size=Column("i4", ("cluster",)), cluster_samples=Column("i4", ("cluster",)),
         cluster_sample=Column("i4", ("cluster", clusters.MAX_SAMPLES)),

@@ -270,7 +270,7 @@ class RollingMap:
         return {
             "origin": np.array(self.window.origin, np.int64),
             "cells": np.array(self.window.n, np.int64),
-            "floor_z_m": np.array(self._floor_m),
+            "floor_m": np.array([self._floor_m, self._base_z_m]),
             "robot": robot.reshape(-1, 2),
             **{f"cluster_{name}": of for name, of in cl.kept(self._clusters).items()},
         }
@@ -297,8 +297,9 @@ class RollingMap:
         layers, window, n = self._layers, self.window, self.window.n
         robot = [(int(x), int(y)) for x, y in kept["robot"]]
         self._robot = robot[0] if robot else None
-        floor_m = float(kept["floor_z_m"])
-        self._floor_m = floor_m if abs(floor_m) < FARTHEST_M else math.nan
+        floor_m = kept["floor_m"]
+        if (np.abs(floor_m) < FARTHEST_M).all():
+            self._floor_m, self._base_z_m = floor_m.tolist()
         x, y = (int(at) for at in kept["origin"])
         if kept["cells"] != n and robot:
             x, y = (at - n // 2 for at in robot[0])
@@ -351,13 +352,14 @@ class RollingMap:
     ) -> tuple[np.ndarray, tuple[int, int], tuple[np.float32, np.float32]]:
         """The transform as (3, 4) float32, the sensor's world cell, its place in the scratch."""
         T_map_sensor = T_map_base @ T_base_sensor
-        place = (*T_map_sensor[:2, 3], *T_map_base[:2, 3])
+        x_m, y_m = T_map_sensor[:2, 3].tolist()
+        place = x_m, y_m, *T_map_base[:2, 3].tolist()
         if not np.isfinite(T_map_sensor).all() or not all(abs(v) < FARTHEST_M for v in place):
             raise ValueError(
                 f"sensor or robot pose is not finite or beyond {FARTHEST_M:.0e} m: "
-                f"x, y of sensor and robot {tuple(float(v) for v in place)}"
+                f"x, y of sensor and robot {place}"
             )
-        x, y = T_map_sensor[0, 3] / self.resolution_m, T_map_sensor[1, 3] / self.resolution_m
+        x, y = x_m / self.resolution_m, y_m / self.resolution_m
         cell = (math.floor(x), math.floor(y))
         fraction = (np.float32(self._half + x - cell[0]), np.float32(self._half + y - cell[1]))
         return np.ascontiguousarray(T_map_sensor[:3], np.float32), cell, fraction
@@ -393,11 +395,14 @@ class RollingMap:
             n_points, hits, T[2, 3], np.float32(c.range_m),
             np.float32(1.0 / self.resolution_m), *fraction, polar, scan,
         )  # fmt: skip
-        floor_seen = self._find_floor(sensor_z, float(T_map_base[2, 3]))
+        base_x, base_y, base_z = T_map_base[:3, 3].tolist()
+        floor_seen = self._find_floor(sensor_z, base_z)
         if self._nowhere:
             n, scan.reach_m[:] = 0, 0.0
         coded_m = max(c.obstacle_max_m, points.CODED_M)
         points.classify(n, scan, polar, c.obstacle_min_m, c.obstacle_max_m, coded_m)
+        if coded_m > c.obstacle_max_m:
+            points.go_on(n, scan, polar, c.obstacle_max_m, coded_m)
         shift, origin = self.window.shift, self.window.origin
         corner = (cell[0] - self._half - origin[0], cell[1] - self._half - origin[1])
         update.apply_scan(
@@ -405,7 +410,7 @@ class RollingMap:
             c.obstacle_max_m, coded_m, c.clear_after, self._disc, self._changed, self._explored,
             self._flipped,
         )  # fmt: skip
-        robot_cell = self.window.cell_of(float(T_map_base[0, 3]), float(T_map_base[1, 3]))
+        robot_cell = self.window.cell_of(base_x, base_y)
         update.free_footprint(
             layers, *shift, robot_cell[0] - origin[0], robot_cell[1] - origin[1],
             self._footprint, self._stood_on, self._disc, self._changed, self._explored,
@@ -415,8 +420,7 @@ class RollingMap:
         self.bumps.open_seen_free()
         self._note_written(cell, robot_cell)
         changed = self._refresh_frontiers(rolled)
-        floor_z = float(T_map_base[2, 3]) + self._floor_m
-        return MapUpdate(changed, rolled, floor_z, floor_seen, self._nowhere)
+        return MapUpdate(changed, rolled, base_z + self._floor_m, floor_seen, self._nowhere)
 
     def _find_floor(self, sensor_z: float, base_z: float) -> bool:
         """Follow the ground from the floor that the robot stands on; return whether it was seen.
@@ -426,9 +430,9 @@ class RollingMap:
         """
         c, polar, scan, floor = self.config, self._polar, self._scan, self._floor
         step_m = c.obstacle_min_m
-        near_m = points.search_range_m(sensor_z - base_z, c.min_range_m)
         floor_z, below_m2 = base_z + self._floor_m, 0.0
         if not abs(base_z - self._base_z_m) <= 0.5 * step_m:
+            near_m = points.search_range_m(sensor_z - base_z, c.min_range_m)
             search = scan.lowest_m, polar, sensor_z, base_z, step_m
             found_z, below_m2 = points.find_floor(*search, near_m, self._levels)
             if math.isnan(found_z):
@@ -443,10 +447,12 @@ class RollingMap:
             1.0 / self.resolution_m,
         )  # fmt: skip
         total, count = points.sweep_ground(*sweep)
-        fit = scan.lowest_m, polar, sensor_z, step_m
-        if not count and any(points.fit_floor(*fit, m, floor) for m in (near_m, 2.0 * near_m)):
-            total, count = float(floor[0]), 1
-            points.sweep_ground(*sweep)
+        if not count:
+            near_m = points.search_range_m(sensor_z - base_z, c.min_range_m)
+            fit = scan.lowest_m, polar, sensor_z, step_m
+            if any(points.fit_floor(*fit, m, floor) for m in (near_m, 2.0 * near_m)):
+                total, count = float(floor[0]), 1
+                points.sweep_ground(*sweep)
         if count:
             known = abs(floor_z - base_z - self._floor_m) <= step_m
             floor_z += (_FLOOR_GAIN if known else 1.0) * (total / count - floor_z)

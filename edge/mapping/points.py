@@ -567,12 +567,14 @@ def _grow_box(box, polar, s, end_cells, half):
 def classify(n, scan, polar, obstacle_min_m, obstacle_max_m, coded_m):
     """Split points by height over the local ground; obstacles end the rays of their sectors.
 
-    Below `obstacle_min_m` is floor, above `obstacle_max_m` an overhang with free space beneath. An
-    obstacle that reaches `obstacle_max_m` goes on in what is over it, up to `coded_m`.
+    Below `obstacle_min_m` is floor, above `obstacle_max_m` an overhang with free space beneath.
+
+    Args:
+        coded_m: what the highest code stands for.
     """
     per_m = np.float32(HEIGHT_CODES / coded_m)
     lowest, highest = np.float32(obstacle_min_m), np.float32(obstacle_max_m)
-    step, coded = np.float32(_STEP_FROM * obstacle_min_m), np.float32(coded_m)
+    step = np.float32(_STEP_FROM * obstacle_min_m)
     bins, seen, ground = polar.bin_of.ravel(), scan.seen.ravel(), scan.ground_m.ravel()
     cells, heights = scan.cell, scan.z_m
     for i in range(n):
@@ -589,13 +591,19 @@ def classify(n, scan, polar, obstacle_min_m, obstacle_max_m, coded_m):
             code = LOWEST_OBSTACLE + int(height * per_m)
             if code > seen[cell]:
                 seen[cell] = code
-    if coded <= highest:
-        return
-    goes_on = LOWEST_OBSTACLE + int((highest - np.float32(_GOES_ON_M)) * per_m)
+
+
+@njit(nogil=True, cache=True)
+def go_on(n, scan, polar, obstacle_max_m, coded_m):
+    """Let obstacles that reach `obstacle_max_m` go on in what is over them, up to `coded_m`."""
+    per_m = np.float32(HEIGHT_CODES / coded_m)
+    highest, coded = np.float32(obstacle_max_m), np.float32(coded_m)
+    from_code = LOWEST_OBSTACLE + max(int((highest - np.float32(_GOES_ON_M)) * per_m), 0)
+    bins, seen, ground = polar.bin_of.ravel(), scan.seen.ravel(), scan.ground_m.ravel()
     for i in range(n):
-        cell = cells[i]
-        height = heights[i] - ground[bins[cell]]
-        if highest < height <= coded and seen[cell] >= max(goes_on, LOWEST_OBSTACLE):
+        cell = scan.cell[i]
+        height = scan.z_m[i] - ground[bins[cell]]
+        if highest < height <= coded and seen[cell] >= from_code:
             seen[cell] = max(seen[cell], LOWEST_OBSTACLE + int(height * per_m))
 
 

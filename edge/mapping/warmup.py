@@ -19,7 +19,9 @@ def warmup(mapping: config.Mapping) -> None:
     T = np.eye(4)
     T[:3, :3] = ((0, 0, 1), (-1, 0, 0), (0, -1, 0))
     T[2, 3] = 0.5
-    grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, np.eye(4), T)
+    holed = np.full((16, 16), 1.0, np.float32)
+    holed[8, 8] = np.nan
+    grid.update_depth(holed, camera, np.eye(4), T)
     grid.update_cloud(np.ones((4, 3), np.float32), np.eye(4), np.eye(4))
     grid.bumps.close(SE2(0.0, 0.0, 0.0), (0.4, 0.0), 0.2, 0)
     grid.bumps.open_all()

@@ -267,7 +267,7 @@ def _long(run: list[tuple[int, float]], ring_m: float) -> list[float]:
 
 
 def classify_twin(cell, z_m, ground, polar, low_m, high_m, coded_m):
-    """Twin of `classify`: (side, side) uint8 codes."""
+    """Twin of `classify` and `go_on`: (side, side) uint8 codes."""
     height = z_m - ground.ravel()[polar.bin_of.ravel()[cell]]
     codes = np.zeros(polar.bin_of.size, np.uint8)
     floor = (height < np.float32(low_m)) & (height > -np.float32(low_m))

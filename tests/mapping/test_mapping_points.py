@@ -66,6 +66,7 @@ def test_point_kernels_agree_with_their_twins(seed, n, share, high_m, lean):
     assert np.count_nonzero(np.abs(scan.reach_m - reach) > 1e-5) <= 1
 
     points.classify(within, scan, POLAR, 0.1, high_m, 1.0)
+    points.go_on(within, scan, POLAR, high_m, 1.0)
     expected = twins.classify_twin(cell, z_m, scan.ground_m, POLAR, 0.1, high_m, 1.0)
     np.testing.assert_array_equal(scan.seen, expected)
     ys, xs = np.nonzero(scan.seen)
