@@ -23,7 +23,7 @@ _HOW = {Image.field: cv2.INTER_LINEAR, DepthImage.field: cv2.INTER_NEAREST}
 
 
 def is_rectified(topic: str) -> bool:
-    """Whether a topic's name says that its images are rectified, as image_proc's do.
+    """Return whether a topic's name has the word `rect` or `rectified`, as image_proc's do.
 
     >>> is_rectified("/camera/image_rect_color"), is_rectified("/director/image_raw")
     (True, False)
