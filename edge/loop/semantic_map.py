@@ -85,7 +85,7 @@ class SemanticMap:
     def look(self, detections: Detections) -> None:
         """Boxes become sightings and instances, by the depth and pose that they were seen with."""
         perception, seen = self.config.perception, detections.observation
-        lifted, around = self._lifter.lift(detections)
+        lifted, around = self._lifter.lift(detections, self.grid.floor_over_base_m)
         self.sightings.look(lifted, around)
         self.tracker.update(lifted, seen.stamp_ns)
         self.tracker.expire(seen, detections.prompts)

@@ -181,6 +181,11 @@ class RollingMap:
         return FREE if self._layers.raw[y % n, x % n] else UNKNOWN
 
     @property
+    def floor_over_base_m(self) -> float:
+        """Height of the floor over the base's frame, usually below it; 0 until it was seen."""
+        return 0.0 if math.isnan(self._floor_m) else self._floor_m
+
+    @property
     def resolution_m(self) -> float:
         """Side of a cell."""
         return self.window.resolution_m

@@ -78,11 +78,16 @@ class Lifter:
         self._raster = _NO_RASTER
         self._cloud_points = _NO_POINTS
 
-    def lift(self, detections: Detections) -> tuple[Lifted, Lifted | None]:
+    def lift(
+        self, detections: Detections, floor_over_base_m: float = 0.0
+    ) -> tuple[Lifted, Lifted | None]:
         """All boxes; those without enough returns are marked invalid, never left out.
 
         An observation that lacks the camera, depth or cloud that lifting needs (a LiDAR that fell
         silent) is counted in `unliftable`, and all its boxes are invalid.
+
+        Args:
+            floor_over_base_m: height of the floor over the base's frame.
 
         Returns:
             The targets' boxes, and those of context words (None: not looked for). They are lifted
@@ -109,10 +114,11 @@ class Lifter:
                 _NO_DEPTH if by_cloud else seen.depth_m, self._raster, self._cloud_points,
                 float(cell_px), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
             )  # fmt: skip
+            floor_z_m = float(seen.T_map_base[2, 3]) + floor_over_base_m + kernels.FLOOR_M
             kernels.lift_boxes(
                 view, boxes, masks, word, seen.T_map_base @ seen.T_base_camera,
-                float(seen.T_map_base[2, 3]) + kernels.FLOOR_M, self.config.lift_max_range_m,
-                self.config.lift_min_points, self._scratch, out,
+                floor_z_m, self.config.lift_max_range_m, self.config.lift_min_points, self._scratch,
+                out,
             )  # fmt: skip
         others = None if around is None else Lifted(around, *(array[k:] for array in out))
         return Lifted(detections, *(array[:k] for array in out)), others

@@ -92,17 +92,27 @@ def test_too_few_returns_are_invalid_not_wrong(make_observation, box, depth_m):
     assert out.valid.tolist() == [False]
 
 
-def test_the_floor_in_front_is_not_the_thing(make_observation):
-    """Camera at 0.6 m: rows below the horizon see the floor, nearer than the thing."""
+@pytest.mark.parametrize("base_m", [0.0, 0.4])
+def test_the_floor_in_front_is_not_the_thing(make_observation, base_m):
+    """Camera at 0.6 m: rows below the horizon see the floor, nearer than the thing.
+
+    Args:
+        base_m: height of the base's frame over the floor, as of a robot with legs.
+    """
     seen = make_observation(depth_m=np.full((64, 80), 4.0, np.float32))
     camera = seen.camera
     rows = np.arange(64)
     floor = np.where(rows > camera.cy_px, 0.6 * camera.fy_px / (rows - camera.cy_px + 1e-9), 99)
     seen.depth_m[:] = np.minimum(4.0, floor)[:, None]
     seen.depth_m[24:48, 30:50] = np.minimum(seen.depth_m[24:48, 30:50], 2.0)
-    out = lift(seen, (28, 22, 52, 63))
+    legs = np.eye(4)
+    legs[2, 3] = base_m
+    seen = dataclasses.replace(
+        seen, T_map_base=seen.T_map_base @ legs, T_base_camera=invert(legs) @ seen.T_base_camera
+    )
+    out, _ = Lifter(SIMULATED).lift(detect(seen, (28, 22, 52, 63)), -base_m)
     np.testing.assert_allclose(out.center_m[0][:2], [2.0, 0.0], atol=0.1)
-    assert out.surface_m(0)[:, 2].min() > 0.05
+    assert 0.05 < out.surface_m(0)[:, 2].min() < 0.3
     assert out.surface_m(0)[:, 0].min() > 1.8
 
 
