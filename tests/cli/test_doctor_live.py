@@ -22,6 +22,7 @@ from edge.loop.source import InputRow
 from edge.types import Observation
 
 CAMERA = CameraModel.from_hfov(64, 48, math.radians(70))
+WALL_M = 4.0  # ahead of where the robot starts
 MOUNT = {"x_m": 0.1, "z_m": 0.5, "pitch_deg": 15.0, "rate_hz": 10.0}
 ROW = InputRow("camera/depth", "edge/camera/depth", "depth_m", True, "ok", "", 10.0, 10.0, 0.1,
                100, {})  # fmt: skip
@@ -46,10 +47,12 @@ class Scripted:
     def poll(self) -> Observation | None:
         rng, T = np.random.default_rng(self._n), self._T
         row = (np.arange(48) - CAMERA.cy_px) / CAMERA.fy_px
-        down = -(T[2, 1] * row + T[2, 2])
-        depth_m = np.repeat(np.minimum(0.5 / np.maximum(down, 1e-3), 4.0)[:, None], 64, axis=1)
+        down, ahead = -(T[2, 1] * row + T[2, 2]), T[0, 1] * row + T[0, 2]
+        x_m = 0.02 * self._n
+        depth_m = np.minimum(0.5 / np.maximum(down, 1e-3), (WALL_M - x_m) / ahead)
+        depth_m = np.repeat(depth_m[:, None], 64, axis=1)
         fields = {
-            "T_map_base": SE2(0.02 * self._n, 0.0, 0.0).matrix(),
+            "T_map_base": SE2(x_m, 0.0, 0.0).matrix(),
             "stamp_ns": time.time_ns(), "T_base_camera": T,
             "depth_m": (depth_m + rng.normal(0, 1e-3, depth_m.shape)).astype(np.float32),
             "rgb": rng.integers(0, 255, (48, 64, 3), np.uint8),

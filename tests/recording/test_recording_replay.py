@@ -168,14 +168,15 @@ class Thinks:
 
     def __init__(self) -> None:
         self.told = threading.Semaphore(0)
-        self.answered = 0
+        self.thinks = False
 
     def look(self, view):
         return view
 
     def answer(self, view):
+        self.thinks = True
         self.told.acquire()
-        self.answered += 1
+        self.thinks = False
         n = len(view.marks)
         p = np.linspace(1.0, 2.0, n, dtype=np.float32) / np.float32(2.0 * n)
         ids = tuple(mark.id for mark in view.marks)
@@ -213,13 +214,13 @@ def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
         nonlocal ticks
         recording.steps(1)
         ticks += 1
-        if ticks < 40 and ticks % 7 == 4:
+        if ticks % 7 == 4 and thinks.thinks:
             thinks.told.release()
-            eventually(lambda: thinks.answered > ticks // 7)
-        return ticks >= 40 and came.keys() >= {"detector", "surveyor", "prior", "choice"}
+            eventually(lambda: not thinks.thinks)
+        workers = came.keys() >= {"detector", "surveyor", "prior", "choice"}
+        return ticks >= 40 and workers and came["choice"] >= 2
 
-    eventually(all_came)
-    assert came["choice"] >= 2
+    eventually(all_came, lambda: f"{ticks} ticks, of the workers came {dict(came)}")
     workers = Counter(
         entry.fields["worker"]
         for moment in Session(recording.close()).moments()
