@@ -39,15 +39,14 @@ def batch(stamp_ns: int = STAMP_NS) -> Batch:
     ids[10:30, 10:40] = 1
     depth = np.full((HEIGHT, WIDTH), 2.0, np.float32)
     depth[20:30] = 1.5
+    rgb = np.arange(HEIGHT * WIDTH * 3, dtype=np.uint32).astype(np.uint8).reshape(HEIGHT, WIDTH, 3)
     cloud = np.tile(np.array([[1.25, 2.5, -0.25]], np.float32), (50, 1))
     camera = CameraModel(WIDTH, HEIGHT, 41.5, 42.5, 31.25, 23.25)
     return {
         topics.CAMERA_INFO: messages.encode_camera_info(stamp_ns, "camera", camera),
         topics.ODOMETRY: messages.encode_odometry(stamp_ns, pose, 0.444, 0.555),
         topics.DEPTH: messages.encode_image(stamp_ns, "camera", depth),
-        topics.RGB: messages.encode_image(
-            stamp_ns, "camera", np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-        ),
+        topics.RGB: messages.encode_image(stamp_ns, "camera", rgb),
         topics.SEGMENTATION: messages.encode_image(stamp_ns, "camera", ids),
         topics.CLOUD: messages.encode_point_cloud(stamp_ns, "lidar", cloud),
     }

@@ -34,7 +34,7 @@ RATE_HZ = 30.0
 
 
 class Camera:
-    """A source of grey images with an empty floor, as many as are asked for."""
+    """A source of images of greys with a wall, as many as are asked for."""
 
     epoch, pose, inbox = 0, None, SimpleNamespace(poll=list, overruns=0)
 
@@ -44,7 +44,7 @@ class Camera:
     def poll(self) -> Observation:
         self.counters["observations"] += 1
         n = self.counters["observations"]
-        rgb = np.full((64, 64, 3), 128, np.uint8)
+        rgb = np.broadcast_to(np.arange(96, 160, dtype=np.uint8)[:, None, None], (64, 64, 3))
         depth = np.full((64, 64), 2.0, np.float32)
         camera = CameraModel.from_hfov(64, 64, 1.3)
         stamp_ns = int(n * 1e9 / RATE_HZ)

@@ -55,12 +55,12 @@ def node(op: str, inputs: list[str], output: str, **attributes) -> bytes:
 
 
 def detector(shift: float = 0.0, bias: float = 0.0, in_black: str = "Div") -> bytes:
-    """Three boxes in every image, all with the score 1 / (1 + exp(-bias)); NaN in a black one, or
-    not if `in_black` is "Mul"."""
+    """Three boxes in every image, all with the score 1 / (1 + exp(-bias)); NaN in one that has
+    black in it, or not if `in_black` is "Mul"."""
     boxes = [v + shift for place in PLACES for v in place]
     nodes = [
-        node("ReduceMean", ["images"], "mean", keepdims=0),
-        node(in_black, ["zero", "mean"], "nothing"),
+        node("ReduceMin", ["images"], "darkest", keepdims=0),
+        node(in_black, ["zero", "darkest"], "nothing"),
         node("Add", ["box", "nothing"], "boxes"),
         node("Transpose", ["txt_feats"], "text_t", perm=[0, 2, 1]),
         node("MatMul", ["zeros", "text_t"], "flat"),
@@ -124,7 +124,7 @@ def config(tmp_path, monkeypatch, endpoint, isolation) -> Path:
 
 
 class Camera:
-    """A source of the same grey image; `dark`: of a black one."""
+    """A source of the same image of greys; `dark`: with black in its upper half."""
 
     epoch, pose, inbox = 0, None, SimpleNamespace(poll=list, overruns=0)
 
@@ -135,7 +135,8 @@ class Camera:
     def poll(self) -> Observation:
         self.counters["observations"] += 1
         n = self.counters["observations"]
-        rgb = np.full((64, 64, 3), 0 if self.dark else 128, np.uint8)
+        rgb = np.broadcast_to(np.arange(96, 160, dtype=np.uint8)[:, None, None], (64, 64, 3)).copy()
+        rgb[: 32 * self.dark] = 0
         camera = CameraModel.from_hfov(64, 64, 1.3)
         return Observation(n, n * 200_000_000, np.eye(4), rgb=rgb, camera=camera)
 
