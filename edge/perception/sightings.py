@@ -205,6 +205,8 @@ class SightingTracker:
         s.word[: s.n] = self._numbers(kept["words"].tolist())[kept["word"][: s.n]]
         s.last_seen_ns[: s.n] += later_ns
         self._next_id = max(self._next_id, int(kept["next_id"]))
+        # Nothing was looked for yet, whatever was known before.
+        self._asked, self._asked_for = np.zeros(len(s.words), np.bool_), ((), ())
         s.generation += 1
         self._show()
 
