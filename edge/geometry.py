@@ -99,6 +99,26 @@ class Grid:
         (h, w), (x_m, y_m) = self.cells.shape, self.origin_xy_m
         return x_m, x_m + w * self.resolution_m, y_m, y_m + h * self.resolution_m
 
+    @property
+    def known_m2(self) -> float:
+        """Area of the cells that are not unknown."""
+        return float(np.count_nonzero(self.cells >= 0)) * self.resolution_m**2
+
+
+def thin(grid: Grid, max_side: int) -> Grid:
+    """Merge blocks of k x k cells: occupied wins over free, free over unknown.
+
+    k is the smallest that keeps both sides within `max_side`.
+    """
+    h, w = grid.cells.shape
+    k = max(1, -(-max(h, w) // max_side))
+    if k == 1:
+        return grid
+    padded = np.full((-(-h // k) * k, -(-w // k) * k), -1, dtype=np.int8)
+    padded[:h, :w] = grid.cells
+    blocks = padded.reshape(padded.shape[0] // k, k, padded.shape[1] // k, k)
+    return Grid(blocks.max(axis=(1, 3)), grid.origin_xy_m, k * grid.resolution_m)
+
 
 def se2_of(T: np.ndarray) -> SE2:
     """The planar part of a (4, 4) transform."""

@@ -349,6 +349,11 @@ def same(a: str, b: str) -> bool:
     return canonical(a) == canonical(b)
 
 
+def same_as_any(name: str, others: Iterable[str]) -> bool:
+    """Whether a name is another word for one of `others`."""
+    return any(same(name, other) for other in others)
+
+
 def names_of(word: str) -> tuple[str, ...]:
     """Everything a thing is called: the word itself, its canonical name, then the aliases."""
     text, name = normalise(word), canonical(word)

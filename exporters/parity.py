@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from edge.host.bars import counted
-from edge.models.bench.boxes import Found, agree, overlaps
+from edge.lab.bench.boxes import Found, agree, overlaps
 from exporters.files import ExportError
 from exporters.images import TextEmbeddings, load_input
 from exporters.onnx_format import check_format, cpu_session

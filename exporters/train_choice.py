@@ -66,7 +66,7 @@ def _train(args: argparse.Namespace) -> None:
     import torch
     import yaml
 
-    from edge.sim.generator.house import HELD_OUT
+    from edge.lab.sim.generator.house import HELD_OUT
     from exporters.choice.collect import load_views, make_views
     from exporters.choice.export import DETECTOR, MODELS, TEXT
     from exporters.choice.features import Trunk, make_features

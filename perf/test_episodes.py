@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from edge.config import parse
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 
 CONFIG = {"perception": {"detector": {"kind": "sim"}}, "mission": {"target": "unicorn"}}
 SECONDS = 10.0

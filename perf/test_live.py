@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from edge.config import parse
-from edge.eval.closed_loop import ClosedLoop
 from edge.host.service_manager import ServiceManager
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.live.pictures import JPEG_QUALITY, grid_of, shot_of
 from edge.live.sink import LiveSink, Shot
 from edge.live.view import LiveView

@@ -5,8 +5,8 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 from edge.config import parse
-from edge.eval.closed_loop import ClosedLoop
 from edge.host.service_manager import ServiceManager
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.metrics import Metrics
 from edge.loop.runner import Running
 from edge.loop.vitals import Vitals

@@ -8,8 +8,8 @@ from test_mapping import MAPPING, explored_map, update_all_round
 
 from edge import config
 from edge.config import parse
-from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop import places
 from edge.loop.goal import GoalTracker
 from edge.loop.keeper import Keeper

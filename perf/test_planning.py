@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from edge.eval.planning.executor import Problem, Situation, draws_of, run_episode
-from edge.eval.planning.lifted import compiled, lift
-from edge.eval.planning.planners import PLANNERS
-from edge.eval.planning.sweep import Settings, run_tasks
-from edge.eval.planning.templates import generate
+from edge.lab.eval.planning.executor import Problem, Situation, draws_of, run_episode
+from edge.lab.eval.planning.lifted import compiled, lift
+from edge.lab.eval.planning.planners import PLANNERS
+from edge.lab.eval.planning.sweep import Settings, run_tasks
+from edge.lab.eval.planning.templates import generate
 from edge.mission.ltl import parse
 
 P_OBS = tuple(i / 10 for i in range(1, 11))

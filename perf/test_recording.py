@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edge.config import parse
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.sinks.mcap import McapSink
 from edge.sinks.telling import Teller
 

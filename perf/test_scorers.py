@@ -10,8 +10,8 @@ from test_mapping import CAMERA, T_BASE_CAMERA
 
 from edge import config
 from edge.config import parse
-from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.candidates import CandidatePool
 from edge.loop.scorers import Scorers
 from edge.mapping import grid
@@ -102,7 +102,7 @@ def test_tick(benchmark, monkeypatch, asks):
     choice = config.ChoiceOnnx(card="mini-house-choice", threads=1)
     busy = Busy(open_choice(choice))
     scorers = Scorers(None, busy) if asks else None
-    monkeypatch.setattr("edge.eval.closed_loop.make_scorers", lambda *_: scorers)
+    monkeypatch.setattr("edge.lab.eval.closed_loop.make_scorers", lambda *_: scorers)
     loop = ClosedLoop(
         parse({
             "loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.05},

@@ -10,8 +10,8 @@ import pytest
 
 from edge.config import Lidar, parse
 from edge.geometry import CameraModel, optical, se3
-from edge.sim.base import Fan, World, free_poses
-from edge.sim.worlds import load_world
+from edge.lab.sim.base import Fan, World, free_poses
+from edge.lab.sim.worlds import load_world
 
 SIM = {"perception": {"detector": {"kind": "sim"}}}
 

@@ -41,8 +41,7 @@ LIVE = ("integration", "attacks")
 LIVE_LIMIT_S = 900
 # Folders with tests that wait for a service or a part of it, in a process or on a thread.
 SERVICES = {
-    *LIVE, "eval", "live", "loop", "motion", "perception", "recording", "ros2_adapter", "sim",
-    "sinks", "sources",
+    *LIVE, "lab", "live", "loop", "perception", "recording", "ros2_adapter", "sinks", "sources",
 }  # fmt: skip
 
 # pytest-timeout ends a test by an exception in its main thread: it does nothing for a kernel or a
@@ -72,10 +71,10 @@ import tempfile
 from pathlib import Path
 import numpy as np
 from small_house import small_house
-from edge.eval.columns import make_columns
-from edge.eval.drive import in_process, run_episode
-from edge.eval.episodes import make_episode, sensing_of
-from edge.eval.trajectory_metrics import likeness
+from edge.lab.eval.columns import make_columns
+from edge.lab.eval.drive import in_process, run_episode
+from edge.lab.eval.episodes import make_episode, sensing_of
+from edge.lab.eval.trajectory_metrics import likeness
 from edge.geometry import Grid
 with tempfile.TemporaryDirectory() as folder:
     config = small_house(Path(folder), sensors={"lidar": {}})

@@ -7,7 +7,7 @@ from pathlib import Path
 from simulated import simulated
 
 from edge.config import Config
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.recording.rolling import files_of
 from edge.sinks.mcap import McapSink
 

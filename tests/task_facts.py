@@ -9,11 +9,11 @@ from typing import Any
 from task_scenes import STREET, street
 
 from edge.config import Tasks
-from edge.motion.pursuit import MotionLimits
 from edge.tasks.facts import StepFacts, StepState, TaskFacts
 from edge.tasks.refine import Refined, refine
 from edge.tasks.value_map import Body
 from edge.tasks.write import Round, Written, write
+from edge.trajectory.pursuit import MotionLimits
 
 INSTRUCTION = "go past the left of the van, then stop at the gate"
 SAID = ("go past the left of the van", "stop at the gate")

@@ -18,10 +18,10 @@ from simulated import simulated
 
 from edge.bus import topics
 from edge.bus.wire import DecodeError, messages
-from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import Grid, se2_of
+from edge.lab.eval.closed_loop import ClosedLoop
+from edge.lab.motion.controller import Controller
 from edge.loop.status import status_of
-from edge.motion.controller import Controller
 from edge.sources.decoder import CdrDecoder
 from edge.sources.synchronizer import TimeSynchronizer
 

@@ -15,7 +15,7 @@ from simulated import simulated
 
 from edge.cli.main import main
 from edge.config.yaml_text import parse_yaml
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from edge.config import Config, load
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 
 KITCHEN = [6.6, 1.4, 1.2]
 

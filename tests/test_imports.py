@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -11,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import edge
+from edge.cli.options import LAB_PACKAGES
 
 ROOT = Path(edge.__file__).parent
 # A package imports from itself and from the lines above its own.
@@ -20,17 +23,16 @@ LAYERS = (
     ("config",),
     ("bus", "chat"),
     ("mapping", "perception", "trajectory"),
-    ("motion", "policies", "mission"),
+    ("policies", "mission"),
     ("tasks",),
     ("loop",),
     ("recording",),
-    ("sources", "sinks", "report", "ros2_adapter", "fleet"),
+    ("sources", "sinks", "ros2_adapter", "fleet"),
     ("live",),
     ("launch",),
-    ("sim",),
-    ("eval",),
     ("models",),
     ("cli",),
+    ("lab",),
 )
 LEVEL = {name: level for level, layer in enumerate(LAYERS) for name in layer}
 MOST_AT_THE_TOP = 12
@@ -78,11 +80,14 @@ def test_every_room_has_its_place():
 
 
 def test_no_import_runs_upward():
+    """Only the CLI imports `edge.lab`, when a verb needs it."""
     upward = sorted(
         f"{module} -> {target}"
         for module, targets in imports().items()
         for target in targets & MODULES.keys()
-        if room(module) != room(target) and LEVEL[room(module)] <= LEVEL[room(target)] != 0
+        if room(module) != room(target)
+        and LEVEL[room(module)] <= LEVEL[room(target)] != 0
+        and (room(module), room(target)) != ("cli", "lab")
     )
     assert upward == []
 
@@ -106,6 +111,27 @@ def test_the_loop_loads_no_zenoh():
 def test_what_runs_on_the_robot_imports_no_exporter():
     reached = {t.split(".")[0] for targets in imports().values() for t in targets}
     assert not reached & NEVER
+
+
+def test_only_lab_imports_what_lab_installs():
+    outside = sorted(
+        f"{module} -> {target}"
+        for module, targets in imports().items()
+        for target in targets
+        if room(module) != "lab" and target.split(".")[0] in LAB_PACKAGES
+    )
+    assert outside == []
+
+
+def test_edge_run_loads_no_lab():
+    # numba looks for SciPy at its import, and does without.
+    code = "import sys, numba; before = set(sys.modules); import edge.cli.commands; "
+    code += "print(*set(sys.modules) - before)"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {*ran.stdout.split()}
+    assert "edge.loop.service" in loaded
+    heavy = ("edge.lab", *LAB_PACKAGES, "pandas")
+    assert not [name for name in loaded if name.startswith(heavy)]
 
 
 @pytest.mark.parametrize("package", sorted(p.parent for p in ROOT.rglob("__init__.py")), ids=str)

@@ -9,8 +9,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from edge.cli.console import ConsoleSink
+from edge.cli.options import needs_lab
 from edge.cli.preflight import check
 from edge.config import Config, Http
 from edge.errors import FAILED, Stopped
@@ -20,16 +22,19 @@ from edge.host.ports import free_port, is_free
 from edge.host.service_manager import ServiceManager
 from edge.launch import children, on_a_free_port, open_service
 from edge.live.view import PUBLIC, LiveView
+from edge.loop.latency import LatencyReport
 from edge.loop.metrics import Metrics
 from edge.loop.reload import Reloader
 from edge.loop.runner import loop
 from edge.loop.vitals import PROBES, Vitals
 from edge.recording.trace import TracePage
-from edge.report.record import RunRecord
-from edge.report.recorder import Recorder
 from edge.sources.played import Playback
 from edge.text import one_line
-from edge.types import MissionStatus
+from edge.types import Instance, MissionStatus
+
+if TYPE_CHECKING:
+    from edge.lab.report.record import RunRecord
+    from edge.lab.report.recorder import Recorder
 
 log = logging.getLogger("edge")
 
@@ -37,6 +42,21 @@ _NEVER_S = 1e6
 _MOST_OBJECTS = 20
 LIVE_PORT = 7480
 """Default port of the demo's live view: the same each time, so that a browser's tab can stay."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ended:
+    """A run at its end.
+
+    Attributes:
+        record: what a report shows; None if none was asked for.
+    """
+
+    mission: MissionStatus
+    latency: LatencyReport
+    map_m2: float
+    instances: tuple[Instance, ...]
+    record: RunRecord | None
 
 
 @dataclass(frozen=True)
@@ -72,7 +92,9 @@ def run_service(
         Stopped: `stop` was set before the service was ready.
     """
     _prepare(config, report)
-    code = _conclude(_serve(config, stop, once, asked, formula, task, reload), report)
+    recorded = report is not None
+    ended = _serve(config, stop, once, asked, formula, task, reload, recorded=recorded)
+    code = _conclude(ended, report)
     return code if once else os.EX_OK
 
 
@@ -80,8 +102,8 @@ def _prepare(config: Config, report: str | None) -> None:
     """Refuse what cannot be run with, and a report that cannot be written."""
     check(config)
     if report is not None:
-        from edge.report.page import prepare
-
+        with needs_lab():
+            from edge.lab.report.page import prepare
         prepare(report)
 
 
@@ -95,17 +117,19 @@ def _serve(
     reload: Reload | None = None,
     stay: bool = False,
     playback: Playback | None = None,
-) -> RunRecord:
-    """Run the service; return the record of its run.
+    recorded: bool = False,
+) -> Ended:
+    """Run the service; return how its run ended.
 
     Args:
         stay: after the end of the mission, or of the recording, go on until `stop` is set, so that
-            the live view can still be looked at. The record is then that of the end.
+            the live view can still be looked at. What is returned is then that of the end.
         playback: a recording to play instead of the configured source.
+        recorded: collect what a report shows.
     """
-    recorder, vitals = Recorder(config), Vitals(ServiceManager())
+    recorder, vitals = _recorder(config) if recorded else None, Vitals(ServiceManager())
     live, metrics, traced = LiveView(config, vitals), Metrics(vitals), TracePage()
-    sinks = [ConsoleSink(), recorder, live.sink]
+    sinks = [ConsoleSink(), *([] if recorder is None else [recorder]), live.sink]
     pages = {**vitals.pages(), **metrics.pages(), **traced.pages(), **live.pages()}
     with (
         _served(pages, live.forms(), config.http) as url,
@@ -130,15 +154,22 @@ def _serve(
         doing = mission.reason if mission.idle else one_line(mission.brief.translation.instruction)
         log.info("ready: %s, on %s", doing, config.zenoh.address)
         vitals.ready()
-        ended: RunRecord | None = None
+        ended: Ended | None = None
         if playback is not None:
             running.clock = playback.clock
 
         def over() -> bool:
             return running.service.status.done if playback is None else playback.over
 
-        def record() -> RunRecord:
-            return recorder.record(running.service.result(), running.source.counters)
+        def end() -> Ended:
+            result = running.service.result()
+            return Ended(
+                result.status,
+                result.latency(),
+                result.snapshot().known_m2,
+                tuple(result.instances()),
+                None if recorder is None else recorder.record(result, running.source.counters),
+            )
 
         def each() -> None:
             nonlocal ended
@@ -146,7 +177,7 @@ def _serve(
             if not over():
                 ended = None
             elif stay and ended is None:
-                ended = record()
+                ended = end()
                 what = running.service.status.phase if playback is None else "played"
                 log.info("%s; %s stays until Ctrl-C", what, url)
             elif playback is not None and not stay:
@@ -154,7 +185,7 @@ def _serve(
 
         loop(running, stop, once and not stay, each)
         vitals.stopping()
-        return ended or record()
+        return ended or end()
 
 
 @contextmanager
@@ -171,16 +202,22 @@ def _served(pages: Pages, forms: Forms, http: Http) -> Iterator[str | None]:
         yield url
 
 
-def _conclude(record: RunRecord, report: str | None) -> int:
-    """Print how it went, write the report; the exit code."""
-    print(record.latency.table())
-    print(summary(record.mission))
-    if report is not None:
-        from edge.report.page import write_report
+def _recorder(config: Config) -> Recorder:
+    from edge.lab.report.recorder import Recorder
 
-        for path in filter(None, write_report(record, Path(report))):
+    return Recorder(config)
+
+
+def _conclude(ended: Ended, report: str | None) -> int:
+    """Print how it went, write the report; the exit code."""
+    print(ended.latency.table())
+    print(summary(ended.mission))
+    if report is not None and ended.record is not None:
+        from edge.lab.report.page import write_report
+
+        for path in filter(None, write_report(ended.record, Path(report))):
             print(path)
-    return FAILED if record.mission.phase == "failed" else os.EX_OK
+    return FAILED if ended.mission.phase == "failed" else os.EX_OK
 
 
 def summary(status: MissionStatus) -> str:
@@ -215,14 +252,14 @@ def run_demo(
     if live is not None:
         config = _with_live_view(config, live)
     _prepare(config, report)
-    record = None
+    ended = None
     try:
         started = children(config, stop, ("sim", "--no-motion"), ("motion",))
         with started, suppress(Stopped):  # `started` says it when a child that ended was the cause
             stay = live is not None
-            record = _serve(config, stop, True, asked, formula, task, stay=stay)
+            ended = _serve(config, stop, True, asked, formula, task, stay=stay, recorded=True)
     finally:  # a child's failure must not cost the report
-        code = 0 if record is None else _conclude(record, report)
+        code = 0 if ended is None else _conclude(ended, report)
     return code
 
 
@@ -258,9 +295,10 @@ def run_play(
             print(line, flush=True)
         playback.check()
         stay = live is not None
-        record = _serve(config, stop, False, asked, formula, task, stay=stay, playback=playback)
-        lines = [*playback.outcome(), *_mapped(record)]
-    _conclude(record, report)
+        what, recorded = (asked, formula, task), report is not None
+        ended = _serve(config, stop, False, *what, stay=stay, playback=playback, recorded=recorded)
+        lines = [*playback.outcome(), *_mapped(ended)]
+    _conclude(ended, report)
     print("\n".join(lines))
     return os.EX_OK
 
@@ -285,20 +323,17 @@ def _undriven(config: Config, lockstep: bool) -> Config:
     return config.model_copy(update=update)
 
 
-def _mapped(record: RunRecord) -> Iterator[str]:
+def _mapped(ended: Ended) -> Iterator[str]:
     """Yield lines on the map and the things that were found."""
-    from edge.report.raster import known_m2
-
-    area_m2 = 0.0 if record.map is None else known_m2(record.map)
-    yield f"map: {area_m2:.0f} m2; driven: {record.mission.path_m:.1f} m"
-    for found in record.instances[:_MOST_OBJECTS]:
+    yield f"map: {ended.map_m2:.0f} m2; driven: {ended.mission.path_m:.1f} m"
+    for found in ended.instances[:_MOST_OBJECTS]:
         x_m, y_m, z_m = found.center_m
         yield (
             f"object: {one_line(found.label)} at ({x_m:.2f}, {y_m:.2f}, {z_m:.2f}) m, "
             f"{found.hits} hits, score {found.score:.2f}"
         )
-    left = len(record.instances) - _MOST_OBJECTS
-    yield f"{left} more objects" if left > 0 else f"{len(record.instances)} objects"
+    left = len(ended.instances) - _MOST_OBJECTS
+    yield f"{left} more objects" if left > 0 else f"{len(ended.instances)} objects"
 
 
 def _with_live_view(config: Config, live: int) -> Config:
@@ -317,7 +352,7 @@ def _live_port(host: str) -> int:
 
 def run_simulator(config: Config, stop: threading.Event, motion: bool) -> int:
     """The simulated robot in this process, the reference controller in another."""
-    from edge.sim.process import main as run_sim
-
+    with needs_lab():
+        from edge.lab.sim.process import main as run_sim
     with children(config, stop, *([("motion",)] if motion else [])):
         return run_sim(config, stop)

@@ -82,7 +82,7 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         "--processes", action="store_true",
         help="robot, controller and service as processes over Zenoh",
     )  # fmt: skip
-    episodes.set_defaults(handler=lazy("edge.eval.runs", "run"))
+    episodes.set_defaults(handler=lazy("edge.lab.eval.runs", "run"))
 
 
 _P_OBS = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0"
@@ -114,7 +114,7 @@ def _planning(kinds) -> None:  # type: ignore[no-untyped-def]
         "--llm-tasks", type=count, default=20, metavar="N",
         help="how many of the tasks it gets (default: %(default)s)",
     )  # fmt: skip
-    planning.set_defaults(handler=lazy("edge.eval.planning.run", "run"))
+    planning.set_defaults(handler=lazy("edge.lab.eval.planning.run", "run"))
 
 
 def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -149,7 +149,7 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     option("--failures", type=Path, metavar="FILE", help="what failed, as JSON lines")
     option("--out", type=Path, metavar="FILE", help="the counts as JSON")
-    translate.set_defaults(handler=lazy("edge.eval.translate", "run"))
+    translate.set_defaults(handler=lazy("edge.lab.eval.translate", "run"))
 
 
 def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -187,7 +187,7 @@ def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
         help="for outcomes.jsonl, episodes.jsonl and pictures; what it has is not run again "
         "(default: ./%(default)s)",
     )  # fmt: skip
-    trajectories.set_defaults(handler=lazy("edge.eval.trajectories.run", "run"))
+    trajectories.set_defaults(handler=lazy("edge.lab.eval.trajectories.run", "run"))
 
 
 def _compare(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -200,7 +200,7 @@ def _compare(kinds) -> None:  # type: ignore[no-untyped-def]
         "--baseline", metavar="NAME",
         help="the column that the others are held against (default: the first)",
     )  # fmt: skip
-    compare.set_defaults(handler=lazy("edge.eval.comparison.run", "run"))
+    compare.set_defaults(handler=lazy("edge.lab.eval.comparison.run", "run"))
 
 
 def _results(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -217,4 +217,4 @@ def _results(kinds) -> None:  # type: ignore[no-untyped-def]
         help="for the outcomes, the Markdown and the plots (default: ./%(default)s)",
     )  # fmt: skip
     option("--workers", type=count, default=1, metavar="N", help="processes (default: 1)")
-    results.set_defaults(handler=lazy("edge.eval.comparison.results", "run"))
+    results.set_defaults(handler=lazy("edge.lab.eval.comparison.results", "run"))

@@ -79,10 +79,13 @@ def _unasked(implied: int | None) -> str:
 
 
 def _draw(path: Path, automaton: Automaton, steps: tuple[str, ...]) -> None:
+    from edge.cli.options import needs_lab
     from edge.host.files import save
-    from edge.report import canvas, dot
-    from edge.report.drawing import draw
-    from edge.report.scene import make_scene
+    from edge.live.scene import make_scene
+
+    with needs_lab():
+        from edge.lab.report import canvas, dot
+        from edge.lab.report.drawing import draw
 
     content = {
         ".svg": lambda: canvas.svg(draw(make_scene(automaton, 0, steps))),

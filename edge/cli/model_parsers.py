@@ -18,7 +18,7 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
     for name, (text, add_to, module, function) in _ACTIONS.items():
         action = actions.add_parser(name, help=text, description=text)
         add_to(action)
-        action.set_defaults(handler=lazy(f"edge.models.{module}", function))
+        action.set_defaults(handler=lazy(f"edge.{module}", function))
 
 
 def _list(action: argparse.ArgumentParser) -> None:
@@ -90,11 +90,16 @@ def _use(action: argparse.ArgumentParser) -> None:
 
 
 _ACTIONS = {
-    "list": ("every model card, and whether its file is there", _list, "listing", "run"),
-    "pull": ("fetch a model, or the weights it is made from", _pull, "pull", "run"),
-    "export": ("make a model file from weights (extra `export`)", _export, "make", "export"),
-    "quantize": ("make a variant from the FP32 file", _quantize, "make", "quantize"),
-    "check": ("hash, interface and one inference", _check, "check", "run"),
-    "bench": ("compare the variants of a family on this machine", _bench, "bench.compare", "run"),
-    "use": ("change the model of a running service", _use, "use", "run"),
+    "list": ("every model card, and whether its file is there", _list, "models.listing", "run"),
+    "pull": ("fetch a model, or the weights it is made from", _pull, "models.pull", "run"),
+    "export": ("make a model file from weights (extra `export`)", _export, "models.make", "export"),
+    "quantize": ("make a variant from the FP32 file", _quantize, "models.make", "quantize"),
+    "check": ("hash, interface and one inference", _check, "models.check", "run"),
+    "bench": (
+        "compare the variants of a family on this machine",
+        _bench,
+        "lab.bench.compare",
+        "run",
+    ),
+    "use": ("change the model of a running service", _use, "models.use", "run"),
 }

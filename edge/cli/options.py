@@ -5,17 +5,43 @@ from __future__ import annotations
 import argparse
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
+
+from edge.errors import UnavailableError
 
 Handler = Callable[[argparse.Namespace], int]
 
 CONFIG = "YAML file, or the name of a ready configuration"
 
 
+LAB_PACKAGES = ("matplotlib", "networkx", "scipy")
+"""What `edge.lab` imports and the service does not: the extra `lab`."""
+
+
 def lazy(module: str, function: str) -> Handler:
-    """A handler that imports its module when it is called."""
-    return lambda args: getattr(import_module(module), function)(args)
+    """Return a handler that imports its module when it is called."""
+
+    def handler(args: argparse.Namespace) -> int:
+        with needs_lab():
+            return getattr(import_module(module), function)(args)
+
+    return handler
+
+
+@contextmanager
+def needs_lab() -> Iterator[None]:
+    """Say in one line how to install the packages of `edge.lab` if one is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as missing:
+        name = (missing.name or "").partition(".")[0]
+        if name not in LAB_PACKAGES:
+            raise
+        raise UnavailableError(
+            f"{name} is not installed; it comes with: pip install 'edge-vln[lab]'"
+        ) from missing
 
 
 def positive(text: str) -> float:

@@ -8,9 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from edge.geometry import Grid
+from edge.geometry import Grid, thin
 from edge.live.sink import Shot
-from edge.report.raster import thin
 
 MAX_SIDE = 1600
 JPEG_QUALITY = 75

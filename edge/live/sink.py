@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from edge import names
 from edge.geometry import Grid
+from edge.live.trail import Trail
 from edge.loop.result import Event, MissionFacts, ScoredCandidates, TickResult
 from edge.perception.choice.picture import visible_marks
 from edge.perception.choice.question import LETTERS, Choice
 from edge.policies.base import FRONTIER
-from edge.report.record import is_target
-from edge.report.recorder import Trail
 from edge.tasks.facts import TaskFacts, same_words
 from edge.types import Detections, Instance, Observation
 
@@ -209,7 +209,8 @@ def _boxes(detections: Detections, targets: Sequence[str]) -> tuple[Box, ...]:
             of = zip(told.class_id.tolist(), told.score.tolist(), shares, strict=True)
             boxes += [(told.prompts[i], score, xyxy) for i, score, xyxy in list(of)[:MAX_BOXES]]
     return tuple(
-        Box(label, score, is_target(label, targets), tuple(xyxy)) for label, score, xyxy in boxes
+        Box(label, score, names.same_as_any(label, targets), tuple(xyxy))
+        for label, score, xyxy in boxes
     )
 
 

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from edge.live.scene import make_scene
 from edge.live.sink import Moment
 from edge.loop.latency import LatencyReport
 from edge.loop.result import MissionFacts
 from edge.loop.status import mission_of
 from edge.policies.base import FRONTIER, INSTANCE
-from edge.report.scene import make_scene
 from edge.tasks.facts import TaskFacts, lengths_m, thinned
 from edge.text import one_line, some_lines
 from edge.types import Goal, GoalStatus
@@ -162,7 +162,7 @@ def story_of(moment: Moment, latency: LatencyReport) -> dict[str, Any]:
 
 
 def scene_of(mission: MissionFacts) -> dict[str, Any]:
-    """The automaton as a graph: see `edge.report.scene`."""
+    """The automaton as a graph: see `edge.live.scene`."""
     scene = make_scene(mission.brief.automaton, mission.state, mission.plan.steps, mission.word)
     return {
         "nodes": [node._asdict() for node in scene.nodes],

@@ -13,7 +13,6 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.mapping.view import MapView
 from edge.mission.language.words import TranslationError
-from edge.motion.pursuit import MotionLimits
 from edge.tasks.objects import ObjectMap
 from edge.tasks.prompt import prompt, words
 from edge.tasks.reading import AmbiguousError
@@ -22,6 +21,7 @@ from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.survey import add_found, scene_of_map
 from edge.tasks.value_map import Body
 from edge.tasks.write import Round, write
+from edge.trajectory.pursuit import MotionLimits
 from edge.types import Detections, Instance, Observation
 
 log = logging.getLogger("edge.loop.draft")

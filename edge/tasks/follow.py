@@ -9,9 +9,9 @@ import numpy as np
 from edge.bus.wire.transforms import encode_path
 from edge.geometry import SE2
 from edge.mapping.view import MapView
-from edge.motion.pursuit import index_ahead, nearest_index
 from edge.tasks.ground import ESCAPE_M
 from edge.tasks.refine import Refined
+from edge.trajectory.pursuit import index_ahead, nearest_index
 
 LOST_M = 3.0
 """The robot is looked for on so much of the path ahead, so that where a path crosses itself no part

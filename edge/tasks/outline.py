@@ -12,6 +12,8 @@ from edge.geometry import SE2, Grid
 from edge.tasks.scene import SceneObject
 from edge.trajectory.smoothing import resample
 
+_CHUNK = 128  # points whose distances to all cells are held at a time
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
@@ -35,10 +37,10 @@ class Outline:
 
     def gaps_m(self, points_m: np.ndarray) -> np.ndarray:
         """(n,) how far points (n, 2) are from the nearest of its cells; 0 on one."""
-        # Not above: every process that knows of a service would wait for half of SciPy.
-        from scipy.spatial import cKDTree
-
-        away_m, _ = cKDTree(self.cells_m).query(points_m)
+        away_m = np.empty(len(points_m))
+        for k in range(0, len(points_m), _CHUNK):
+            apart_m = points_m[k : k + _CHUNK, None] - self.cells_m
+            away_m[k : k + _CHUNK] = np.hypot(apart_m[..., 0], apart_m[..., 1]).min(axis=1)
         return np.maximum(away_m - self.rim_m, 0.0)
 
     def nearest(self, point_m: tuple[float, float]) -> tuple[float, float]:

@@ -15,11 +15,11 @@ from typing import Any
 import cv2
 
 from edge.config import TrajectoryLimits
-from edge.motion.pursuit import CREEP_MPS
 from edge.tasks.functions import described
 from edge.tasks.picture import annotated
 from edge.tasks.scene import Scene
 from edge.text import one_line
+from edge.trajectory.pursuit import CREEP_MPS
 
 MOST_OBJECTS = 80
 MOST_INSTRUCTION_CHARS = 2000

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from edge.motion.pursuit import MotionLimits
 from edge.tasks.ground import ESCAPE_M
 from edge.tasks.legs import Leg, RefineError, cut
 from edge.tasks.scene import Scene
@@ -18,6 +17,7 @@ from edge.tasks.speeds import headings_rad, speeds_mps, times_s
 from edge.tasks.value_map import HIGH, Body, closed_cells, value_map
 from edge.trajectory import astar, smoothing
 from edge.trajectory.costmap import CostMap, from_weights
+from edge.trajectory.pursuit import MotionLimits
 from edge.trajectory.spline import b_spline
 
 SPACING_M = 0.1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge.motion.pursuit import MotionLimits
+from edge.trajectory.pursuit import MotionLimits
 
 
 def headings_rad(path_m: np.ndarray) -> np.ndarray:

@@ -16,9 +16,9 @@ import numpy as np
 from edge.config import TrajectoryLimits
 from edge.errors import UserError
 from edge.geometry import FARTHEST_M
-from edge.motion.pursuit import CREEP_MPS
 from edge.tasks.ground import ESCAPE_M, Ground
 from edge.text import one_line
+from edge.trajectory.pursuit import CREEP_MPS
 
 MOST_HEIGHT_M = 1000.0
 _SHOWN = 40

@@ -10,12 +10,12 @@ from edge.config import Mapping, Robot, Tasks, TrajectoryLimits
 from edge.geometry import CameraModel, optical, se3
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
-from edge.motion.pursuit import MotionLimits
 from edge.tasks.objects import ObjectMap
 from edge.tasks.refine import refine
 from edge.tasks.survey import add_found, scene_of_map
 from edge.tasks.value_map import Body
 from edge.tasks.write import write
+from edge.trajectory.pursuit import MotionLimits
 from edge.types import Detections, Instance, Observation
 
 _WALL_M, _CAMERA_M = 3.0, 0.6

@@ -21,17 +21,17 @@ import numpy as np
 
 from edge import names
 from edge.config import Camera, parse
-from edge.eval import geodesic
-from edge.eval.closed_loop import ClosedLoop
-from edge.eval.metrics import REACHED_M
 from edge.host.files import replace_atomically
+from edge.lab.eval import geodesic
+from edge.lab.eval.closed_loop import ClosedLoop
+from edge.lab.eval.metrics import REACHED_M
+from edge.lab.sim.base import World, free_poses
+from edge.lab.sim.generator.house import HELD_OUT
+from edge.lab.sim.worlds import load_world
 from edge.loop.result import TickResult
 from edge.perception.choice.picture import visible_marks
 from edge.perception.choice.question import MAX_MARKS
 from edge.policies.base import FRONTIER
-from edge.sim.base import World, free_poses
-from edge.sim.generator.house import HELD_OUT
-from edge.sim.worlds import load_world
 from exporters.mini import looks
 
 ABSENT = "piano"

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from edge.eval.intervals import Interval, bootstrap
+from edge.lab.eval.intervals import Interval, bootstrap
 from edge.perception.choice.question import MAX_MARKS
 from exporters.choice import labels
 from exporters.choice.collect import NEVER, Views

@@ -5,5 +5,5 @@
 true; `net` is the network, `loss` what it is taught, `training` the loop (`exporters.train_mini`
 starts it), `checkpoint` what it keeps; `export` writes ONNX files and cards, `evaluate` measures
 them on houses that training never saw and says what they must be able to do. The detector knows
-the built-in world (`edge.sim.assemblies`) and nothing else.
+the built-in world (`edge.lab.sim.assemblies`) and nothing else.
 """

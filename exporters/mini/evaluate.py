@@ -21,7 +21,7 @@ import numpy as np
 from onnxruntime import InferenceSession
 
 from edge.config import Perception
-from edge.models.bench.boxes import overlaps
+from edge.lab.bench.boxes import overlaps
 from exporters.files import ExportError, tells_errors
 from exporters.images import as_input
 from exporters.mini import looks

@@ -4,8 +4,8 @@
 
 The same seed gives the same house. Seeds from `HELD_OUT` on are for evaluation only.
 
-They are drawn wilder than homes are (`edge.sim.generator` makes those): a detector should know a
-thing by its looks, wherever it stands, at any angle and in any colour. The weights that this
+They are drawn wilder than homes are (`edge.lab.sim.generator` makes those): a detector should know
+a thing by its looks, wherever it stands, at any angle and in any colour. The weights that this
 project has made depend on these draws.
 """
 
@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.sim import assemblies
-from edge.sim.generator.contents import FLOOR_COLORS, ON_TOP, SUPPORTS, USUAL_ON, WALL_COLORS
-from edge.sim.generator.draws import Rect, at_wall, wall_span_m
-from edge.sim.house import FLOORS, House, Opening, Room, Thing, Wall
+from edge.lab.sim import assemblies
+from edge.lab.sim.generator.contents import FLOOR_COLORS, ON_TOP, SUPPORTS, USUAL_ON, WALL_COLORS
+from edge.lab.sim.generator.draws import Rect, at_wall, wall_span_m
+from edge.lab.sim.house import FLOORS, House, Opening, Room, Thing, Wall
 from exporters.mini import looks
 
 HELD_OUT = 100_000

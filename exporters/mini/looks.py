@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from edge import names
+from edge.lab.sim import assemblies
 from edge.perception.attributes import ALIKE, Vocabulary
-from edge.sim import assemblies
 
 PALETTE: dict[str, tuple[float, float, float]] = {
     "red": (200, 48, 44),

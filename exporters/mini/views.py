@@ -21,11 +21,11 @@ import numpy as np
 from edge.config import parse
 from edge.geometry import SE2, CameraModel, optical, se3
 from edge.host.files import replace_atomically
+from edge.lab.sim import assemblies, kernels
+from edge.lab.sim.boxworld import BoxWorld
+from edge.lab.sim.generator import contents
+from edge.lab.sim.house import House, build_house
 from edge.perception import kernels as perception
-from edge.sim import assemblies, kernels
-from edge.sim.boxworld import BoxWorld
-from edge.sim.generator import contents
-from edge.sim.house import House, build_house
 from exporters.files import ExportError
 from exporters.mini import houses, looks
 from exporters.mini.houses import Look, extent_m, random_house

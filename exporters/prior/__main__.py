@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from edge.host.files import replace_atomically
+from edge.lab.sim.procthor import read_houses
 from edge.perception.prior.table import parse
-from edge.sim.procthor import read_houses
 from exporters.files import ExportError, tells_errors
 from exporters.prior import learn
 from exporters.prior.counts import count, count_kinds

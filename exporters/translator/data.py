@@ -12,8 +12,8 @@ from random import Random
 import torch
 from torch import Tensor
 
-from edge.eval.languages import difference, with_weak_untils
-from edge.eval.translate import CLEAN_UP, LANG2LTL, Case, clean_up_cases, lang2ltl_cases
+from edge.lab.eval.languages import difference, with_weak_untils
+from edge.lab.eval.translate import CLEAN_UP, LANG2LTL, Case, clean_up_cases, lang2ltl_cases
 from edge.mission.language.compact import MOST_NAMES, NAMES, OPERATORS, REFUSED, formula_of
 from edge.mission.language.lifting import lift
 from edge.mission.language.network import (

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.eval.translate import OUTCOMES, Case, score
+from edge.lab.eval.translate import OUTCOMES, Case, score
 from edge.mission.language.model import SmallModel
 from edge.mission.language.network import Network
 from edge.mission.translate import Translator, by_all, by_model
@@ -25,7 +25,7 @@ def translators(path: Path) -> dict[str, Translator]:
 
 
 def outcomes(cases: Sequence[Case], translator: Translator) -> dict[str, int]:
-    """How many cases had each of `edge.eval.translate.OUTCOMES`."""
+    """How many cases had each of `edge.lab.eval.translate.OUTCOMES`."""
     counts = Counter(score(case, translator).outcome for case in cases)
     return {outcome: counts[outcome] for outcome in OUTCOMES}
 

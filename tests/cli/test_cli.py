@@ -299,7 +299,7 @@ def test_the_demos_page_is_at_one_port_and_stays(
 ):
     usual, served = free_port(), []
 
-    def serve(config, *_, stay):
+    def serve(config, *_, stay, recorded):
         served.append((config.http.port, stay))
         raise Stopped
 
@@ -378,7 +378,7 @@ def test_a_service_that_is_told_to_stop_has_not_failed_with_its_mission(
 ):
     mission = SimpleNamespace(phase=phase)
     record = SimpleNamespace(latency=SimpleNamespace(table=str), mission=mission)
-    monkeypatch.setattr(run_commands, "_serve", lambda *_: record)
+    monkeypatch.setattr(run_commands, "_serve", lambda *_, **__: record)
     monkeypatch.setattr(run_commands, "summary", lambda status: status.phase)
     assert run_commands.run_service(simulated(), threading.Event(), once, None) == code
 

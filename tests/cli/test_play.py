@@ -17,7 +17,7 @@ from edge.bus.wire import messages
 from edge.cli.main import main
 from edge.config import load
 from edge.errors import UserError
-from edge.eval import bench
+from edge.lab.bench import service as bench
 
 OURS = {
     "perception": {"detector": {"kind": "sim"}},

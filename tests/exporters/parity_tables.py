@@ -20,7 +20,7 @@ import cv2
 import tiny_folders
 
 from edge.config import parse
-from edge.models.bench.frames import from_world
+from edge.lab.bench.frames import from_world
 from edge.text import aligned
 from exporters import clip, vlm, vlm_files
 

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
 
 from edge import config
-from edge.models.bench.boxes import overlaps
+from edge.lab.bench.boxes import overlaps
 from exporters.files import ExportError
 from exporters.mini import evaluate, looks
 from exporters.mini.evaluate import (

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.sim import assemblies
-from edge.sim.generator.contents import SUPPORTS
+from edge.lab.sim import assemblies
+from edge.lab.sim.generator.contents import SUPPORTS
 from exporters.files import ExportError
 from exporters.mini import houses, looks, views
 from exporters.mini.houses import random_house

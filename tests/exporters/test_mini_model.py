@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `cpu`)")
 
 from edge import config
-from edge.models.bench.boxes import overlaps
+from edge.lab.bench.boxes import overlaps
 from edge.perception.attributes import AttributeEncoder
 from edge.perception.cards import load_card, load_detector_card, verify_model
 from edge.perception.onnx_detector import OnnxDetector

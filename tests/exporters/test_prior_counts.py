@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from edge.lab.sim.procthor import read_houses
 from edge.perception.prior import table
-from edge.sim.procthor import read_houses
 from exporters.prior.__main__ import main
 from exporters.prior.counts import count, inside
 

@@ -12,7 +12,7 @@ import yaml
 
 torch = pytest.importorskip("torch")
 
-from edge.eval.translate import Case  # noqa: E402
+from edge.lab.eval.translate import Case  # noqa: E402
 from edge.mission.language.compact import NAMES  # noqa: E402
 from edge.mission.language.network import Network  # noqa: E402
 from edge.mission.ltl import parse  # noqa: E402

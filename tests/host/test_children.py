@@ -10,8 +10,8 @@ from edge import launch
 from edge.errors import UserError
 from edge.host import children
 from edge.host.children import python_module
-from edge.models.bench import compare
-from edge.models.bench.alone import run_alone
+from edge.lab.bench import compare
+from edge.lab.bench.alone import run_alone
 from edge.perception.process import link
 
 

@@ -12,18 +12,18 @@ from simulated import simulated
 from edge import config
 from edge.config import WorldHouse, WorldProcthor
 from edge.errors import UserError
-from edge.eval.planning.file import read_tasks
-from edge.eval.translate import lang2ltl_cases
 from edge.host.files import open_regular, read_regular, replace_atomically, write_atomically
+from edge.lab.bench.frames import from_folder
+from edge.lab.eval.planning.file import read_tasks
+from edge.lab.eval.translate import lang2ltl_cases
+from edge.lab.sim.house import load_house
+from edge.lab.sim.mesh import read_objects
+from edge.lab.sim.procthor import load_procthor
 from edge.mission.checkpoint import load as load_checkpoint
-from edge.models.bench.frames import from_folder
 from edge.models.local import extract
 from edge.models.make import keep_vocabulary
 from edge.perception.cards import read_card
 from edge.perception.text import TextEmbeddings
-from edge.sim.house import load_house
-from edge.sim.mesh import read_objects
-from edge.sim.procthor import load_procthor
 from edge.sources import recording
 from exporters.files import ExportError, check_sha256
 from exporters.images import load_input, load_text_embeddings

@@ -16,7 +16,7 @@ from simulated import simulated
 
 from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.status import status_of
 from edge.perception.choice.question import MAX_MARKS, Choice, Mark, Sighting, View
 from edge.perception.choice.scorer import ChoiceScorer, make_server_choice

@@ -8,10 +8,10 @@ pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `
 
 from edge.cli import main as cli
 from edge.config import parse
-from edge.eval.closed_loop import ClosedLoop
-from edge.eval.columns import data_of, merged
-from edge.report import choices
-from edge.report.recorder import Recorder
+from edge.lab.eval.closed_loop import ClosedLoop
+from edge.lab.eval.columns import data_of, merged
+from edge.lab.report import choices
+from edge.lab.report.recorder import Recorder
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 

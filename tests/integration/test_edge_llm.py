@@ -14,7 +14,7 @@ from llm_process import serving_llm
 
 from edge.chat import ChatClient, ChatError, CutOffError
 from edge.config import TranslatorLlm
-from edge.eval.planning.templates import generate
+from edge.lab.eval.planning.templates import generate
 from edge.mission.automaton import compile_formula
 from edge.mission.language.llm import constraint, conversation, formula_in, objects_in
 from edge.mission.ltl import parse

@@ -15,10 +15,10 @@ import pytest
 from simulated import simulated
 
 from edge.errors import Stopped
-from edge.eval.columns import make_columns
-from edge.eval.drive import over_zenoh, run_episode
-from edge.eval.episodes import plan
-from edge.eval.outcome import TIMINGS
+from edge.lab.eval.columns import make_columns
+from edge.lab.eval.drive import over_zenoh, run_episode
+from edge.lab.eval.episodes import plan
+from edge.lab.eval.outcome import TIMINGS
 
 CONFIG = simulated({"mission": {"time_limit_s": 60.0}})
 

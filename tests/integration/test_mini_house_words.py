@@ -12,13 +12,13 @@ from edge import names
 from edge.config import parse
 from edge.errors import UserError
 from edge.geometry import SE2
+from edge.lab.sim.base import WorldObject, free_poses
+from edge.lab.sim.sensors import CameraRig
+from edge.lab.sim.worlds import load_world
 from edge.perception.factory import make_detector
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
 from edge.perception.sightings import SightingTracker
-from edge.sim.base import WorldObject, free_poses
-from edge.sim.sensors import CameraRig
-from edge.sim.worlds import load_world
 from edge.types import Observation
 
 BACKGROUND = (

@@ -24,7 +24,7 @@ from edge.host.ports import free_port
 SIMULATE = """
 import json, signal, sys, threading
 from edge.config import parse
-from edge.sim.process import main
+from edge.lab.sim.process import main
 stop = threading.Event()
 signal.signal(signal.SIGTERM, lambda *_: stop.set())
 sys.exit(main(parse(json.loads(sys.argv[1])), stop))

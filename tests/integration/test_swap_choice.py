@@ -15,8 +15,8 @@ from tiny_vlm import publish
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `cpu`)")
 
 from edge.config import load
-from edge.eval.tour import tour
 from edge.host import resources
+from edge.lab.eval.tour import tour
 from edge.launch import open_service
 from edge.loop.runner import Running, loop
 from edge.loop.status import status_of

@@ -13,8 +13,8 @@ from live_patience import eventually
 from edge.bus.topics import ODOMETRY, Topic
 from edge.bus.wire import messages
 from edge.config import Zenoh
-from edge.eval.soak.relay import Alter, Relay, frozen, restamped
 from edge.host.ports import free_port
+from edge.lab.eval.soak.relay import Alter, Relay, frozen, restamped
 
 STAMPED = ("camera/rgb", "camera/depth", "camera/info", "odom", "sim/segmentation")
 FARTHEST_M = 1.2  # a computer that is busy needs longer than one that is not

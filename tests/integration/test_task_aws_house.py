@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edge.config import load
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 
 pytestmark = [pytest.mark.slow, pytest.mark.weights, pytest.mark.timeout(600)]
 

@@ -11,8 +11,8 @@ from chat_server import saying, send, sends_100_mb, serving, stalls
 from live_patience import PATIENCE_S, eventually
 from simulated import simulated
 
-from edge.eval.closed_loop import ClosedLoop
 from edge.host import resources
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.tasks.brief import prepared
 
 TASK = "Drive a little way."

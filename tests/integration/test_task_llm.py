@@ -16,7 +16,7 @@ from task_scenes import STREET, street
 
 from edge.chat import ChatError
 from edge.config import Tasks, WriterModel, load
-from edge.eval.trial.views import street_view
+from edge.lab.eval.trial.views import street_view
 from edge.tasks.ground import ground_of
 from edge.tasks.scene import Scene
 from edge.tasks.trajectory import check

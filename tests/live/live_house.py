@@ -14,11 +14,11 @@ from types import SimpleNamespace
 from simulated import simulated
 
 from edge.bus.request_queue import RequestQueue
-from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
 from edge.host.credentials import Token
 from edge.host.pages import serve
 from edge.host.service_manager import ServiceManager
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.live.sink import LiveSink
 from edge.live.view import PUBLIC, LiveView
 from edge.loop import requests

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from simulated import simulated
 
-from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2, CameraModel
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.depth_motion import MISFIT, MOST_RETRY_NS, RETRY_NS, DepthMotion
 
 SECOND_NS = 1_000_000_000

@@ -10,9 +10,9 @@ from patience import eventually
 from simulated import simulated
 
 from edge.config import parse
-from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import CameraModel
 from edge.host.board import Board
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop import governor as module
 from edge.loop import ladder
 from edge.loop.governor import Governor

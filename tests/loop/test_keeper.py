@@ -10,7 +10,7 @@ import pytest
 from simulated import simulated
 
 from edge.config import Config
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.keeper import Keeper
 from edge.loop.result import facts_of
 from edge.loop.service import Service

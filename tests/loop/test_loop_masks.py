@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from simulated import simulated
 
-from edge.eval.closed_loop import ClosedLoop, wants_colour
+from edge.lab.eval.closed_loop import ClosedLoop, wants_colour
 from edge.loop.status import status_of
 
 STEPS = 6

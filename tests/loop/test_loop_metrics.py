@@ -10,10 +10,10 @@ from prometheus_client.parser import text_string_to_metric_families
 from simulated import simulated
 from test_loops import running_of
 
-from edge.eval.closed_loop import ClosedLoop
 from edge.host.board import Board
 from edge.host.service_manager import ServiceManager
 from edge.host.worker import Stats
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.keeper import Keeper
 from edge.loop.metrics import BOARD, LIFE, SERVICE, Metrics
 from edge.loop.publish import statuses

@@ -10,8 +10,8 @@ from patience import eventually
 from simulated import simulated
 
 from edge.config import DetectorSim, Mapping
-from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import se3
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.prior import DRAWN_M, LEAST, MOST, PERIOD_NS, Prior, make_prior
 from edge.mapping.grid import RollingMap
 from edge.mapping.points import HEIGHT_CODES

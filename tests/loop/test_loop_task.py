@@ -12,7 +12,7 @@ from simulated import simulated
 
 from edge.bus.verbs import Request
 from edge.errors import UserError
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop import draft
 from edge.loop.keeper import Keeper
 from edge.loop.metrics import SERVICE

@@ -18,9 +18,9 @@ from patience import eventually
 from simulated import simulated
 
 from edge.errors import Stopped
-from edge.eval.closed_loop import ClosedLoop, blank_observation
 from edge.geometry import SE2
 from edge.host import resources
+from edge.lab.eval.closed_loop import ClosedLoop, blank_observation
 from edge.loop import runner
 from edge.loop.faults import DEGRADED_AFTER
 from edge.loop.runner import Running, loop

@@ -15,8 +15,8 @@ from patience import PATIENCE_S
 from simulated import simulated
 
 from edge.config import Config
-from edge.eval.closed_loop import ClosedLoop, Notes
 from edge.geometry import SE2
+from edge.lab.eval.closed_loop import ClosedLoop, Notes
 from edge.loop import place_keeper
 from edge.loop.keeper import Keeper
 from edge.loop.place_file import decode

@@ -16,8 +16,8 @@ import pytest
 from simulated import simulated
 
 from edge.config import Config
-from edge.eval.closed_loop import START_NS, ClosedLoop
 from edge.geometry import SE2, CameraModel, optical, se3
+from edge.lab.eval.closed_loop import START_NS, ClosedLoop
 from edge.loop.plausibility import LASTS_NS, TELL_AGAIN_NS, Plausibility
 from edge.loop.semantic_map import SemanticMap
 from edge.loop.status import status_of

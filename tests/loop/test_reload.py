@@ -14,7 +14,7 @@ from live_patience import eventually
 from simulated import simulated
 
 from edge.config import Config, ConfigError, Section, load, parse
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.reload import LIVE, Reloader, differing
 from edge.perception.swap import swapper
 

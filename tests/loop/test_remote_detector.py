@@ -13,7 +13,7 @@ from simulated import simulated
 from test_loops import blanks, running_of
 
 from edge import config
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.runner import loop
 from edge.loop.status import status_of
 from edge.perception.card_types import Server

@@ -34,7 +34,7 @@ UNFINISHED = Saved(
 COMPILED_IN_THE_LOOP = """
 import json, sys
 from numba.core.registry import CPUDispatcher
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 from simulated import simulated
 from edge.loop.warmup import warm_up
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from simulated import simulated
 
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.types import Goal
 
 RECORDED = Path(__file__).parents[1] / "data" / "same_goals.json"

@@ -13,8 +13,8 @@ from patience import PATIENCE_S, eventually
 from simulated import simulated
 
 from edge.config import Config
-from edge.eval.closed_loop import START_NS, ClosedLoop
 from edge.geometry import SE2
+from edge.lab.eval.closed_loop import START_NS, ClosedLoop
 from edge.loop.scorers import SIGHTED_NS, Scorers, make_scorers, sightings
 from edge.loop.status import status_of
 from edge.mission.brief import prepare

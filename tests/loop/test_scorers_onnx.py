@@ -10,8 +10,8 @@ from tiny_vlm import publish
 
 from edge.bus.verbs import Request
 from edge.errors import UserError
-from edge.eval.closed_loop import ClosedLoop
 from edge.host import resources
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import MODEL_VERBS, handle_model
 from edge.loop.status import status_of
 from edge.perception.cards import ModelError

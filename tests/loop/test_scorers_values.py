@@ -10,8 +10,8 @@ import pytest
 from patience import eventually
 from simulated import simulated
 
-from edge.eval.closed_loop import START_NS, ClosedLoop
 from edge.geometry import SE2, CameraModel, optical, se3
+from edge.lab.eval.closed_loop import START_NS, ClosedLoop
 from edge.loop.cooccurrence import PriorChoice, RelatedScores, given
 from edge.loop.scorers import Scorers, ways_to
 from edge.mapping.grid import RollingMap

@@ -9,7 +9,7 @@ import pytest
 from simulated import simulated
 
 from edge.config import Config
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.mission.brief import prepare
 
 # One long room: the map sees all of it at once, the detector (2.5 m) does not.

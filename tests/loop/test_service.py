@@ -15,12 +15,12 @@ from simulated import simulated
 from edge.bus.session import open_session
 from edge.cli.console import ConsoleSink
 from edge.config import Config
-from edge.eval.closed_loop import START_NS, ClosedLoop, blank_observation
 from edge.geometry import SE2
 from edge.host.ports import free_port
+from edge.lab.eval.closed_loop import START_NS, ClosedLoop, blank_observation
+from edge.lab.report.recorder import Recorder
 from edge.loop.status import status_of
 from edge.perception.worker import DetectorWorker
-from edge.report.recorder import Recorder
 from edge.sinks.zenoh import ZenohSink
 from edge.types import Detections, Goal, GoalStatus
 

@@ -11,7 +11,7 @@ from simulated import simulated
 from edge.bus.verbs import Request
 from edge.config import Config
 from edge.errors import UserError
-from edge.eval.closed_loop import START_NS, ClosedLoop
+from edge.lab.eval.closed_loop import START_NS, ClosedLoop
 from edge.loop.requests import handle_mission
 from edge.loop.status import status_of
 from edge.mission.brief import prepare

@@ -6,7 +6,7 @@ import pytest
 from simulated import simulated
 
 from edge.bus.verbs import Request
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import handle_mission
 from edge.mission.brief import prepare
 from edge.perception.factory import make_detector

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from simulated import simulated
 
-from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.mapping import layers as ly
 from edge.types import GoalStatus
 

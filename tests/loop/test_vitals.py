@@ -15,8 +15,8 @@ import pytest
 from simulated import simulated
 from test_loops import blanks, running_of
 
-from edge.eval.closed_loop import ClosedLoop
 from edge.host.service_manager import ServiceManager
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.faults import DEGRADED_AFTER
 from edge.loop.runner import Running
 from edge.loop.vitals import HANGS_S, PROBES, Vitals

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.eval.languages import difference
+from edge.lab.eval.languages import difference
 from edge.mission.language.compact import (
     COUNTS,
     MOST_NAMES,

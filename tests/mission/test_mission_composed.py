@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from random import Random
 
-from edge.eval.languages import difference
+from edge.lab.eval.languages import difference
 from edge.mission.language.compact import NAMES, REFUSED, formula_of
 from edge.mission.language.grammar import TranslationError, readings
 from edge.mission.ltl import to_text

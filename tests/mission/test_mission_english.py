@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.eval.languages import difference
-from edge.eval.planning.templates import generate
+from edge.lab.eval.languages import difference
+from edge.lab.eval.planning.templates import generate
 from edge.mission import ltl
 from edge.mission.language.english import describe
 from edge.mission.language.grammar import readings

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from edge.config import TranslatorAuto, TranslatorGrammar
-from edge.eval.languages import difference
+from edge.lab.eval.languages import difference
 from edge.mission.language.grammar import TranslationError, readings
 from edge.mission.language.lexicon import PHRASES, TABLE
 from edge.mission.language.words import MAX_CHARS, MAX_WORDS

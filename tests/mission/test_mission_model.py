@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.eval.languages import difference
+from edge.lab.eval.languages import difference
 from edge.mission.language import model as small
 from edge.mission.language.compact import NAMES, REFUSED
 from edge.mission.language.model import SmallModel

@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from edge.config.mission import TranslatorGrammar
-from edge.eval.languages import difference
+from edge.lab.eval.languages import difference
 from edge.mission.language.grammar import TranslationError, readings
 from edge.mission.ltl import parse
 from edge.mission.readings import distinct

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from edge.eval.languages import difference
+from edge.lab.eval.languages import difference
 from edge.mission.language.grammar import TranslationError, readings
 from edge.mission.ltl import Formula, parse
 from edge.mission.readings import distinct

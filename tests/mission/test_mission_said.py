@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from edge.config import TranslatorAuto, TranslatorGrammar
-from edge.eval.translate import TO_READ, Score, own_cases, score
+from edge.lab.eval.translate import TO_READ, Score, own_cases, score
 from edge.mission.translate import make_translator
 
 SAID = Path(__file__).with_name("said.tsv")

@@ -16,14 +16,14 @@ from tiny_vlm import publish
 from edge.cli.main import main
 from edge.geometry import SE2, Grid
 from edge.host import resources
+from edge.lab.bench import choices
+from edge.lab.bench.boxes import Truth
+from edge.lab.bench.frames import Frames
+from edge.lab.sim.base import FloorPlan, WorldObject
 from edge.models import pull
-from edge.models.bench import choices
-from edge.models.bench.boxes import Truth
-from edge.models.bench.frames import Frames
 from edge.perception.card_types import ChoiceCard
 from edge.perception.cards import all_cards, load_card
 from edge.perception.choice.question import Mark, View
-from edge.sim.base import FloorPlan, WorldObject
 from edge.types import Observation
 
 MARKS = tuple(Mark(i, 0.0, 0.0, bearing, 3.0) for i, bearing in enumerate((0.5, 0.0, -0.5)))

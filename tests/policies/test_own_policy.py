@@ -12,7 +12,7 @@ import yaml
 from simulated import simulated
 
 from edge.config import ConfigError
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.warmup import warm_up
 from edge.policies import make_policy
 from edge.policies.base import INSTANCE

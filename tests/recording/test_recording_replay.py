@@ -19,8 +19,8 @@ from recordings import Recording, small
 
 from edge.cli.parsers import make_parser
 from edge.config import Config
-from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.goal import GoalTracker
 from edge.loop.journal import Journal
 from edge.loop.keeper import Keeper
@@ -197,7 +197,7 @@ def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
     )  # fmt: skip
     thinks = Thinks()
     monkeypatch.setattr(
-        "edge.eval.closed_loop.make_scorers",
+        "edge.lab.eval.closed_loop.make_scorers",
         lambda config, targets: Scorers(None, thinks, feeds=config.value_source),
     )
     note, came = Journal.note, Counter()

@@ -11,7 +11,7 @@ from simulated import simulated
 
 from edge.config import ConfigError
 from edge.config.yaml_text import parse_yaml
-from edge.eval.closed_loop import ClosedLoop
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.result import Sink
 from edge.sinks import find_sinks
 from edge.sinks.zenoh import ZenohSink

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from edge.geometry import SE2, Grid
-from edge.motion.pursuit import MotionLimits
 from edge.tasks.scene import Region, Scene
 from edge.tasks.value_map import Body
+from edge.trajectory.pursuit import MotionLimits
 
 CELL_M = 0.1
 LIMITS = MotionLimits(speed_mps=1.0, turn_radps=1.0, accel_mps2=0.8, turn_accel_radps2=3.0)

@@ -12,7 +12,7 @@ import yaml
 
 from edge.config import Tasks, load
 from edge.errors import UserError
-from edge.eval.trial.views import street_view
+from edge.lab.eval.trial.views import street_view
 from edge.tasks.chain import see
 from edge.tasks.functions import NAMES
 from edge.tasks.write import write

@@ -15,7 +15,6 @@ from task_scenes import STREET, Thing, street
 from edge.config import TrajectoryLimits
 from edge.geometry import SE2, wrap_angle
 from edge.mission.language.words import TranslationError
-from edge.motion.pursuit import MotionLimits
 from edge.tasks.functions import Functions
 from edge.tasks.ground import REACH_M, ground_of
 from edge.tasks.phrases import PHRASES, tokenise
@@ -24,6 +23,7 @@ from edge.tasks.refine import refine, refine_again
 from edge.tasks.rules import carry_out
 from edge.tasks.trajectory import TrajectoryError
 from edge.tasks.value_map import Body
+from edge.trajectory.pursuit import MotionLimits
 
 LIMITS = TrajectoryLimits()
 SCENE = street(*STREET)

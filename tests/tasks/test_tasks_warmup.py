@@ -8,7 +8,6 @@ import numpy as np
 from task_scenes import STREET, street
 
 from edge.config import Robot, Tasks
-from edge.motion.pursuit import MotionLimits
 from edge.tasks import scan_kernels
 from edge.tasks.objects import ObjectMap
 from edge.tasks.refine import refine, refine_again
@@ -17,6 +16,7 @@ from edge.tasks.value_map import Body
 from edge.tasks.warmup import room, warm_up
 from edge.tasks.write import write
 from edge.trajectory import kernels
+from edge.trajectory.pursuit import MotionLimits
 from edge.types import MASK_SIDE, Detections
 
 

@@ -1,0 +1,246 @@
+"""All variants over the same frames, each in a process of its own, and what comes out of it."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from typing import Any, Union
+
+import numpy as np
+
+from edge.config import Config, DetectorOnnx, load
+from edge.errors import UserError
+from edge.host import machine
+from edge.lab.bench import boxes, choices, frames, report
+from edge.lab.bench.alone import run_alone
+from edge.lab.bench.frames import Frames
+from edge.lab.bench.measure import Job, Measured
+from edge.lab.bench.report import Report
+from edge.lab.bench.variants import PROVIDERS, Variant, families, providers_here, variants
+from edge.perception.cards import how_to_get, load_detector_card
+from edge.perception.encoders import make_text_encoder
+from edge.perception.model_file import remembered_sha256
+from edge.perception.swap.swapper import LOAD_TIMEOUT_S
+
+log = logging.getLogger(__name__)
+
+Results = list[tuple[Variant, Union[Measured, str]]]
+MEASURE = "edge.lab.bench.measure"
+VERSION = 1
+STAGES = ("pre", "session", "post")
+_FRAME_S = 2.0
+"""What one frame may take at most, on average."""
+_LIMIT = f"{LOAD_TIMEOUT_S:g} s and a bit for each frame"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge models bench`: compare, print, keep; 1 when nothing could run.
+
+    Raises:
+        UserError: an option, the configuration or the world cannot be used.
+    """
+    config = load(args.config)
+    family = _family(args.family, config)
+    chooses = family in choices.families()
+    if chooses and family not in families():
+        if args.update_cards:
+            raise UserError("models bench: --update-cards: cards keep figures of detectors only")
+        return choices.run(args, _pictures(args, config))
+    todo = variants(family, providers_here(args.providers))
+    sizes = [(v.card.input.height, v.card.input.width) for v in todo if v.card.is_here()]
+    pictures = _pictures(args, config, sizes)
+    found = compare(config, todo, pictures, _settings(config, args.threads))
+    found["directions"] = choices.compare(family, args, pictures) if chooses else []
+    print(report.as_text(found))
+    if chooses:
+        print("\n" + choices.as_text(family, found["directions"], pictures))
+    print(f"kept in {report.keep(found, args.json)}")
+    if args.update_cards:
+        for path in report.update_cards(found):
+            print(f"written to {path}")
+    ran = any(row["state"] == "ran" for row in found["rows"])
+    return 0 if ran or choices.any_ran(found["directions"]) else 1
+
+
+def _pictures(
+    args: argparse.Namespace, config: Config, inputs_hw: Sequence[tuple[int, int]] = ()
+) -> Frames:
+    """Those that the command line asks for; `inputs_hw` as `frames.from_world` takes them."""
+    if args.images is not None:
+        return frames.from_folder(args.images, args.frames)
+    return frames.from_world(config, args.frames, inputs_hw)
+
+
+def _family(asked: str | None, config: Config) -> str:
+    """The family that was asked for, else that of the configured model."""
+    if asked is not None:
+        return asked
+    detector = config.perception.detector
+    if isinstance(detector, DetectorOnnx):
+        return load_detector_card(detector.model).family
+    raise UserError(
+        f"{config.at('perception.detector.kind')} is {detector.kind}: name a family "
+        f"(choices: {', '.join(families()) or 'none'})"
+    )
+
+
+def _settings(config: Config, threads: int | None) -> DetectorOnnx:
+    """The configured detector's settings, which all variants share."""
+    detector = config.perception.detector
+    settings = detector if isinstance(detector, DetectorOnnx) else DetectorOnnx()
+    return settings if threads is None else settings.model_copy(update={"threads": threads})
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """Runs variants over the same frames.
+
+    Attributes:
+        job: but for the model and its providers.
+        limit_s: a process that takes longer is ended.
+    """
+
+    job: Job
+    limit_s: float
+
+    def run(self, variant: Variant) -> Measured | str:
+        """What was measured, or in one line why nothing was."""
+        if not variant.card.is_here():
+            return f"not here: {how_to_get(variant.card)}"
+        asked = {"model": variant.card.name, "providers": PROVIDERS[variant.on]}
+        detector = self.job.detector.model_copy(update=asked)
+        return run_alone(MEASURE, replace(self.job, detector=detector), self.limit_s, _LIMIT)
+
+
+def compare(
+    config: Config, todo: Sequence[Variant], pictures: Frames, settings: DetectorOnnx
+) -> Report:
+    """Run all variants and work out the figures.
+
+    A variant's boxes are held against those of its FP32 model of the same input size and, where
+    it is known, against what is there.
+
+    Raises:
+        UserError: the text encoder knows nothing of what is in the frames, or is not there.
+    """
+    resolve = make_text_encoder(todo[0].card, settings.vocabulary).resolve
+    prompts, unknown = frames.prompts_for(pictures.labels, resolve)
+    if not prompts:
+        raise UserError("models bench: the text encoder knows nothing of what is in the frames")
+    # The configured model's background may be foreign to another family's encoder.
+    background = tuple(frames.words_for(settings.background, resolve))
+    settings = settings.model_copy(update={"background": background})
+    tau_det = config.perception.tau_det
+    limit_s = LOAD_TIMEOUT_S + _FRAME_S * len(pictures.rgb)
+    before = machine.describe()
+    bench = Bench(Job(settings, prompts, pictures.rgb, tau_det), limit_s)
+    results = _run_all(bench, todo)
+    again = _again(bench, results)
+    return {
+        "version": VERSION,
+        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "family": todo[0].card.family,
+        "config": config.path,
+        "machine": before,
+        "clock_after": machine.describe().get("cpu_clock"),
+        "frames": {
+            "source": pictures.source,
+            "count": len(pictures.rgb),
+            "hw": sorted({image.shape[:2] for image in pictures.rgb}),
+            "things": None if pictures.truth is None else pictures.counted,
+        },
+        "prompts": prompts,
+        "unknown_labels": unknown if pictures.truth is not None else (),
+        "tau_det": tau_det,
+        "threads": settings.threads,
+        "rows": [_row(*pair, results, pictures, prompts) for pair in results],
+        "again": again,
+    }
+
+
+def _run_all(bench: Bench, todo: Sequence[Variant]) -> Results:
+    results = []
+    for number, variant in enumerate(todo, 1):
+        log.info("%d of %d: %s on %s", number, len(todo), variant.card.name, variant.on)
+        results.append((variant, bench.run(variant)))
+    return results
+
+
+def _row(
+    variant: Variant,
+    result: Measured | str,
+    results: Results,
+    pictures: Frames,
+    prompts: tuple[str, ...],
+) -> dict[str, Any]:
+    row = {"name": variant.card.name, "on": variant.on}
+    if isinstance(result, str):
+        state = "failed" if variant.card.is_here() else "missing"
+        return {**row, "state": state, "why": result}
+    truth = None
+    if pictures.truth is not None:
+        answers = frames.answers_of(pictures.labels, prompts)
+        truth = boxes.against_truth(result.found, pictures.truth, answers, prompts)
+    return {
+        **row,
+        "state": "ran",
+        "gpu": result.gpu,
+        "sha256": remembered_sha256(variant.card.path),
+        "latency_ms": latency_ms(result.stages_ns),
+        "load_s": round(result.load_s, 2),
+        "memory_mb": round(result.memory_mb, 1),
+        "gpu_memory_mb": _rounded(result.gpu_memory_mb),
+        "others_cores": _rounded(result.others_cores),
+        "invalid_boxes": result.invalid_boxes,
+        "agreement": _agreement(variant, result, results),
+        "truth": truth,
+    }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)
+
+
+def latency_ms(stages_ns: np.ndarray) -> dict[str, dict[str, float]]:
+    """min, p50 and p95 of each of `STAGES`, (n, 3), and of `all` of them together."""
+    columns = np.column_stack([stages_ns, stages_ns.sum(axis=1)]) / 1e6
+    return {
+        name: {
+            "min": round(float(ms.min()), 3),
+            "p50": round(float(np.percentile(ms, 50)), 3),
+            "p95": round(float(np.percentile(ms, 95)), 3),
+        }
+        for name, ms in zip((*STAGES, "all"), columns.T, strict=True)
+    }
+
+
+def _agreement(variant: Variant, result: Measured, results: Results) -> dict[str, Any] | None:
+    """Against FP32 of the same size, on the first provider where that ran; None for itself."""
+    for other, reference in results:
+        alike = other.card.precision == "fp32" and other.card.input == variant.card.input
+        if alike and isinstance(reference, Measured):
+            itself = reference is result
+            return None if itself else boxes.agreement(reference.found, result.found)
+    return None
+
+
+def _again(bench: Bench, results: Results) -> dict[str, Any] | None:
+    """The first variant once more, to see whether the machine has become slower or faster."""
+    ran = [(variant, result) for variant, result in results if isinstance(result, Measured)]
+    if len(ran) < 2:
+        return None
+    variant, first = ran[0]
+    log.info("once more, to see whether the machine's pace has changed: %s", variant.card.name)
+    second = bench.run(variant)
+    if isinstance(second, str):
+        return None
+    before, after = (latency_ms(r.stages_ns)["session"]["p50"] for r in (first, second))
+    return {
+        "name": variant.card.name,
+        "on": variant.on,
+        "session_ms": after,
+        "ratio": round(after / before, 3) if before else 1.0,
+    }

@@ -1,0 +1,172 @@
+"""The pictures that models are compared on: views of a simulated world, or a folder of images."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from edge import names
+from edge.config import Config
+from edge.errors import UserError
+from edge.geometry import SE2, invert
+from edge.host.c_stderr import silenced
+from edge.lab.bench.boxes import KIND, NAMED, NO, Truth
+from edge.lab.sim.base import World, WorldObject, free_poses
+from edge.lab.sim.sensors import CameraRig
+from edge.lab.sim.worlds import load_world
+from edge.perception import kernels, text
+
+SEED = 7
+MIN_SIDE_PX = 12
+"""Smaller things do not count; in pixels of the configured camera."""
+MIN_VISIBLE = 0.5
+"""Nor do those of which less shows; as a share of the rectangle around the whole thing."""
+_NEAR_M = 0.05
+_IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Pictures, and what is in them where that is known.
+
+    Attributes:
+        source: where they are from, for a person.
+        rgb: (h, w, 3) uint8 each.
+        labels: what the things in them are called.
+        truth: as many as pictures, or None.
+        world: that they are views of, or None; `poses` are where from.
+    """
+
+    source: str
+    rgb: list[np.ndarray]
+    labels: tuple[str, ...]
+    truth: list[Truth] | None
+    world: World | None = None
+    poses: tuple[SE2, ...] = ()
+
+    @property
+    def counted(self) -> int:
+        """Things that count, over all pictures."""
+        return sum(int(t.counts.sum()) for t in self.truth or ())
+
+
+def from_world(config: Config, count: int, inputs_hw: Sequence[tuple[int, int]]) -> Frames:
+    """Views of the configured world from random free places, the same for the same world.
+
+    The camera is the configured one, but with as many pixels as the largest of the models' inputs
+    can take, so that no model is given an enlarged picture.
+
+    Raises:
+        edge.lab.sim.base.WorldError: the world cannot be loaded.
+    """
+    camera = config.sensors.camera
+    fits = [min(h / camera.height_px, w / camera.width_px) for h, w in inputs_hw]
+    scale = max(1.0, *fits) if fits else 1.0
+    size = {
+        "width_px": round(camera.width_px * scale),
+        "height_px": round(camera.height_px * scale),
+    }
+    sensors = config.sensors.model_copy(update={"camera": camera.model_copy(update=size)})
+    world = load_world(config)
+    rig = CameraRig(config.model_copy(update={"sensors": sensors}), world)
+    labels = tuple(sorted({item.label for item in world.objects}))
+    rgb, truth = [], []
+    poses = tuple(free_poses(world, count, SEED, config.robot.radius_m))
+    for pose in poses:
+        rig.look(pose)
+        rgb.append(rig.rgb.copy())
+        T_camera_map = invert(pose.matrix() @ rig.T_base_camera)
+        truth.append(_truth(rig, world, labels, T_camera_map, MIN_SIDE_PX * scale))
+    return Frames(f"{world.name}, seed {SEED}", rgb, labels, truth, world, poses)
+
+
+def _truth(
+    rig: CameraRig,
+    world: World,
+    labels: tuple[str, ...],
+    T_camera_map: np.ndarray,
+    min_side_px: float,
+) -> Truth:
+    """What shows of each object in the rig's last picture; an object's id is its place + 1."""
+    n = len(world.objects)
+    box, pixels, distance = np.empty((n, 4), np.int32), np.empty(n, np.int32), np.empty(n, "f4")
+    kernels.object_boxes(rig.ids, rig.depth_m, box, pixels, distance)
+    seen = np.flatnonzero(pixels)
+    side = box[seen, 2:] - box[seen, :2]
+    whole = np.array([whole_area_px(world.objects[k], T_camera_map, rig) for k in seen])
+    counts = (side.min(axis=1, initial=1 << 16) >= min_side_px) & (
+        side.prod(axis=1) >= MIN_VISIBLE * whole.reshape(-1)
+    )
+    index = {label: k for k, label in enumerate(labels)}
+    label = np.array([index[world.objects[k].label] for k in seen], np.int32)
+    return Truth(box[seen].astype(np.float32), label, counts)
+
+
+def whole_area_px(item: WorldObject, T_camera_map: np.ndarray, rig: CameraRig) -> float:
+    """Area of the rectangle around an object's box, were nothing in the way and no edge near."""
+    signs = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)]) - 0.5
+    corners = signs * item.size_m
+    c, s = math.cos(item.yaw_rad), math.sin(item.yaw_rad)
+    turned = corners @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    points = (turned + item.center_m) @ T_camera_map[:3, :3].T + T_camera_map[:3, 3]
+    rays = points[:, :2] / np.maximum(points[:, 2:], _NEAR_M)
+    width, height = (rays.max(axis=0) - rays.min(axis=0)) * (rig.model.fx_px, rig.model.fy_px)
+    return float(width * height)
+
+
+def from_folder(folder: Path, count: int) -> Frames:
+    """The first images of a folder, by name; what is in them is not known.
+
+    Raises:
+        UserError: no image there, or one that cannot be read.
+    """
+    paths = sorted(p for p in folder.glob("*") if p.suffix.lower() in _IMAGES)[:count]
+    if not paths:
+        raise UserError(f"{folder}: no images ({', '.join(_IMAGES)}): name another folder")
+    rgb = []
+    for path in paths:  # OpenCV would wait for ever at a pipe
+        with silenced():
+            image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
+        if image is None:
+            raise UserError(f"{path}: not an image that can be read: take it away")
+        rgb.append(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+    return Frames(str(folder), rgb, tuple(names.ALIASES), None)
+
+
+def prompts_for(
+    labels: Sequence[str], resolve: Callable[[str], str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """(labels that a text encoder has a word for, those it has not).
+
+    A word that only stands in for a label (table for balcony table) is none for it.
+    """
+    words = words_for(labels, resolve)
+    known = tuple(label for label, word in words.items() if names.same(word, label))
+    return known, tuple(label for label in labels if label not in known)
+
+
+def words_for(labels: Sequence[str], resolve: Callable[[str], str]) -> dict[str, str]:
+    """See `edge.perception.text.words_for`."""
+    logging.disable(logging.WARNING)  # of words that stand in for others
+    try:
+        return text.words_for(labels, resolve)
+    finally:
+        logging.disable(logging.NOTSET)
+
+
+def answers_of(labels: Sequence[str], prompts: Sequence[str]) -> np.ndarray:
+    """(labels, prompts) uint8: how each label answers to each prompt; see `boxes`."""
+    answers = np.full((len(labels), len(prompts)), NO, np.uint8)
+    for i, label in enumerate(labels):
+        for j, prompt in enumerate(prompts):
+            if names.same(label, prompt):
+                answers[i, j] = NAMED
+            elif names.is_kind_of(label, prompt):
+                answers[i, j] = KIND
+    return answers

@@ -1,0 +1,34 @@
+"""What a process of its own measures of a model that chooses directions (see `alone`)."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+
+from edge.errors import UserError
+from edge.lab.bench import alone
+from edge.lab.bench.choices import Job, Measured
+from edge.lab.bench.service import resident_mb
+from edge.perception.choice.factory import open_choice
+
+
+def measure(job: Job) -> Measured:
+    """Ask a model about all views; the time is from the image to both answers."""
+    before_mb, began = resident_mb(), time.perf_counter()
+    scorer = open_choice(job.choice)
+    load_s, took_ms, p = time.perf_counter() - began, [], []
+    for view in job.views:
+        began = time.perf_counter()
+        found = scorer.answer(scorer.look(view))
+        took_ms.append((time.perf_counter() - began) * 1e3)
+        if found is None:  # no room for a letter: no picture to compare models on
+            raise UserError(f"view {view.observation.seq}: no room for letters in the picture")
+        p.append([*found.p, found.elsewhere, found.scene])
+    memory_mb = resident_mb() - before_mb
+    return Measured(np.array(took_ms), np.array(p, np.float32), load_s, memory_mb)
+
+
+if __name__ == "__main__":
+    sys.exit(alone.main(sys.argv[1:], measure))

@@ -1,0 +1,209 @@
+"""The comparison: as a table for a terminal of 110 columns, as a JSON file, in the cards."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Iterator, Sequence
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from edge.config.yaml_text import parse_yaml
+from edge.errors import UserError
+from edge.host import machine, resources
+from edge.host.files import save
+from edge.lab.bench.variants import RUNTIMES
+from edge.perception.cards import card_path
+from edge.perception.detector import UNSOUND
+
+Report = dict[str, Any]
+_CARD_WIDTH = 110
+
+_GROUPS = (
+    ("", 2),
+    ("latency, ms: p50 (p95)", 4),
+    ("", 1),
+    ("against FP32", 3),
+    ("against truth", 2),
+)
+_HEADINGS = (
+    "variant", "on", "pre", "session", "post", "all", "MB", "recall", "prec.", "score", "recall",
+    "prec.",
+)  # fmt: skip
+_LEFT = 2
+_WIDTH = 110
+_GAP = "  "
+_QUIET_CORES = 0.2
+"""Below this, other processes do not lengthen times by much."""
+
+
+def as_text(report: Report) -> str:
+    """Header, table and footnotes of one family's report."""
+    return "\n".join([*_header(report), "", *_rows(report), *_footnotes(report)])
+
+
+def _header(report: Report) -> list[str]:
+    frames, asked = report["frames"], report["prompts"]
+    sizes = ", ".join(f"{w}x{h}" for h, w in frames["hw"])
+    things = f", {frames['things']} things in them" if frames["things"] is not None else ""
+    unknown = report["unknown_labels"]
+    lacking = f" (no word for {', '.join(unknown)})" if unknown else ""
+    lines = [
+        f"{report['family']}: {frames['count']} frames of {sizes} px ({frames['source']}){things}",
+        f"{len(asked)} prompts{lacking}",
+        f"boxes above {report['tau_det']:g}; {_threads(report['threads'])} on the CPU",
+        machine.summary(report["machine"]),
+    ]
+    return [textwrap.fill(line, _WIDTH, subsequent_indent=_GAP) for line in lines]
+
+
+def _threads(count: int) -> str:
+    return "1 thread" if count == 1 else f"{count} threads"
+
+
+def _rows(report: Report) -> list[str]:
+    prefix = f"{report['family']}-"
+    rows = [_cells(row, row["name"].removeprefix(prefix)) for row in report["rows"]]
+    full = [_HEADINGS, *(cells for cells in rows if len(cells) == len(_HEADINGS))]
+    widths = [max(len(cells[k]) for cells in full) for k in range(len(_HEADINGS))]
+    for k in range(_LEFT):
+        widths[k] = max(len(cells[k]) for cells in [_HEADINGS, *rows])
+    return [_group_line(widths), *(_line(cells, widths) for cells in [_HEADINGS, *rows])]
+
+
+def _cells(row: dict[str, Any], name: str) -> tuple[str, ...]:
+    """One cell per heading; for a variant without figures name, provider and why."""
+    if row["state"] != "ran":
+        return (name, row["on"], row["why"])
+    times = [f"{t['p50']:.1f} ({t['p95']:.1f})" for t in row["latency_ms"].values()]
+    fp32, truth = row["agreement"] or {}, row["truth"] or {}
+    shares = [fp32.get("recall"), fp32.get("precision"), fp32.get("score_error")]
+    shares += [truth.get("recall"), truth.get("precision")]
+    memory = f"{row['memory_mb']:.0f}"
+    if (gpu := row["gpu_memory_mb"]) is not None:
+        memory += f"+{gpu:.0f}"
+    return (name, row["on"], *times, memory, *("-" if s is None else f"{s:.2f}" for s in shares))
+
+
+def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
+    if len(cells) < len(widths):
+        widths = [*widths[:_LEFT], 0]
+    left = [cell.ljust(w) for cell, w in zip(cells[:_LEFT], widths, strict=False)]
+    right = [cell.rjust(w) for cell, w in zip(cells[_LEFT:], widths[_LEFT:], strict=True)]
+    return _GAP.join([*left, *right]).rstrip()
+
+
+def _group_line(widths: Sequence[int]) -> str:
+    parts, start = [], 0
+    for title, count in _GROUPS:
+        width = sum(widths[start : start + count]) + len(_GAP) * (count - 1)
+        parts.append(title.center(width))
+        start += count
+    return _GAP.join(parts).rstrip()
+
+
+def _footnotes(report: Report) -> list[str]:
+    ran = [row for row in report["rows"] if row["state"] == "ran"]
+    lines = []
+    if again := report["again"]:
+        lines.append(
+            f"{again['name']} on {again['on']} once more at the end: session "
+            f"{again['session_ms']:.1f} ms, {again['ratio']:.2f} of what it was at first"
+        )
+    others = max((row["others_cores"] or 0.0 for row in ran), default=0.0)
+    if others > _QUIET_CORES:
+        lines.append(
+            f"other processes kept up to {others:.1f} of {report['machine']['cores']} cores busy: "
+            "on a quiet machine the times are shorter"
+        )
+    if any(row["gpu_memory_mb"] is not None for row in ran):
+        lines.append("MB: what the process grew by + what the GPU's memory in use did")
+    for row in ran:
+        if row["invalid_boxes"]:
+            lines.append(f"{row['name']} on {row['on']}: {row['invalid_boxes']} boxes {UNSOUND}")
+    return lines
+
+
+def keep(report: Report, also: Path | None) -> str:
+    """Write the report into the cache, and to another file if one is named; where it is.
+
+    Raises:
+        UserError: it cannot be written there.
+    """
+    stamp = report["date"][:19].replace(":", "").replace("-", "").replace("T", "-")
+    paths = [resources.cache_dir() / "bench" / f"{report['family']}-{stamp}.json"]
+    paths += [also] if also is not None else []
+    text = json.dumps(report, indent=1)
+    for path in paths:
+        save(path, text.encode())
+    return " and ".join(map(str, paths))
+
+
+def update_cards(report: Report) -> Iterator[Path]:
+    """Write the figures of each variant that ran into its card, in place of older ones of the
+    same machine, GPU and provider; the cards that were written.
+
+    Raises:
+        UserError: when the others are written, for the first card that cannot be, as those of an
+            installed package.
+    """
+    ran = [row for row in report["rows"] if row["state"] == "ran"]
+    refused = None
+    for name in dict.fromkeys(row["name"] for row in ran):
+        path = card_path(name)
+        try:
+            _update_card(path, report, [row for row in ran if row["name"] == name])
+        except UserError as error:
+            refused = refused or error
+        else:
+            yield path
+    if refused is not None:
+        raise UserError(f"{refused}; the figures are in the JSON file alone")
+
+
+def _update_card(path: Path, report: Report, rows: list[dict[str, Any]]) -> None:
+    """The card keeps its remarks at the top and the order of its keys."""
+    text = path.read_text(encoding="utf-8")
+    card = parse_yaml(text)
+    for row in rows:
+        key = f"{row['on']} of {machine.short_name(report['machine'], row['gpu'])}"
+        card["measured"] = {**card.get("measured", {}), key: card_figures(report, row)}
+    remarks = takewhile(lambda line: line.startswith("#"), text.splitlines(keepends=True))
+    body = yaml.safe_dump(card, sort_keys=False, width=_CARD_WIDTH)
+    save(path, ("".join(remarks) + body).encode())
+
+
+def card_figures(report: Report, row: dict[str, Any]) -> dict[str, float | int | str]:
+    """The part of a report that a card keeps of one row: flat, without what is not known.
+
+    `file` tells which file was measured, as cards of models that are made here have no hash;
+    `others_cores` how busy other processes were meanwhile, which lengthens times.
+    """
+    times, frames = row["latency_ms"], report["frames"]
+    agreement, truth = row["agreement"] or {}, row["truth"] or {}
+    h, w = frames["hw"][0]
+    found = {
+        "date": report["date"][:10],
+        "file": row["sha256"][:12],
+        "gpu": row["gpu"],
+        "runtime": ", ".join(f"{r} {report['machine'].get(r, '?')}" for r in RUNTIMES[row["on"]]),
+        "threads": report["threads"] if row["on"] == "cpu" else None,
+        "frames": f"{frames['count']} of {w}x{h} px, {frames['source']}",
+        "prompts": len(report["prompts"]),
+        **{f"{stage}_ms": times[stage]["p50"] for stage in ("pre", "session", "post")},
+        "all_p50_ms": times["all"]["p50"],
+        "all_p95_ms": times["all"]["p95"],
+        "others_cores": row["others_cores"],
+        "memory_mb": row["memory_mb"],
+        "gpu_memory_mb": row["gpu_memory_mb"],
+        "tau_det": report["tau_det"],
+        "fp32_recall": agreement.get("recall"),
+        "fp32_precision": agreement.get("precision"),
+        "fp32_score_error": agreement.get("score_error"),
+        "recall": truth.get("recall"),
+        "precision": truth.get("precision"),
+    }
+    return {key: value for key, value in found.items() if value is not None}

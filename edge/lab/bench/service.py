@@ -1,0 +1,247 @@
+"""`edge bench`: a recorded run through the real service, and the latency table it leaves.
+
+The recording is played by another process over Zenoh at its own pace, again and again; nothing in
+the service knows that it is being measured. A robot's own recording, which Zenoh's topics have no
+place for, is played once and in this process (`edge.sources.played`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from subprocess import Popen
+
+from edge.bus.topics import Topic
+from edge.config import Config, load
+from edge.errors import Stopped, UserError
+from edge.host import calibration, resources
+from edge.host.interruptible import raise_if_stopped
+from edge.host.signals import stop_on_signals
+from edge.loop import stages
+
+log = logging.getLogger("edge.lab.bench.service")
+
+RECORDING_S = 60.0
+_VERSION = 1
+_TELL_S = 10.0
+_PLAYER_S = 60.0  # how long the first observation may take
+
+Message = tuple[Topic, int, bytes]
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge bench`."""
+    if args.calibrate:
+        return calibrate()
+    started_s = process_age_s()
+    config = load(args.config)
+    stop = stop_on_signals()
+    recording = Path(args.recording) if args.recording else ensure_recording(config, stop=stop)
+    figures = run_bench(config, recording, args.seconds, stop, started_s, args.swap)
+    print(figures.pop("table"))
+    if args.swap is not None:
+        from edge.lab.bench.swap import table
+
+        print(table(figures["swap"]))
+    for name, (value, unit, limit) in figures["verdicts"].items():
+        verdict = "ok  " if value <= limit else "OVER"
+        print(f"{verdict}  {name:24} {value:9.2f} {unit}   (budget {limit:.3g} {unit})")
+    if args.json:
+        Path(args.json).write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    over = any(value > limit for value, _, limit in figures["verdicts"].values())
+    return 1 if over and args.enforce else 0
+
+
+def calibrate() -> int:
+    """Handle `edge bench --calibrate`."""
+    found = calibration.measure()
+    parts = ", ".join(f"{name} {times:.2f}" for name, times in found.parts.items())
+    print(f"{found.machine}: {found}\ntimes the reference computer's: {parts}")
+    print(f"kept in {calibration.save(found)}")
+    return 0
+
+
+def run_bench(
+    config: Config,
+    recording: Path,
+    seconds: float,
+    stop: threading.Event,
+    started_s: float = 0.0,
+    swap: str | None = None,
+) -> dict[str, object]:
+    """Run the service on a recording, for `seconds` from the first observation on.
+
+    Args:
+        started_s: what starting the interpreter has taken, to be counted as getting ready.
+        swap: the model to change to halfway, if any.
+
+    Returns:
+        `table` (text), `latency` (the report as a dict), `counters`, and `verdicts`:
+        name → (value, unit, budget); with a swap, `swap` (see `edge.lab.bench.swap`) too.
+
+    Raises:
+        UserError: the recording cannot be read; no tick, or no detection, came about, or the swap
+            did not end.
+        Stopped: `stop` was set before the service was ready.
+    """
+    began = time.perf_counter() - started_s  # imports are part of getting ready
+    from edge.lab.bench import swap as swap_bench
+    from edge.launch import on_a_free_port, open_service
+    from edge.loop.runner import loop
+    from edge.sources.played import Playback
+    from edge.sources.recording import player
+
+    config = on_a_free_port(config).model_copy(
+        update={
+            # The mission must outlast the recording.
+            "mission": config.mission.model_copy(update={"time_limit_s": 1e6, "path_limit_m": 1e6}),
+        }
+    )
+    raise_if_stopped(stop)
+    with ExitStack() as stack:
+        playback = stack.enter_context(Playback(recording, config, 1.0, stop))
+        began += playback.read_s
+        playback.check()
+        own = playback.as_on_the_bus
+        for line in () if own else playback.opening():
+            log.info("%s", line)
+        make_source = None if own else playback.open
+        running = stack.enter_context(open_service(config, [], stop=stop, make_source=make_source))
+        ready_s = time.perf_counter() - began
+        log.info("ready in %.1f s; playing %s for %g s", ready_s, recording.name, seconds)
+        if own:
+            process = stack.enter_context(player(config, recording, loop=True))
+            over = partial(_is_over, process)
+        else:
+            running.clock, over = playback.clock, lambda seen: playback.over
+        look = _stopwatch(running.source.counters, over, seconds, stop)
+        swapping = None if swap is None else swap_bench.SwapBench(running, swap, seconds)
+        each = look if swapping is None else lambda: (look(), swapping.beat())
+        loop(running, stop, each=each)
+        swap_figures = None if swapping is None else swapping.figures()
+        report = running.service.latency.report()
+        counters = dict(running.source.counters)
+        memory_mb = resident_mb()
+        failing = "; ".join(check.message for check in running.service.plausibility.failed)
+        if not own:
+            for line in playback.outcome():
+                log.info("%s", line)
+    tick = report.tick
+    slowdown = 1.0 if report.calibration is None else report.calibration.slowdown
+    if tick.n == 0 or report.stage("detect").n == 0:
+        detections = report.stage("detect").n
+        why = failing or ("give it more --seconds" if own else "the log says why")
+        raise UserError(
+            f"bench: nothing measured in {seconds:g} s: {why} ({tick.n} ticks, {detections} "
+            f"detections; counters: {counters})"
+        )
+    return {
+        "table": report.table(),
+        "latency": report.as_dict(),
+        "counters": counters,
+        "verdicts": {
+            "tick p95": (tick.p95_ms, "ms", tick.budget_ms),
+            "tick p99": (tick.p99_ms, "ms", report.deadline_ms),
+            "resident memory": (memory_mb, "MB", stages.MEMORY_BUDGET_MB),
+            "ready after": (ready_s, "s", stages.READY_BUDGET_S * slowdown),
+            **({} if swap_figures is None else swap_bench.verdicts(swap_figures)),
+        },
+        **({} if swap_figures is None else {"swap": swap_figures}),
+    }
+
+
+def _stopwatch(
+    counters: Mapping[str, int], over: Callable[[bool], bool], seconds: float, stop: threading.Event
+) -> Callable[[], None]:
+    """To be called after every tick: sets `stop` `seconds` after the first observation.
+
+    It is set as well when the recording is `over`, or takes too long to start.
+
+    Args:
+        over: returns whether nothing more comes, given whether an observation came.
+    """
+    end_s, seen = time.monotonic() + _PLAYER_S, False
+
+    def look() -> None:
+        nonlocal end_s, seen
+        if not seen and counters.get("observations"):
+            end_s, seen = time.monotonic() + seconds, True
+        if time.monotonic() >= end_s or over(seen):
+            stop.set()
+
+    return look
+
+
+def _is_over(player: Popen[bytes], seen: bool) -> bool:
+    """Return whether the player ended before anything was seen."""
+    return not seen and player.poll() is not None
+
+
+def resident_mb() -> float:
+    """Memory this process holds now, in MB (Linux)."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def process_age_s() -> float:
+    """How long ago this process was started (Linux)."""
+    start_ticks = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
+    uptime_s = float(Path("/proc/uptime").read_text().split()[0])
+    return max(0.0, uptime_s - start_ticks / os.sysconf("SC_CLK_TCK"))
+
+
+def ensure_recording(
+    config: Config, seconds: float = RECORDING_S, stop: threading.Event | None = None
+) -> Path:
+    """A run through the built-in house, made by the seeded simulator on first use.
+
+    It depends on the sensors and the robot only, so that configurations share it; it is kept in
+    the cache and never in git.
+
+    Raises:
+        RecordingError: it cannot be written.
+        Stopped: `stop` was set before it was complete; nothing is left of it.
+    """
+    from edge.sources.recording import RecordingError, record_messages
+
+    parts = [_VERSION, seconds, config.sensors.model_dump(), config.robot.model_dump()]
+    key = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:12]
+    path = resources.cache_dir() / "recordings" / f"house-{key}.mcap"
+    if not path.exists():
+        from edge.lab.eval.tour import tour
+
+        log.info("making the recording %s (once)", path)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordingError(f"{path.parent}: {error.strerror}") from None
+        began = time.perf_counter()
+        record_messages(path, _with_progress(tour(config, seconds), seconds, stop))
+        size_mb, took_s = path.stat().st_size / 1e6, time.perf_counter() - began
+        log.info("recorded %g s: %.0f MB, made in %.0f s", seconds, size_mb, took_s)
+    return path
+
+
+def _with_progress(
+    messages: Iterable[Message], seconds: float, stop: threading.Event | None
+) -> Iterator[Message]:
+    """The messages, with a log line every few recorded seconds."""
+    first_ns, told_s = None, 0.0
+    for message in messages:
+        if stop is not None and stop.is_set():
+            raise Stopped("stopped while the recording was made")
+        first_ns = message[1] if first_ns is None else first_ns
+        done_s = (message[1] - first_ns) * 1e-9
+        if done_s >= told_s + _TELL_S:
+            told_s = done_s
+            log.info("recorded %.0f of %g s", done_s, seconds)
+        yield message

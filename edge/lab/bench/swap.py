@@ -1,0 +1,122 @@
+"""`edge bench --swap NAME`: what a swap of the model costs the loop, while it goes on.
+
+A stretch before the swap and the stretch from asking for it to its end are put side by side.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from edge.errors import UserError
+from edge.perception.swap.swapper import OVER
+
+if TYPE_CHECKING:
+    from edge.loop.runner import Running
+
+
+_ROWS = {
+    "seconds": ("seconds", ".1f"),
+    "ticks": ("ticks", "d"),
+    "lost": ("ticks lost", "d"),
+    "let_go": ("observations let go", "d"),
+    "images": ("images detected in", "d"),
+    "p50_ms": ("tick p50 ms", ".2f"),
+    "p99_ms": ("tick p99 ms", ".2f"),
+    "max_ms": ("tick max ms", ".2f"),
+    "longest_ms": ("longest beat ms", ".1f"),
+}
+"""Figures of a stretch of the loop → what the table calls them, and their form. `lost` are ticks
+that the loop came too late for: whole periods between two of its beats; `let_go` are observations
+that a newer one displaced before a tick took them."""
+
+
+class SwapBench:
+    """Asks for the swap halfway and follows it; `beat` is to be called after every beat."""
+
+    def __init__(self, running: Running, model: str, seconds: float) -> None:
+        from edge.perception.cards import load_detector_card
+
+        self._running = running
+        self._model = load_detector_card(model).name
+        self._half_s = seconds / 2
+        self._period_ns = int(1e9 / running.config.loop.hz)
+        self._first_ns = self._last_ns = self._since_ns = 0
+        self._longest_ns = self._lost = 0
+        self._at: tuple[int, int, int] = (0, 0, 0)
+        self._before: dict[str, Any] = {}
+        self._during: dict[str, Any] = {}
+
+    def beat(self) -> None:
+        """Note when this beat ended; begin the swap, or note its end."""
+        if self._during or not self._running.source.counters.get("observations"):
+            return
+        now_ns = time.monotonic_ns()
+        if not self._first_ns:
+            self._first_ns = self._last_ns = now_ns
+            self._begin(now_ns)
+        gap_ns, self._last_ns = now_ns - self._last_ns, now_ns
+        self._longest_ns = max(self._longest_ns, gap_ns)
+        self._lost += max(0, gap_ns // self._period_ns - 1)
+        swapper = self._running.service.swapper
+        if not self._before:
+            if now_ns - self._first_ns >= self._half_s * 1e9:
+                self._before = self._end(now_ns)
+                self._begin(now_ns)
+                swapper.request(self._model, False, now_ns)
+        elif swapper.state in OVER:
+            self._during = self._end(now_ns)
+
+    def figures(self) -> dict[str, Any]:
+        """The swap's outcome and both stretches, JSON-ready; UserError if it did not end."""
+        swap = self._running.service.swapper.status()
+        if not self._during:
+            raise UserError(
+                f"bench: the swap to {self._model} is {swap['state']} at the end: "
+                "give it more --seconds"
+            )
+        return {**swap, "before": self._before, "during": self._during}
+
+    def _begin(self, now_ns: int) -> None:
+        self._since_ns, self._at = now_ns, self._counts()
+        self._longest_ns = self._lost = 0
+
+    def _end(self, now_ns: int) -> dict[str, Any]:
+        ticks, let_go, images = (
+            now - was for now, was in zip(self._counts(), self._at, strict=True)
+        )
+        tick = self._running.service.latency.report(last=ticks).tick
+        return {
+            "seconds": (now_ns - self._since_ns) * 1e-9, "ticks": ticks, "lost": self._lost,
+            "let_go": let_go, "longest_ms": self._longest_ns * 1e-6, "p50_ms": tick.p50_ms,
+            "p99_ms": tick.p99_ms, "max_ms": tick.max_ms, "images": images,
+        }  # fmt: skip
+
+    def _counts(self) -> tuple[int, int, int]:
+        counters: Mapping[str, int] = self._running.source.counters
+        return (
+            counters.get("observations", 0), counters.get("superseded", 0),
+            self._running.worker.stats.done,
+        )  # fmt: skip
+
+
+def verdicts(figures: Mapping[str, Any]) -> dict[str, tuple[float, str, float]]:
+    """Return the limits of a swap for `edge.lab.bench.service.run_bench`: kept, no tick lost."""
+    return {
+        "swaps given up": (float(figures["state"] != "kept"), "", 0.0),
+        "ticks lost by the swap": (float(figures["during"]["lost"]), "", 0.0),
+    }
+
+
+def table(figures: Mapping[str, Any]) -> str:
+    """What `SwapBench.figures` found, as aligned text."""
+    lines = [
+        f"swap of {figures['previous']} to {figures['model']}: "
+        f"{figures['state']}: {figures['detail']}",
+        f"{'':22}{'before':>12}{'during':>12}",
+    ]
+    for key, (name, form) in _ROWS.items():
+        cells = (f"{format(figures[part][key], form):>12}" for part in ("before", "during"))
+        lines.append(f"{name:22}{''.join(cells)}")
+    return "\n".join(lines)

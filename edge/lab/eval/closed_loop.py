@@ -1,0 +1,181 @@
+"""Robot, controller and service in one process and one thread: exact, fast, no Zenoh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from time import perf_counter_ns
+
+import numpy as np
+
+from edge.config import Config, PolicyOwn
+from edge.geometry import SE2
+from edge.lab.motion.controller import Controller
+from edge.lab.sim.base import World
+from edge.lab.sim.robot import DriveTrain
+from edge.lab.sim.sensors import CameraRig, LidarRig
+from edge.lab.sim.worlds import load_world
+from edge.loop.result import Sink, TickResult
+from edge.loop.scorers import make_scorers
+from edge.loop.service import Service
+from edge.perception.factory import make_detector
+from edge.perception.masks.masker import make_masker
+from edge.perception.sim_detector import Segmentation
+from edge.perception.worker import DetectorWorker
+from edge.policies import make_policy
+from edge.tasks.brief import prepared
+from edge.types import Goal, GoalStatus, Observation
+
+START_NS = 1_000_000_000
+
+
+class Notes:
+    """Everything a run said."""
+
+    def __init__(self) -> None:
+        self.goals: list[Goal] = []
+        self.events: list[str] = []
+        self.answers: list[GoalStatus] = []
+
+    def tick(self, result: TickResult) -> None:
+        """See `edge.loop.result.Sink`."""
+        self.goals += result.goals
+        self.answers += result.answers
+        self.events += (event.text for event in result.events)
+
+    def close(self) -> None:
+        """Nothing to let go."""
+
+
+@dataclass
+class ClosedLoop:
+    """A simulated robot that obeys a service; `step` is one tick and what follows from it.
+
+    What is done when is what `edge sim`, `edge motion` and `edge run` do in lockstep over Zenoh:
+    the service's tick, the map and the goal to the controller, its answers to the service, and its
+    command to the robot. Scorers and planners answer in the tick where `loop.lockstep` is set.
+    A policy of one's own may ask for the simulator's truth, `world` and `robot_radius_m`
+    (`edge.lab.eval.bounds`).
+
+    Args:
+        sinks: take each tick's result, as they would in a service.
+        world: where `config` was already used to load it; None: `sim.world` is loaded.
+        task: in the place of the configuration's mission (`edge.tasks.brief`).
+        colour: False: no pictures are taken, depth and object ids only, which is quicker; for
+            detectors and scorers that need none (see `wants_colour`).
+
+    Raises:
+        edge.errors.UserError: the world, the mission, a model or the start cannot be used.
+    """
+
+    config: Config
+    notes: Notes = field(default_factory=Notes)
+    sinks: Sequence[Sink] = ()
+    world: World | None = None
+    colour: bool = True
+    task: str | None = None
+
+    def __post_init__(self) -> None:
+        config = self.config
+        self.world = world = self.world or load_world(config)
+        start = world.start if config.sim.start is None else SE2(*config.sim.start)
+        self.drive = DriveTrain(config.robot, config.sim, world, start, START_NS)
+        self.rig = CameraRig(config, world, self.colour)
+        self.lidar = None if config.sensors.lidar is None else LidarRig(config, world)
+        self.labels = tuple(o.label for o in world.objects)
+        brief = prepared(config, self.task)
+        masker = make_masker(config.perception, timed=False)
+        detector = make_detector(config.perception, brief.targets, truth=self.truth)
+        self.worker = DetectorWorker(detector, True, config.loop.detect_every, masker)
+        self.scorers = make_scorers(config, brief.targets)
+        sinks = [self.notes, *self.sinks]
+        truth = {"world": world, "robot_radius_m": config.robot.radius_m}
+        policy = make_policy(config.policy, config.origin("policy"), truth)
+        self.service = Service(config, brief, self.worker, policy, sinks, scorers=self.scorers)
+        self.controller = Controller(config)
+        self._seq = 0
+        self._map_due_ns = 0
+        self._map_period_ns = int(1e9 / config.report.map_hz)
+
+    def truth(self, stamp_ns: int) -> Segmentation:
+        """What the last picture shows."""
+        return Segmentation(self.rig.ids, self.labels)
+
+    def observe(self) -> Observation:
+        """Look from where the robot stands; the arrays are those of the rigs, until the next."""
+        motion, cloud = self.drive.motion, {}
+        self.rig.look(motion.pose)
+        if self.lidar is not None:
+            self.lidar.look(motion.pose)
+            cloud = {"cloud_m": self.lidar.cloud_m(), "T_base_lidar": self.lidar.T_base_lidar}
+        self._seq += 1
+        return Observation(
+            self._seq, motion.stamp_ns, motion.odometry.matrix(),
+            rgb=self.rig.rgb, depth_m=self.rig.depth_m, camera=self.rig.model,
+            T_base_camera=self.rig.T_base_camera, **cloud,
+        )  # fmt: skip
+
+    def step(self) -> None:
+        """See, choose, drive for `sim.step_s`."""
+        motion, now_ns = self.drive.motion, self.drive.motion.stamp_ns
+        before, observation = len(self.notes.goals), self.observe()
+        self.service.latency.begin_tick(perf_counter_ns())
+        self.service.tick(observation, now_ns)
+        if self.service.refused:
+            self.service.idle(now_ns, motion.odometry, observation)
+        self.service.latency.end_tick(perf_counter_ns())
+        if now_ns >= self._map_due_ns:
+            self._map_due_ns = now_ns + self._map_period_ns
+            self.controller.on_map(self.service.map.grid.snapshot())
+        answers: list[GoalStatus] = []
+        for goal in self.notes.goals[before:]:
+            answers += self.controller.on_goal(goal.stamp_ns, goal.pose)
+        command, more = self.controller.step(motion.odometry, motion.v_mps, motion.w_radps, now_ns)
+        for answer in answers + more:
+            self.service.goal_answered(answer)
+        self.drive.step(self.config.sim.step_s, command.v_mps, command.w_radps)
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time since the start."""
+        return 1e-9 * (self.drive.motion.stamp_ns - START_NS)
+
+    def run(self, seconds: float) -> ClosedLoop:
+        """Step until the mission is over or time is up."""
+        end_ns = START_NS + int(seconds * 1e9)
+        while self.drive.motion.stamp_ns < end_ns and not self.service.status.done:
+            self.step()
+        return self
+
+    def close(self) -> None:
+        """Needed where a model has a process or scorers run beside the loop."""
+        self.service.close()
+        self.worker.close()
+        if self.scorers is not None:
+            self.scorers.close()
+
+    def distance_m(self, label: str) -> float:
+        """True distance to the nearest footprint of that label."""
+        pose = self.drive.motion.pose
+        return min(o.distance_m(pose.x_m, pose.y_m) for o in self.world.objects if o.label == label)
+
+
+def wants_colour(config: Config) -> bool:
+    """Whether anything that the configuration names looks at the pictures' colours."""
+    perception = config.perception
+    scored = perception.similarity is not None or perception.choice.kind in ("openai", "onnx")
+    # One's own may look at the image; those in `edge` (`edge.lab.eval.bounds`) do not.
+    own = isinstance(config.policy, PolicyOwn) and not config.policy.kind.startswith("edge.")
+    masked = perception.segmenter.kind != "none"
+    return scored or masked or own or perception.detector.kind != "sim"
+
+
+def blank_observation(seq: int, stamp_ns: int, pose: SE2, loop: ClosedLoop) -> Observation:
+    """Return a frame of a working camera of which the map takes nothing: all is too near."""
+    depth = np.full(loop.rig.depth_m.shape, 0.01, np.float32)
+    rgb = np.zeros((*depth.shape, 3), np.uint8)
+    rgb[len(rgb) // 2 :] = 255
+    return Observation(
+        seq, stamp_ns, pose.matrix(), rgb=None if loop.rig.rgb is None else rgb, depth_m=depth,
+        camera=loop.rig.model, T_base_camera=loop.rig.T_base_camera,
+    )  # fmt: skip

@@ -1,0 +1,224 @@
+"""Records of outcomes as arrays: a row a column, an entry an episode, the same for all columns."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge.errors import FileError, UserError
+from edge.host.files import read_regular
+from edge.lab.eval.outcome import FAILURES, MAX_BYTES
+from edge.text import one_line, read_json_object
+
+OTHER = "other"
+
+Record = dict[str, Any]
+"""What a line of `outcomes.jsonl` says of one episode of one column."""
+
+
+def _p95(record: Record, key: str) -> float | None:
+    times = record.get(key)
+    return times.get("p95") if isinstance(times, dict) else times
+
+
+# What is NaN where a record does not have it, or has null.
+NUMBERS: dict[str, Callable[[Record], Any]] = {
+    "success": lambda r: r["success"],
+    "path_m": lambda r: r["path_m"],
+    "elapsed_s": lambda r: r["elapsed_s"],
+    "wall_s": lambda r: r.get("wall_s"),
+    "left_m": lambda r: r.get("left_m"),
+    "collisions": lambda r: r.get("collisions"),
+    "first_sight_s": lambda r: r.get("first_sight_s"),
+    "first_sight_path_m": lambda r: r.get("first_sight_path_m"),
+    "wrong_stops": lambda r: r.get("wrong_stops"),
+    "false_confirmations": lambda r: r.get("false_confirmations"),
+    "tick_p95_ms": lambda r: _p95(r, "tick_ms"),
+    "score_p95_ms": lambda r: _p95(r, "score_ms"),
+    "revisited_m2": lambda r: r.get("revisited_m2"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Outcomes:
+    """Outcomes of columns on episodes.
+
+    Attributes:
+        columns, episodes: their names; C columns in the order in which they came, E episodes
+            sorted, so that nothing depends on who ran them or when.
+        world, kind, target: (E,) str; `target` is empty for a mission with several.
+        rooms: (E,) float64, of the world; NaN where that is not known (`with_rooms`).
+        shortest_m: (E,) float64.
+        ran: (C, E) bool: whether there is a record.
+        numbers: of `NUMBERS`, each (C, E) float64, NaN where there is none.
+        failure: (C, E) str: one of FAILURES or OTHER, empty for a success or where nothing ran.
+        records: by (column, episode) as indices.
+        passed_over: records that a newer one of the same column and episode replaces, or that are
+            of a column's earlier settings.
+    """
+
+    columns: tuple[str, ...]
+    episodes: tuple[str, ...]
+    world: np.ndarray
+    kind: np.ndarray
+    target: np.ndarray
+    rooms: np.ndarray
+    shortest_m: np.ndarray
+    ran: np.ndarray
+    numbers: dict[str, np.ndarray]
+    failure: np.ndarray
+    records: dict[tuple[int, int], Record]
+    passed_over: int = 0
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """(C, E) of a number by its name."""
+        return self.numbers[name]
+
+    @property
+    def success(self) -> np.ndarray:
+        """(C, E) bool; False where nothing ran."""
+        return self.numbers["success"] == 1.0
+
+
+def read(path: Path) -> list[Record]:
+    """The records of a file; a last line without its end, which a broken-off run leaves, is not
+    one.
+
+    Raises:
+        FileError: it cannot be read.
+        UserError: a line is no record.
+    """
+    try:
+        content = read_regular(path, MAX_BYTES)
+    except OSError as error:
+        raise FileError(
+            f"{path}: {error.strerror or error}; `edge eval episodes` writes it"
+        ) from None
+    records = []
+    for number, line in enumerate(content.split(b"\n")[:-1], start=1):
+        if line.strip():
+            try:
+                records.append(_checked(read_json_object(line)))
+            except (KeyError, TypeError, ValueError) as error:
+                what = f"no {error}" if isinstance(error, KeyError) else one_line(error)
+                raise UserError(f"{path}: line {number}: not an outcome: {what}") from None
+    return records
+
+
+def _checked(record: Record) -> Record:
+    """
+    Raises:
+        KeyError, TypeError, ValueError: something is missing, or is no number.
+    """
+    for key in ("episode", "column", "world", "kind"):
+        if not isinstance(record[key], str):
+            raise ValueError(f"{key}: expected a text")
+    if not (math.isfinite(float(record["shortest_m"])) and record["shortest_m"] >= 0):
+        raise ValueError("shortest_m: expected a length")
+    for name, of in NUMBERS.items():
+        value = of(record)
+        if value is not None and not isinstance(value, (bool, int, float)):
+            raise ValueError(f"{name}: expected a number")
+    return record
+
+
+def gather(records: Iterable[Record]) -> Outcomes:
+    """Records as arrays; of several of the same column and episode the last counts, and only the
+    newest settings of a column.
+
+    Raises:
+        UserError: an episode has another target or shortest way in another column.
+    """
+    records = list(records)
+    settings = {r["column"]: r.get("column_id") for r in records}
+    kept = [r for r in records if r.get("column_id") == settings[r["column"]]]
+    newest = {(r["column"], r["episode"]): r for r in kept}
+    columns = tuple(dict.fromkeys(column for column, _ in newest))
+    episodes = tuple(sorted({episode for _, episode in newest}, key=natural))
+    at = {(columns.index(c), episodes.index(e)): r for (c, e), r in newest.items()}
+    about: list[Record] = [{} for _ in episodes]
+    for (_, e), record in at.items():
+        _agree(about[e], record)
+        # What crashed may not know the name of its world.
+        about[e] = about[e] if record.get("failure") == "crashed" and about[e] else record
+    shape = len(columns), len(episodes)
+    numbers = {name: np.full(shape, np.nan) for name in NUMBERS}
+    ran, failure = np.zeros(shape, bool), np.full(shape, "", dtype="<U32")
+    for (c, e), record in at.items():
+        ran[c, e] = True
+        for name, of in NUMBERS.items():
+            value = of(record)
+            numbers[name][c, e] = math.nan if value is None else float(value)
+        if not record["success"]:
+            named = record.get("failure")
+            failure[c, e] = named if named in FAILURES else OTHER
+    return Outcomes(
+        columns, episodes,
+        np.array([r["world"] for r in about], dtype=str),
+        np.array([r["kind"] for r in about], dtype=str),
+        np.array([r.get("target") or "" for r in about], dtype=str),
+        np.full(len(about), np.nan),
+        np.array([r["shortest_m"] for r in about], np.float64),
+        ran, numbers, failure, at, len(records) - len(at),
+    )  # fmt: skip
+
+
+def _agree(one: Record, other: Record) -> None:
+    for key in ("target", "shortest_m"):
+        if one and one.get(key) != other.get(key):
+            raise UserError(
+                f"episode {one_line(other['episode'])}: its {key} is {one_line(one.get(key))} in "
+                f"column {one_line(one['column'])} and {one_line(other.get(key))} in "
+                f"{one_line(other['column'])}: these are different episodes; run both on one file"
+            )
+
+
+def with_rooms(outcomes: Outcomes, rooms: Mapping[str, int | None]) -> Outcomes:
+    """The same, told how many rooms worlds have, by name."""
+    counts = [rooms.get(name) for name in outcomes.world.tolist()]
+    known = np.array([math.nan if n is None else float(n) for n in counts])
+    return replace(outcomes, rooms=known)
+
+
+def natural(text: str) -> list[tuple[int, Any]]:
+    """A key that sorts numbers within texts as numbers.
+
+    >>> sorted(["val-10", "val-9"], key=natural)
+    ['val-9', 'val-10']
+    """
+    parts = re.findall(r"\d+|\D+", text)
+    return [(0, int(part)) if part.isdigit() else (1, part) for part in parts]
+
+
+def clusters(outcomes: Outcomes, at_least: int = 10) -> tuple[np.ndarray, str]:
+    """What is resampled for intervals: worlds, for episodes of one house are not independent.
+
+    With fewer than `at_least` worlds it is episodes: such intervals say nothing of other worlds.
+
+    Returns:
+        (E,) int, and what it counts: "world" or "episode".
+    """
+    worlds, index = np.unique(outcomes.world, return_inverse=True)
+    if len(worlds) >= at_least:
+        return index.ravel(), "world"
+    return np.arange(len(outcomes.episodes)), "episode"
+
+
+def baseline_of(outcomes: Outcomes, name: str | None) -> int:
+    """The index of the column that others are held against: by default the first.
+
+    Raises:
+        UserError: there is no such column.
+    """
+    columns: Sequence[str] = outcomes.columns
+    if name is None:
+        return 0
+    if name not in columns:
+        raise UserError(f"--baseline: no column {name!r}; there are: {', '.join(columns)}")
+    return columns.index(name)

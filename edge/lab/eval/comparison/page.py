@@ -1,0 +1,158 @@
+"""One self-contained page of a comparison: its tables, its plots, and every trail on its map.
+
+The maps are in the page as they stand; a few lines of script sort and filter them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+from importlib.resources import files
+
+import numpy as np
+
+from edge.lab.eval.comparison import plots, tables, trails
+from edge.lab.eval.comparison.outcomes import OTHER
+from edge.lab.eval.comparison.statistics import Comparison, spl_of
+from edge.lab.eval.comparison.trails import Ground
+from edge.lab.eval.comparison.worlds import Drawing
+from edge.lab.eval.outcome import FAILURES
+from edge.lab.report.document import data_url, document
+from edge.text import one_line
+
+
+def html(comparison: Comparison, drawings: Mapping[str, Drawing], title: str, machine: str) -> str:
+    """The page as text.
+
+    Args:
+        drawings: by world; the trails of a world without one are drawn without a floor plan.
+        title: plain text.
+    """
+    outcomes = comparison.outcomes
+    n, worlds = len(outcomes.episodes), len(set(outcomes.world.tolist()))
+    words = f"{n} episodes in {worlds} worlds, {len(outcomes.columns)} columns"
+    body = (
+        f'<header><h1>{escape(title)}</h1><p class="reason">{words}</p></header>',
+        *(tables.html(table) for table in tables.tables(comparison)),
+        _plots(comparison),
+        _trails(comparison, drawings),
+    )
+    script = files(__package__).joinpath("page.js").read_text(encoding="utf-8")
+    style = files(__package__).joinpath("page.css").read_text(encoding="utf-8")
+    style += "".join(f".t{k}{{stroke:{colour}}}" for k, colour in enumerate(trails.RAMP))
+    style += "".join(
+        f'.hide{c} [data-c="{c}"]{{display:none}}' for c in range(len(outcomes.columns))
+    )
+    return document(title, "".join(body), machine, style, script)
+
+
+def _plots(comparison: Comparison) -> str:
+    figures = "".join(
+        f'<figure><img alt="{escape(plots.PLOTS[name][1])}" src="{data_url("png", content)}">'
+        "</figure>"
+        for name, content in plots.images(comparison, "png").items()
+    )
+    return f'<section><h2>Plots</h2><div class="plots">{figures}</div></section>' if figures else ""
+
+
+def _trails(comparison: Comparison, drawings: Mapping[str, Drawing]) -> str:
+    outcomes = comparison.outcomes
+    spl = spl_of(outcomes)
+    grounds = trails.grounds_of(drawings)
+    rows = "".join(
+        _episode(comparison, e, spl[:, e], grounds) for e in range(len(outcomes.episodes))
+    )
+    listed = f'<div id="episodes" style="--n:{len(outcomes.columns)}">{rows}</div>'
+    return (
+        f'{trails.symbols(grounds)}<section id="trails"><h2>Every trail</h2>{_legend()}'
+        f"{_controls(comparison)}{listed}</section>"
+    )
+
+
+def _episode(comparison: Comparison, e: int, spl: np.ndarray, grounds: Mapping[str, Ground]) -> str:
+    """A row: what was asked for, and a map a column."""
+    outcomes = comparison.outcomes
+    columns = range(len(outcomes.columns))
+    records = {c: outcomes.records[c, e] for c in columns if outcomes.ran[c, e]}
+    target, world = str(outcomes.target[e]), str(outcomes.world[e])
+    rooms = [] if math.isnan(outcomes.rooms[e]) else [f"{outcomes.rooms[e]:g} rooms"]
+    facts = [world, f"{outcomes.shortest_m[e]:.1f} m away", *rooms, outcomes.episodes[e]]
+    ground = grounds.get(world) or trails.bare(list(records.values()))
+    maps = "".join(
+        trails.figure(ground, target, outcomes.columns[c], c, records.get(c), float(spl[c]))
+        for c in columns
+    )
+    instruction = next(iter(records.values())).get("instruction")
+    paths = [outcomes["path_m"][c, e] for c in columns]
+    return (
+        f'<article data-i="{e}" data-target="{escape(target)}" '
+        f'data-kinds="{escape("|".join(outcomes.failure[:, e].tolist()))}" '
+        f'data-spl="{_numbers(spl)}" data-path="{_numbers(paths)}" '
+        f'data-shortest="{outcomes.shortest_m[e]:.2f}">'
+        f"<h3>{escape(one_line(target or instruction or 'mission'))} "
+        f"<span>{escape(one_line(' · '.join(facts)))}</span></h3>"
+        f'<div class="maps">{maps}</div></article>'
+    )
+
+
+def _numbers(values: Sequence[float]) -> str:
+    """Joined by commas; nothing for NaN."""
+    return ",".join("" if math.isnan(v) else f"{v:.4g}" for v in values)
+
+
+def _legend() -> str:
+    ramp = ", ".join(trails.RAMP)
+    return (
+        '<p class="note legend"><svg viewBox="-8 -8 16 16"><circle class="start" r="5"/></svg>'
+        f'start <i style="background:linear-gradient(90deg,{ramp})"></i> the way, first to last '
+        '<svg viewBox="-8 -8 16 16"><circle class="seen" r="5"/></svg>target first in view '
+        '<svg viewBox="-8 -8 16 16"><path class="g f" d="M0 0h0"/></svg>frontier goal '
+        '<svg viewBox="-8 -8 16 16"><path class="g i" d="M0 0h0"/></svg>goal at a thing '
+        '<svg viewBox="-8 -8 16 16"><rect class="thing" x="-6" y="-5" width="12" height="10"/>'
+        "</svg>what was asked for. A click makes a map larger.</p>"
+    )
+
+
+def _controls(comparison: Comparison) -> str:
+    outcomes = comparison.outcomes
+    names = [one_line(name, 40) for name in outcomes.columns]
+    targets = sorted({t for t in outcomes.target.tolist() if t})
+    kinds = [k for k in (*FAILURES, OTHER) if any(f[k] for f in comparison.failures.values())]
+    orders = (
+        ("", "as planned"), ("difference", "SPL of A less B"), ("spl", "SPL of A"),
+        ("path", "path of A"), ("shortest", "shortest way"),
+    )  # fmt: skip
+    outcome = (
+        ("", "any"), ("failed", "A failed"), ("reached", "A succeeded"),
+        ("lost", "A failed, B succeeded"), ("some", "some failed"), ("all", "all failed"),
+        *((f"kind:{kind}", f"A: {kind}") for kind in kinds),
+    )  # fmt: skip
+    numbered = [(str(c), name) for c, name in enumerate(names)]
+    base = comparison.baseline
+    other = next((c for c in range(len(names)) if c != base), base)
+    shown = "".join(
+        f'<label class="column"><input type="checkbox" data-hide="{c}" checked>{escape(name)}'
+        "</label>"
+        for c, name in enumerate(names)
+    )
+    return (
+        '<form id="controls">'
+        f"{_select('a', 'A', numbered, other)}{_select('b', 'B', numbered, base)}"
+        f"{_select('order', 'sort by', orders)}"
+        '<label><input type="checkbox" id="reverse">largest first</label>'
+        f"{_select('target', 'target', [('', 'any'), *((t, one_line(t, 40)) for t in targets)])}"
+        f"{_select('outcome', 'outcome', outcome)}"
+        f'<output id="count"></output><span class="break"></span>{shown}</form>'
+    )
+
+
+def _select(
+    name: str, label: str, options: Sequence[tuple[str, str]], chosen: int | None = None
+) -> str:
+    inner = "".join(
+        f'<option value="{escape(value)}"{" selected" if k == chosen else ""}>{escape(words)}'
+        "</option>"
+        for k, (value, words) in enumerate(options)
+    )
+    return f'<label>{escape(label)} <select id="{name}">{inner}</select></label>'

@@ -1,0 +1,214 @@
+"""Plots of a comparison: SPL and SR, paired differences, SPL over distance, success over budget."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edge.host.files import write_atomically
+from edge.lab.eval.comparison.outcomes import Outcomes, clusters
+from edge.lab.eval.comparison.statistics import Comparison, mean, spl_of
+from edge.lab.eval.intervals import Interval
+from edge.lab.report import canvas, palette
+from edge.lab.report.canvas import style_of
+from edge.text import shorten
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DPI = 150
+WIDTH_IN = 7.6
+MAX_NAME = 32
+BINS = 5
+MIN_A_BIN = 8
+BUDGETS = 8.0  # times the shortest way, the end of the axis
+
+
+def rates(comparison: Comparison) -> Figure:
+    names = comparison.outcomes.columns
+    figure, (left, right) = canvas.plots((WIDTH_IN, 0.9 + 0.34 * len(names)), DPI, 2)
+    for axes, key, title, scale in ((left, "spl", "SPL", 1.0), (right, "sr", "SR, %", 100.0)):
+        found = [comparison.figures[name][key].interval for name in names]
+        _forest(axes, found, list(range(len(names))), scale, 3 if key == "spl" else 1)
+        axes.set_title(title, loc="left", color=palette.INK, fontsize=11)
+    _names(left, names)
+    right.set_yticks(range(len(names)), [""] * len(names))
+    right.set_ylim(left.get_ylim())
+    return figure
+
+
+def differences(comparison: Comparison) -> Figure:
+    outcomes, pairs = comparison.outcomes, comparison.pairs
+    figure, (axes,) = canvas.plots((WIDTH_IN, 1.1 + 0.34 * len(pairs)), DPI, 1)
+    rows = [outcomes.columns.index(pair.column) for pair in pairs]
+    axes.axvline(0.0, color=palette.INFLATED, linewidth=1.2, zorder=1)
+    _forest(axes, [pair.spl for pair in pairs], rows, 1.0, 3, "+")
+    _names(axes, [f"{shorten(p.column, MAX_NAME)} (n {p.n})" for p in pairs])
+    base = shorten(outcomes.columns[comparison.baseline], MAX_NAME)
+    _title(axes, f"SPL less that of {base}, same episodes")
+    return figure
+
+
+def distances(comparison: Comparison) -> Figure:
+    outcomes = comparison.outcomes
+    figure, (axes,) = canvas.plots((WIDTH_IN, 3.8), DPI, 1)
+    bins = _bins(outcomes.shortest_m)
+    cluster, _ = clusters(outcomes)
+    spl = spl_of(outcomes)
+    middles = [float(np.median(outcomes.shortest_m[inside])) for inside in bins]
+    found = [
+        mean([spl[:, inside]], np.unique(cluster[inside], return_inverse=True)[1].ravel())[0]
+        for inside in bins
+    ]
+    for c in range(len(outcomes.columns)):
+        shift = 1.0 + 0.012 * (c - (len(outcomes.columns) - 1) / 2)  # whiskers beside each other
+        _curve(axes, [shift * m for m in middles], [row[c] for row in found], c, outcomes)
+    axes.set_ylim(0.0, 1.0)
+    axes.set_xlabel("shortest way, m (median of each fifth of the episodes)"
+                    if len(bins) == BINS else "shortest way, m (medians)")  # fmt: skip
+    _title(axes, "SPL by the length of the shortest way")
+    _legend(axes)
+    return figure
+
+
+def budget(comparison: Comparison) -> Figure:
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    outcomes = comparison.outcomes
+    figure, (axes,) = canvas.plots((WIDTH_IN, 3.8), DPI, 1)
+    at = np.geomspace(1.0, BUDGETS, 200)
+    for c, name in enumerate(outcomes.columns):
+        look = style_of(c)
+        share = 100 * within_budget(outcomes, c, at)
+        axes.plot(at, share, color=look.colour, linestyle=look.dash, linewidth=1.8,
+                  label=shorten(name, MAX_NAME), drawstyle="steps-post")  # fmt: skip
+    axes.set_xscale("log", base=2)
+    axes.set_xlim(1.0, BUDGETS)
+    axes.set_xticks([1, 1.5, 2, 3, 4, 6, 8])
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_ylim(0.0, 101.0)
+    axes.set_xlabel("path budget, times the shortest way")
+    _title(axes, "Episodes that succeed within a path budget, %")
+    _legend(axes)
+    return figure
+
+
+def within_budget(outcomes: Outcomes, column: int, budgets: np.ndarray) -> np.ndarray:
+    """(n,) share of a column's episodes that succeeded with a path of at most so many times the
+    shortest way."""
+    ran = outcomes.ran[column]
+    shortest = np.maximum(outcomes.shortest_m[ran], 1e-9)
+    needed = np.where(
+        outcomes.success[column][ran], np.maximum(outcomes["path_m"][column][ran] / shortest, 1.0),
+        math.inf,
+    )  # fmt: skip
+    return np.searchsorted(np.sort(needed), budgets, side="right") / max(len(needed), 1)
+
+
+def _bins(shortest_m: np.ndarray) -> list[np.ndarray]:
+    """(E,) bool each: fifths of the episodes by distance; fewer where they are few."""
+    n = max(1, min(BINS, len(shortest_m) // MIN_A_BIN))
+    order = np.argsort(shortest_m, kind="stable")
+    bins = []
+    for part in np.array_split(order, n):
+        inside = np.zeros(len(shortest_m), bool)
+        inside[part] = True
+        bins.append(inside)
+    return bins
+
+
+PLOTS: dict[str, tuple[Callable[[Comparison], Figure], str]] = {
+    "rates": (rates, "SPL and success rate of each column, with 95 % intervals"),
+    "differences": (differences, "SPL of each column less the baseline's, on the same episodes"),
+    "distances": (distances, "SPL against the length of the shortest way"),
+    "budget": (budget, "Share of episodes that succeed within a path budget"),
+}
+"""By name: what draws it from a comparison, and what it shows."""
+
+
+def names(comparison: Comparison, wanted: Iterable[str] = PLOTS) -> list[str]:
+    """Which of the wanted plots there are: none where nothing ran, no difference of one column."""
+    if not comparison.outcomes.ran.any():
+        return []
+    return [name for name in wanted if name != "differences" or comparison.pairs]
+
+
+def images(comparison: Comparison, kind: str, wanted: Iterable[str] = PLOTS) -> dict[str, bytes]:
+    """The content of each plot's "svg" or "png" file, by its name, as `names` are."""
+    drawn = names(comparison, wanted)
+    return {name: canvas.content(PLOTS[name][0](comparison), kind) for name in drawn}
+
+
+def write(comparison: Comparison, directory: Path, kinds: tuple[str, ...]) -> list[Path]:
+    """Write every plot in each kind, "svg" or "png"; returns the files.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    paths = []
+    for kind in kinds:
+        for name, content in images(comparison, kind).items():
+            paths.append(directory / f"{name}.{kind}")
+            write_atomically(paths[-1], content)
+    return paths
+
+
+# -- how it looks -------------------------------------------------------------------------------
+
+
+def _title(axes: Axes, title: str) -> None:
+    axes.set_title(title, loc="left", color=palette.INK, fontsize=11, parse_math=False)
+
+
+def _forest(
+    axes: Axes, found: list[Interval], looks: list[int], scale: float, digits: int, sign: str = ""
+) -> None:
+    """A dot with a whisker a row, its value written above it."""
+    for row, (interval, k) in enumerate(zip(found, looks, strict=True)):
+        value, low, high = (scale * x for x in interval)
+        if math.isnan(value):
+            continue
+        look = style_of(k)
+        if not math.isnan(low):
+            axes.plot([low, high], [row, row], color=look.colour, linewidth=2.2, alpha=0.55)
+        axes.plot(value, row, marker=look.mark, markersize=7, color=look.colour)
+        axes.annotate(
+            f"{value:{sign}.{digits}f}", (value, row), (0, 6), textcoords="offset points",
+            ha="center", fontsize=8, color=palette.INK,
+        )  # fmt: skip
+    axes.set_ylim(len(found) - 0.4, -0.75)
+    axes.grid(axis="y", visible=False)
+
+
+def _names(axes: Axes, names) -> None:  # type: ignore[no-untyped-def]
+    axes.set_yticks(range(len(names)), [shorten(name, MAX_NAME + 8) for name in names])
+    for label in axes.get_yticklabels():
+        label.set_color(palette.INK)
+        label.set_parse_math(False)
+
+
+def _curve(axes: Axes, x: list[float], found: list[Interval], k: int, outcomes: Outcomes) -> None:
+    look = style_of(k)
+    y = np.array([interval.value for interval in found])
+    below = y - np.array([interval.low for interval in found])
+    above = np.array([interval.high for interval in found]) - y
+    bars = np.nan_to_num(np.maximum([below, above], 0.0))
+    axes.errorbar(
+        x, y, bars, color=look.colour, linestyle=look.dash, marker=look.mark, markersize=5.5,
+        linewidth=1.6, elinewidth=1.0, label=shorten(outcomes.columns[k], MAX_NAME),
+    )  # fmt: skip
+
+
+def _legend(axes: Axes) -> None:
+    legend = axes.legend(
+        loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9, handlelength=3.0,
+        labelcolor=palette.INK,
+    )  # fmt: skip
+    for label in legend.get_texts():
+        label.set_parse_math(False)

@@ -1,0 +1,147 @@
+"""`edge eval compare`: what lies in a folder of outcomes, as tables, plots and one page."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from edge.config import Config, parse
+from edge.errors import FileError, UserError
+from edge.host.bars import counted
+from edge.host.files import write_atomically
+from edge.lab.eval import episodes, world_list
+from edge.lab.eval.columns import merged
+from edge.lab.eval.comparison import outcomes as records
+from edge.lab.eval.comparison import page, plots, tables, worlds
+from edge.lab.eval.comparison.outcomes import Outcomes, Record
+from edge.lab.eval.comparison.statistics import Comparison, compare
+from edge.lab.eval.outcome import NAME as OUTCOMES_NAME
+from edge.lab.eval.outcome import Outcome, line
+from edge.lab.report.recorder import machine
+from edge.text import one_line, read_json_object
+
+EPISODES_NAME = "episodes.jsonl"  # beside the outcomes
+CSV_NAME, JSON_NAME, PAGE_NAME = "results.csv", "results.json", "comparison.html"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge eval compare`.
+
+    Raises:
+        UserError: there are no outcomes, or no such column; a file cannot be read or written.
+    """
+    comparison, drawings = compare_folders([args.out], args.baseline)
+    print(text(comparison))
+    content = {
+        CSV_NAME: tables.to_csv(comparison),
+        JSON_NAME: tables.to_json(comparison),
+        PAGE_NAME: page.html(comparison, drawings, args.out.resolve().name, machine()).encode(),
+    }
+    try:
+        for name, data in content.items():
+            write_atomically(args.out / name, data)
+        paths = plots.write(comparison, args.out, ("svg", "png"))
+    except OSError as error:
+        raise FileError(f"{args.out}: {error.strerror or error}") from None
+    print("\n".join(map(str, ["", *(args.out / name for name in content), *paths])))
+    return 0
+
+
+def compare_folders(
+    folders: Sequence[Path], baseline: str | None = None, columns: Sequence[str] = ()
+) -> tuple[Comparison, dict[str, worlds.Drawing]]:
+    """What the outcomes of folders say together, and drawings of their worlds, by world.
+
+    Args:
+        columns: the only ones to compare, in this order; none: all.
+
+    Raises:
+        UserError: there are no outcomes, or no such column; a file cannot be read.
+    """
+    found = [r for folder in folders for r in records.read(folder / OUTCOMES_NAME)]
+    if not found:
+        raise UserError(f"{folders[0] / OUTCOMES_NAME}: empty; `edge eval episodes` fills it")
+    outcomes = records.gather(_of_columns(found, columns) if columns else found)
+    records.baseline_of(outcomes, baseline)  # a wrong name is told before the worlds are loaded
+    outcomes, left_m, drawings = look(outcomes, configs_of(folders, outcomes))
+    return compare(outcomes, baseline, left_m), drawings
+
+
+def _of_columns(found: Sequence[Record], columns: Sequence[str]) -> list[Record]:
+    """The records of some columns, these in their order."""
+    there = dict.fromkeys(r["column"] for r in found)
+    for name in columns:
+        if name not in there:
+            names = ", ".join(map(one_line, there))
+            raise UserError(f"no column {name!r} was run; there are: {names}")
+    return [r for name in columns for r in found if r["column"] == name]
+
+
+def text(comparison: Comparison) -> str:
+    """All tables for a terminal, what the intervals are, and what was passed over."""
+    if not comparison.outcomes.columns:
+        return "no outcomes"
+    parts = [tables.text(table) for table in tables.tables(comparison)]
+    parts.append(tables.unit_words(comparison))
+    if comparison.outcomes.passed_over:
+        parts.append(
+            f"{comparison.outcomes.passed_over} older outcomes are passed over: of a column's "
+            "earlier settings, or run again since"
+        )
+    return "\n\n".join(parts)
+
+
+def told(outcomes: Iterable[Outcome]) -> str:
+    """What is said at the end of a run of episodes."""
+    found = records.gather(read_json_object(line(outcome)) for outcome in outcomes)
+    return text(compare(found))
+
+
+def configs_of(folders: Sequence[Path], outcomes: Outcomes) -> dict[str, Config]:
+    """The configurations in which to load the worlds of outcomes, by world, from the episodes that
+    lie beside them.
+
+    Raises:
+        UserError: the episodes cannot be read, or a world is none.
+    """
+    configs: dict[str, Config] = {}
+    at = {name: e for e, name in enumerate(outcomes.episodes)}
+    for folder in folders:
+        path = folder / EPISODES_NAME
+        for episode in episodes.read(path):
+            e = at.get(episode.id)
+            if e is not None and str(outcomes.world[e]) not in configs:
+                own = {"perception": {"detector": {"kind": "sim"}}, "sim": {"world": episode.world}}
+                data = merged(episode.sensing, own)
+                configs[str(outcomes.world[e])] = parse(data, f"{path}: {one_line(episode.id)}")
+    return configs
+
+
+def look(
+    outcomes: Outcomes, configs: Mapping[str, Config]
+) -> tuple[Outcomes, np.ndarray, dict[str, worlds.Drawing]]:
+    """What the worlds themselves tell of outcomes.
+
+    Args:
+        configs: by world, whose `sim.world` it is.
+
+    Returns:
+        The outcomes with their worlds' rooms; (C, E) metres left to drive when the target came into
+        view, NaN where unknown; drawings by world.
+
+    Raises:
+        edge.lab.sim.base.WorldError: one cannot be loaded.
+    """
+    left_m = np.full(outcomes.ran.shape, np.nan)
+    drawings, rooms = {}, {}
+    for name in counted("worlds", list(configs)):
+        world, radius_m = world_list.load(configs[name]), configs[name].robot.radius_m
+        inside = np.flatnonzero(outcomes.world == name).tolist()
+        targets = sorted({str(outcomes.target[e]) for e in inside} - {""})
+        rooms[name] = len(world.rooms) or None
+        drawings[name] = worlds.draw(world, targets, radius_m)
+        worlds.left_at_sight_m(world, inside, outcomes, radius_m, left_m)
+    return records.with_rooms(outcomes, rooms), left_m, drawings

@@ -1,0 +1,354 @@
+"""The figures of a comparison: means with intervals, paired differences, failures, lost SPL.
+
+Every interval is a bootstrap over worlds (`outcomes.clusters`), but for those of shares, which are
+Wilson's: a bootstrap of what never happened says that it never will.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.lab.eval.comparison.outcomes import OTHER, Outcomes, baseline_of, clusters, natural
+from edge.lab.eval.intervals import RESAMPLES, Interval, bootstrap, wilson
+from edge.lab.eval.metrics import episode_soft_spl, episode_spl
+from edge.lab.eval.outcome import FAILURES
+
+NAN = Interval(math.nan, math.nan, math.nan)
+
+
+class Metric(NamedTuple):
+    """A figure of a column.
+
+    Attributes:
+        title: the head of its table's column.
+        digits: behind the point.
+        words: what it is.
+        values: (C, E) float64 of outcomes, NaN where an episode does not count.
+        scale: what it is shown times.
+        how: "mean"; "share", of yes and no; or "median", without an interval, of times, which
+            a busy computer spoils now and then.
+    """
+
+    title: str
+    digits: int
+    words: str
+    values: Callable[[Outcomes], np.ndarray]
+    scale: float = 1.0
+    how: str = "mean"
+
+
+def _of(name: str) -> Callable[[Outcomes], np.ndarray]:
+    return lambda outcomes: outcomes[name]
+
+
+def _of_successes(name: str) -> Callable[[Outcomes], np.ndarray]:
+    return lambda outcomes: np.where(outcomes.success, outcomes[name], np.nan)
+
+
+def spl_of(outcomes: Outcomes) -> np.ndarray:
+    """(C, E) SPL of each episode, NaN where it did not run."""
+    each = episode_spl(outcomes.success, outcomes.shortest_m, outcomes["path_m"])
+    return np.where(outcomes.ran, each, np.nan)
+
+
+def _soft_spl(outcomes: Outcomes) -> np.ndarray:
+    """A mission's progress is not known; one that crashed, or ended where there is no way, made
+    none."""
+    unknown = np.isnan(outcomes["left_m"]) & outcomes.ran & (outcomes.target != "")
+    left_m = np.where(unknown, np.inf, outcomes["left_m"])
+    return episode_soft_spl(outcomes.success, outcomes.shortest_m, outcomes["path_m"], left_m)
+
+
+def _any(name: str) -> Callable[[Outcomes], np.ndarray]:
+    return lambda outcomes: np.where(np.isnan(outcomes[name]), np.nan, outcomes[name] > 0)
+
+
+def _seen(outcomes: Outcomes) -> np.ndarray:
+    known = outcomes.ran & (outcomes.target != "")
+    return np.where(known, ~np.isnan(outcomes["first_sight_s"]), np.nan)
+
+
+METRICS: dict[str, Metric] = {
+    "sr": Metric("SR, %", 1, "episodes that succeeded", _of("success"), 100.0, "share"),
+    "spl": Metric("SPL", 3, "success weighted by path length", spl_of),
+    "soft_spl": Metric("soft SPL", 3, "progress in place of success", _soft_spl),
+    "path_m": Metric("path, m", 1, "driven, all episodes", _of("path_m")),
+    "success_path_m": Metric("in success", 1, "driven, successes", _of_successes("path_m")),
+    "elapsed_s": Metric("time, s", 1, "simulated, all episodes", _of("elapsed_s")),
+    "collisions": Metric("collisions", 2, "an episode", _of("collisions")),
+    "seen": Metric("seen, %", 1, "target seen at all", _seen, 100.0, "share"),
+    "first_sight_s": Metric("first sight, s", 1, "where it was seen", _of("first_sight_s")),
+    "wrong_stops": Metric("wrong stops, %", 1, "episodes", _any("wrong_stops"), 100.0, "share"),
+    "false_confirmations": Metric(
+        "false conf.", 2, "things confirmed that are no target, an episode",
+        _of("false_confirmations"),
+    ),
+    "revisited_m2": Metric(
+        "seen again, m²", 1, "floor that a search saw though an earlier one of the mission had",
+        _of("revisited_m2"),
+    ),
+    "tick_p95_ms": Metric(
+        "tick p95, ms", 2, "of an episode, the median of all", _of("tick_p95_ms"), how="median"
+    ),
+    "score_p95_ms": Metric(
+        "score p95, ms", 2, "the stage alone, likewise", _of("score_p95_ms"), how="median"
+    ),
+}  # fmt: skip
+
+
+class Figure(NamedTuple):
+    """A metric of a column; `n` is how many episodes it counts."""
+
+    n: int
+    interval: Interval
+
+
+class Pair(NamedTuple):
+    """A column against the baseline, on the episodes that both ran.
+
+    Attributes:
+        n: of these episodes.
+        missing: episodes that only one of the two ran, and that are left out.
+        sr, spl, soft_spl: mean differences, column less baseline.
+        spl_ratio: mean SPL over mean SPL.
+        path_ratio, time_ratio: sums over sums, of the `both` episodes in which both succeeded.
+        won, lost: episodes with higher and with lower SPL.
+    """
+
+    column: str
+    n: int
+    missing: int
+    sr: Interval
+    spl: Interval
+    soft_spl: Interval
+    spl_ratio: Interval
+    both: int
+    path_ratio: Interval
+    time_ratio: Interval
+    won: int
+    lost: int
+
+
+class Loss(NamedTuple):
+    """Where a column's SPL goes: 1 = spl + failures + search + approach, on `n` episodes.
+
+    Attributes:
+        search: lost to the way until the target was first seen, against the shortest.
+        approach: lost to the way from there, against the shortest from there.
+        search_m, approach_m: means of that excess over the successes.
+    """
+
+    n: int
+    spl: float
+    failures: float
+    search: float
+    approach: float
+    search_m: Interval
+    approach_m: Interval
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All that is said of a set of outcomes.
+
+    Attributes:
+        baseline: index of the column that the others are held against.
+        unit: what was resampled, "world" or "episode".
+        figures: by column, by metric.
+        pairs: of every column but the baseline.
+        groups: by what episodes are grouped (target, kind of world, rooms), by group, by column:
+            SR and SPL. What has one group is left out.
+        failures: by column, by kind of failure, how many.
+        losses: by column; empty where what was left at first sight is not known.
+    """
+
+    outcomes: Outcomes
+    baseline: int
+    unit: str
+    figures: dict[str, dict[str, Figure]]
+    pairs: tuple[Pair, ...]
+    groups: dict[str, dict[str, dict[str, dict[str, Figure]]]]
+    failures: dict[str, dict[str, int]]
+    losses: dict[str, Loss]
+
+
+def compare(
+    outcomes: Outcomes,
+    baseline: str | None = None,
+    left_m: np.ndarray | None = None,
+    resamples: int = RESAMPLES,
+) -> Comparison:
+    """Work everything out; the same for the same outcomes.
+
+    Args:
+        baseline: a column's name; None: the first.
+        left_m: (C, E) metres of driving that were left when the target was first seen, NaN where
+            that is not known or never was (`worlds.left_at_sight_m`).
+
+    Raises:
+        UserError: there is no such column.
+    """
+    against = baseline_of(outcomes, baseline)
+    cluster, unit = clusters(outcomes)
+    figures = _figures(outcomes, tuple(METRICS), cluster, resamples)
+    others = [c for c in range(len(outcomes.columns)) if c != against]
+    return Comparison(
+        outcomes,
+        against,
+        unit,
+        figures,
+        tuple(pair(outcomes, c, against, resamples) for c in others),
+        _groups(outcomes, resamples),
+        {name: _failures(outcomes, c) for c, name in enumerate(outcomes.columns)},
+        {} if left_m is None else _losses(outcomes, left_m, cluster, resamples),
+    )
+
+
+def _figures(
+    outcomes: Outcomes, keys: Sequence[str], cluster: np.ndarray, resamples: int
+) -> dict[str, dict[str, Figure]]:
+    values = {key: METRICS[key].values(outcomes) for key in keys}
+    means = [key for key in keys if METRICS[key].how == "mean"]
+    intervals = mean([values[key] for key in means], cluster, resamples)
+    figures: dict[str, dict[str, Figure]] = {name: {} for name in outcomes.columns}
+    for c, name in enumerate(outcomes.columns):
+        for key in keys:
+            counted = values[key][c][~np.isnan(values[key][c])]
+            if METRICS[key].how == "median":
+                interval = _median(counted)
+            elif METRICS[key].how == "share":
+                interval = wilson(int(counted.sum()), len(counted))
+            else:
+                interval = intervals[means.index(key)][c]
+            figures[name][key] = Figure(len(counted), interval)
+    return figures
+
+
+def _median(values: np.ndarray) -> Interval:
+    return Interval(float(np.median(values)), math.nan, math.nan) if len(values) else NAN
+
+
+def mean(
+    values: Sequence[np.ndarray], cluster: np.ndarray, resamples: int = RESAMPLES
+) -> list[list[Interval]]:
+    """Means of (C, E) arrays over the entries that are not NaN: by array, by column."""
+    if not values:
+        return []
+    stacked = np.concatenate(values)
+    counted = ~np.isnan(stacked)
+    flat = bootstrap(np.where(counted, stacked, 0.0), counted.astype(float), cluster, resamples)
+    columns = len(values[0])
+    return [flat[k * columns : (k + 1) * columns] for k in range(len(values))]
+
+
+def pair(outcomes: Outcomes, column: int, baseline: int, resamples: int = RESAMPLES) -> Pair:
+    """A column against the baseline; episodes are paired, so what is hard for both cancels out."""
+    both_ran = outcomes.ran[column] & outcomes.ran[baseline]
+    missing = int((outcomes.ran[column] ^ outcomes.ran[baseline]).sum())
+    cluster, _ = clusters(outcomes)
+    cluster = np.unique(cluster[both_ran], return_inverse=True)[1].ravel()
+    rows = np.array([column, baseline])
+
+    def of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return tuple(values[rows][:, both_ran])  # type: ignore[return-value]
+
+    ones = np.ones(int(both_ran.sum()))
+    spl, base_spl = of(spl_of(outcomes))
+    success, base_success = of(outcomes.success.astype(float))
+    soft, base_soft = of(_soft_spl(outcomes))
+    soft_known = ~np.isnan(soft) & ~np.isnan(base_soft)
+    path, base_path = of(outcomes["path_m"])
+    time, base_time = of(outcomes["elapsed_s"])
+    both = (success * base_success).astype(bool)
+    above = (
+        success - base_success, spl - base_spl, np.where(soft_known, soft - base_soft, 0.0), spl,
+        np.where(both, path, 0.0), np.where(both, time, 0.0),
+    )  # fmt: skip
+    below = (
+        ones, ones, soft_known.astype(float), base_spl,
+        np.where(both, base_path, 0.0), np.where(both, base_time, 0.0),
+    )  # fmt: skip
+    sr, spl_d, soft_d, spl_r, path_r, time_r = bootstrap(
+        np.stack(above), np.stack(below), cluster, resamples
+    )
+    return Pair(
+        outcomes.columns[column], len(ones), missing, sr, spl_d, soft_d, spl_r,
+        int(both.sum()), path_r, time_r,
+        int((spl > base_spl + 1e-9).sum()), int((spl < base_spl - 1e-9).sum()),
+    )  # fmt: skip
+
+
+def _groups(
+    outcomes: Outcomes, resamples: int
+) -> dict[str, dict[str, dict[str, dict[str, Figure]]]]:
+    rooms = ["" if math.isnan(r) else f"{r:g}" for r in outcomes.rooms.tolist()]
+    by = {"target": outcomes.target, "kind of world": outcomes.kind, "rooms": np.array(rooms)}
+    all_groups: dict[str, dict[str, dict[str, dict[str, Figure]]]] = {}
+    for name, labels in by.items():
+        present = sorted({label for label in labels.tolist() if label}, key=natural)
+        if len(present) > 1:
+            all_groups[name] = {
+                label: _group(outcomes, labels == label, resamples) for label in present
+            }
+    return all_groups
+
+
+def _group(outcomes: Outcomes, inside: np.ndarray, resamples: int) -> dict[str, dict[str, Figure]]:
+    cluster, _ = clusters(outcomes)
+    values = {key: np.where(inside, METRICS[key].values(outcomes), np.nan) for key in ("sr", "spl")}
+    used = np.unique(cluster[inside], return_inverse=True)[1].ravel()
+    intervals = mean([values["spl"][:, inside]], used, resamples)[0]
+    groups = {}
+    for c, name in enumerate(outcomes.columns):
+        n = int(outcomes.ran[c, inside].sum())
+        share = wilson(int(np.nansum(values["sr"][c])), n)
+        groups[name] = {"sr": Figure(n, share), "spl": Figure(n, intervals[c])}
+    return groups
+
+
+def _failures(outcomes: Outcomes, column: int) -> dict[str, int]:
+    kinds = outcomes.failure[column]
+    return {kind: int((kinds == kind).sum()) for kind in (*FAILURES, OTHER)}
+
+
+def _losses(
+    outcomes: Outcomes, left_m: np.ndarray, cluster: np.ndarray, resamples: int
+) -> dict[str, Loss]:
+    search, approach = excess_m(outcomes, left_m)
+    spl, path_m = spl_of(outcomes), outcomes["path_m"]
+    counted = outcomes.ran & (outcomes.target != "")
+    metres = mean([search, approach], cluster, resamples)
+    losses = {}
+    for c, name in enumerate(outcomes.columns):
+        kept, n = counted[c], int(counted[c].sum())
+        if not n:
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            lost = [np.nansum((part[c] / path_m[c])[kept]) / n for part in (search, approach)]
+        failed = float((~outcomes.success[c])[kept].mean())
+        found = float(np.nansum(spl[c][kept]) / n)
+        losses[name] = Loss(n, found, failed, *map(float, lost), metres[0][c], metres[1][c])
+    return losses
+
+
+def excess_m(outcomes: Outcomes, left_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What a success drove beyond the shortest way: until it first saw its target, and after.
+
+    What was driven until first sight and what was then left, less the shortest way from the start,
+    is the search's; the rest is the approach's. A success that never saw its target (by ground
+    truth) is all search.
+
+    Returns:
+        (C, E) float64 each, at least 0, NaN for what failed or has no single target; together the
+        path less the shortest way (0 where that is negative, which the raster of it may make it).
+    """
+    counted = outcomes.success & (outcomes.target != "")
+    over = np.maximum(outcomes["path_m"] - outcomes.shortest_m, 0.0)
+    until = outcomes["first_sight_path_m"] + left_m - outcomes.shortest_m
+    search = np.where(np.isnan(until), over, np.clip(until, 0.0, over))
+    return np.where(counted, search, np.nan), np.where(counted, over - search, np.nan)

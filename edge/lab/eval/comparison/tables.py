@@ -1,0 +1,287 @@
+"""A comparison in tables: text for a terminal, Markdown, HTML, CSV and JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from edge.lab.eval.comparison.outcomes import OTHER
+from edge.lab.eval.comparison.statistics import METRICS, Comparison, Figure, Metric, Pair
+from edge.lab.eval.intervals import Interval
+from edge.lab.eval.outcome import FAILURES
+from edge.text import aligned, one_line
+
+DASH = "–"
+# With their intervals in the tables; those of the others are in the CSV.
+BOUNDED = ("sr", "spl", "soft_spl", "wrong_stops")
+SUMMARIES = {
+    "summary": ("Columns", ("sr", "spl", "soft_spl", "path_m", "success_path_m", "elapsed_s")),
+    "conduct": (
+        "On the way",
+        ("seen", "first_sight_s", "wrong_stops", "false_confirmations", "collisions",
+         "revisited_m2"),
+    ),
+    "cost": ("Cost in the tick", ("tick_p95_ms", "score_p95_ms")),
+}  # fmt: skip
+
+
+GROUPS = ("target", "kind of world", "rooms")
+TABLES = (
+    "summary", "paired", "conduct", "failures", "losses", *(f"by {group}" for group in GROUPS),
+    "cost",
+)  # fmt: skip
+
+
+class Table(NamedTuple):
+    """Rows of texts; the first cell of each is its name."""
+
+    name: str
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+
+
+class Shown(NamedTuple):
+    """What a section of a document shows.
+
+    Attributes:
+        words: how much was run.
+        images: by the plot's name, what it shows and the content of its PNG.
+    """
+
+    words: str
+    tables: Sequence[Table]
+    images: Mapping[str, tuple[str, bytes]]
+
+
+def tables(comparison: Comparison) -> list[Table]:
+    """Every table that has something to say, in the order in which a reader wants them."""
+    found = [
+        summary(comparison, "summary"),
+        paired(comparison),
+        summary(comparison, "conduct"),
+        failures(comparison),
+        losses(comparison),
+        *(group(comparison, by) for by in comparison.groups),
+        summary(comparison, "cost"),
+    ]
+    return [table for table in found if table.rows]
+
+
+def summary(comparison: Comparison, name: str) -> Table:
+    """A column a row: the metrics of one of SUMMARIES."""
+    title, wanted = SUMMARIES[name]
+    keys = [key for key in wanted if _measured(comparison, key)]
+    head = ["column", "n", *(METRICS[key].title for key in keys)]
+    rows = []
+    for column, figures in comparison.figures.items():
+        cells = [_figure(METRICS[key], figures[key], key in BOUNDED) for key in keys]
+        rows.append([one_line(column), str(figures["sr"].n), *cells])
+    return Table(name, title, head, rows if keys else [], _words(comparison, keys))
+
+
+def _words(comparison: Comparison, keys: Sequence[str]) -> str:
+    words = "; ".join(f"{METRICS[key].title}: {METRICS[key].words}" for key in keys)
+    words = f"{words[:1].upper()}{words[1:]}."
+    if len(set(comparison.outcomes.ran.sum(axis=1).tolist())) > 1:
+        words += " Columns of different n drove different episodes: compare them by pairs."
+    return f"{words} {unit_words(comparison)}" if "spl" in keys else words
+
+
+def unit_words(comparison: Comparison) -> str:
+    """What the intervals are."""
+    worlds = len(set(comparison.outcomes.world.tolist()))
+    how = (
+        f"by bootstrap over {worlds} worlds"
+        if comparison.unit == "world"
+        else f"by bootstrap over episodes; of {worlds} world{'s' * (worlds != 1)}, so they say "
+        "nothing of others"
+    )
+    return f"In brackets: 95 % intervals, of shares Wilson's, else {how}."
+
+
+def paired(comparison: Comparison) -> Table:
+    """A column a row, against the baseline on the same episodes."""
+    head = ("column", "n", "SR, % points", "SPL", "SPL ratio", "soft SPL", "better",
+            "worse", "both", "path ratio", "time ratio")  # fmt: skip
+    rows = [_pair_row(pair) for pair in comparison.pairs]
+    left_out = [f"{p.column} {p.missing}" for p in comparison.pairs if p.missing]
+    base = _column(comparison, comparison.baseline)
+    note = (
+        "Differences of means (column less baseline), and ratios of means, on the n episodes that "
+        "both ran. Better, worse: episodes with higher and lower SPL. Both: in which both "
+        "succeeded; path and time are of these."
+    )
+    if left_out:
+        note += f" Left out, for only one of the two ran them: {one_line(', '.join(left_out))}."
+    return Table("paired", f"Against {base}, paired", head, rows, note)
+
+
+def _pair_row(pair: Pair) -> list[str]:
+    return [
+        one_line(pair.column), str(pair.n),
+        bounded(pair.sr, 1, 100.0, "+"), bounded(pair.spl, 3, 1.0, "+"),
+        bounded(pair.spl_ratio, 3), bounded(pair.soft_spl, 3, 1.0, "+"),
+        str(pair.won), str(pair.lost), str(pair.both),
+        bounded(pair.path_ratio, 3), bounded(pair.time_ratio, 3),
+    ]  # fmt: skip
+
+
+def failures(comparison: Comparison) -> Table:
+    """A column a row: how many episodes failed, by why."""
+    kinds = [k for k in (*FAILURES, OTHER) if any(f[k] for f in comparison.failures.values())]
+    rows = []
+    for c, (name, counts) in enumerate(comparison.failures.items()):
+        ran = int(comparison.outcomes.ran[c].sum())
+        failed = sum(counts.values())
+        rows.append([one_line(name), str(ran), str(failed), *(str(counts[k]) for k in kinds)])
+    return Table("failures", "Failures", ("column", "n", "failed", *kinds), rows)
+
+
+def losses(comparison: Comparison) -> Table:
+    """A column a row: where the SPL that it lacks went."""
+    head = ("column", "n", "SPL", "failures", "search", "approach", "search excess, m",
+            "approach excess, m")  # fmt: skip
+    rows = [
+        [one_line(name), str(loss.n), f"{loss.spl:.3f}", f"{loss.failures:.3f}",
+         f"{loss.search:.3f}", f"{loss.approach:.3f}", bounded(loss.search_m, 2),
+         bounded(loss.approach_m, 2)]
+        for name, loss in comparison.losses.items()
+    ]  # fmt: skip
+    note = (
+        "SPL + failures + search + approach = 1. Search: what was driven until the target was "
+        "first in view, and what was then left, beyond the shortest way; approach: what was "
+        "driven from there beyond what was left. Excess: metres a success."
+    )
+    return Table("losses", "Where the rest of the SPL goes", head, rows, note)
+
+
+def group(comparison: Comparison, by: str) -> Table:
+    """A group a row: SPL (and SR) of each column."""
+    columns = comparison.outcomes.columns
+    rows = []
+    for label, figures in comparison.groups[by].items():
+        most = max(figures[name]["sr"].n for name in columns)
+        cells = [_spl_sr(figures[name]) for name in columns]
+        rows.append([one_line(label), str(most), *cells])
+    note = "SPL with its interval, and SR in %."
+    return Table(f"by {by}", f"By {by}", (by, "n", *map(one_line, columns)), rows, note)
+
+
+def _spl_sr(figures: dict[str, Figure]) -> str:
+    if not figures["sr"].n:
+        return DASH
+    share = 100 * figures["sr"].interval.value
+    return f"{bounded(figures['spl'].interval, 2)}, {share:.0f}"
+
+
+def _measured(comparison: Comparison, key: str) -> bool:
+    return any(figures[key].n for figures in comparison.figures.values())
+
+
+def _column(comparison: Comparison, index: int) -> str:
+    columns = comparison.outcomes.columns
+    return one_line(columns[index]) if columns else DASH
+
+
+def _figure(metric: Metric, figure: Figure, bounds: bool) -> str:
+    if bounds:
+        return bounded(figure.interval, metric.digits, metric.scale)
+    value = figure.interval.value
+    return DASH if math.isnan(value) else f"{metric.scale * value:.{metric.digits}f}"
+
+
+def bounded(interval: Interval, digits: int, scale: float = 1.0, sign: str = "") -> str:
+    """`0.71 [0.66, 0.75]`; without bounds where there are none."""
+    if math.isnan(interval.value):
+        return DASH
+    value, low, high = (f"{scale * x:{sign}.{digits}f}" for x in interval)
+    return value if math.isnan(interval.low) else f"{value} [{low}, {high}]"
+
+
+# -- in what it is written ----------------------------------------------------------------------
+
+
+def text(table: Table) -> str:
+    """For a terminal: title and aligned columns."""
+    return f"{table.title}\n{aligned([table.head, *table.rows], left=1)}"
+
+
+def markdown(table: Table) -> str:
+    """GitHub's tables, numbers to the right, with the note below."""
+    lines = [table.head, [":--", *["--:"] * (len(table.head) - 1)], *table.rows]
+    rows = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines]
+    return "\n".join([*rows, "", table.note] if table.note else rows)
+
+
+def html(table: Table) -> str:
+    """A section of a page."""
+    head = "".join(f"<th>{escape(cell)}</th>" for cell in table.head)
+    rows = "".join(
+        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows
+    )
+    note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
+    return (
+        f'<section><h2>{escape(table.title)}</h2><div class="scroll"><table><tr>{head}</tr>'
+        f"{rows}</table></div>{note}</section>"
+    )
+
+
+def to_csv(comparison: Comparison) -> bytes:
+    """A figure a line, of all episodes and of every group."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(("group", "column", "metric", "n", "value", "low", "high"))
+    for name, key, figure in _all_figures(comparison):
+        numbers = ["" if math.isnan(x) else f"{x:.6g}" for x in figure.interval]
+        writer.writerow((*name, key, figure.n, *numbers))
+    return out.getvalue().encode()
+
+
+def _all_figures(comparison: Comparison):  # type: ignore[no-untyped-def]
+    for name, figures in comparison.figures.items():
+        for key, figure in figures.items():
+            yield ("all", name), key, figure
+    for by, groups in comparison.groups.items():
+        for label, columns in groups.items():
+            for name, figures in columns.items():
+                for key, figure in figures.items():
+                    yield (f"{by}: {label}", name), key, figure
+
+
+def to_json(comparison: Comparison) -> bytes:
+    """Everything; NaN, which JSON lacks, is null."""
+    outcomes = comparison.outcomes
+    data = {
+        "baseline": outcomes.columns[comparison.baseline] if outcomes.columns else None,
+        "resampled": comparison.unit,
+        "episodes": len(outcomes.episodes),
+        "worlds": len(set(outcomes.world.tolist())),
+        "passed_over": outcomes.passed_over,
+        "columns": comparison.figures,
+        "paired": {pair.column: pair for pair in comparison.pairs},
+        "failures": comparison.failures,
+        "losses": comparison.losses,
+        "groups": comparison.groups,
+    }
+    return json.dumps(_jsonable(data), indent=1, allow_nan=False, ensure_ascii=False).encode()
+
+
+def _jsonable(data: Any) -> Any:
+    if isinstance(data, tuple) and hasattr(data, "_asdict"):
+        data = data._asdict()
+    if isinstance(data, dict):
+        return {str(key): _jsonable(value) for key, value in data.items()}
+    if isinstance(data, (list, tuple)):
+        return [_jsonable(value) for value in data]
+    if isinstance(data, (float, np.floating)):
+        return float(data) if math.isfinite(data) else None
+    return data

@@ -1,0 +1,160 @@
+"""Trails on their maps, as SVG: every floor plan is in the page once, and the maps refer to it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.lab.eval.comparison.outcomes import Record
+from edge.lab.eval.comparison.worlds import Drawing, along
+from edge.lab.report.document import data_url
+from edge.text import one_line
+
+UNIT_M = 0.05  # of the coordinates: what is written as 1
+# The way from first to last: matplotlib's plasma, less the yellow that paper swallows.
+RAMP = (
+    "#0d0887", "#3e049c", "#6300a7", "#8606a6", "#a62098", "#c03a83", "#d5546e", "#e76f5a",
+    "#f68d45", "#f9a535",
+)  # fmt: skip
+MAX_REASON = 120
+HEADING_M = 0.45
+_GOALS = {"frontier": "f", "instance": "i"}  # other goals are looks
+_MARGIN_M = 1.0
+
+
+class Ground(NamedTuple):
+    """What the trails of a world are drawn on.
+
+    Attributes:
+        key: of its symbols in the page; empty where there are none.
+    """
+
+    key: str
+    drawing: Drawing
+
+    def units(self, xy_m: np.ndarray) -> np.ndarray:
+        """(n, 2) points of `map` in the picture's coordinates, as int64."""
+        shifted = np.asarray(xy_m, np.float64).reshape(-1, 2)
+        d = self.drawing
+        flipped = np.stack([shifted[:, 0] - d.left_m, d.top_m - shifted[:, 1]], axis=1)
+        return np.rint(flipped / UNIT_M).astype(np.int64)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        d = self.drawing
+        return math.ceil(d.width_m / UNIT_M), math.ceil(d.height_m / UNIT_M)
+
+
+def grounds_of(drawings: Mapping[str, Drawing]) -> dict[str, Ground]:
+    """By world, as `drawings` are."""
+    return {world: Ground(f"w{k}", d) for k, (world, d) in enumerate(drawings.items())}
+
+
+def bare(records: Sequence[Record]) -> Ground:
+    """As large as some trails, without a floor plan."""
+    points = [xy for r in records for xy in [*(r.get("trail") or []), r["start"][:2]]]
+    low, high = np.min(points, axis=0) - _MARGIN_M, np.max(points, axis=0) + _MARGIN_M
+    (left, bottom), (right, top) = low.tolist(), high.tolist()
+    return Ground("", Drawing(b"", left, top, right - left, top - bottom, {}))
+
+
+def symbols(grounds: Mapping[str, Ground]) -> str:
+    """Floor plans, and what episodes in them ask for, for the maps to refer to."""
+    inner = []
+    for ground in grounds.values():
+        (width, height), drawing = ground.size, ground.drawing
+        inner.append(
+            f'<image id="{ground.key}" width="{width}" height="{height}" '
+            f'preserveAspectRatio="none" href="{data_url("png", drawing.png)}"/>'
+        )
+        for k, things in enumerate(drawing.footprints.values()):
+            boxes = "".join(f"{_path(ground.units(corners))}z" for corners in things)
+            inner.append(f'<path id="{ground.key}t{k}" class="thing" d="{boxes}"/>')
+    return f'<svg class="hidden" width="0" height="0"><defs>{"".join(inner)}</defs></svg>'
+
+
+def figure(
+    ground: Ground, target: str, name: str, column: int, record: Record | None, spl: float
+) -> str:
+    """The map of one episode in one column, with its outcome below."""
+    words = f"<b>{escape(one_line(name, 40))}</b>"
+    if record is None:
+        return (
+            f'<figure data-c="{column}" class="none"><figcaption>{words} not run</figcaption>'
+            "</figure>"
+        )
+    ok = bool(record["success"])
+    facts = f"SPL {spl:.2f} · {record['path_m']:.1f} m · {record['elapsed_s']:.0f} s"
+    reason = one_line(record.get("failure") or "", 40)
+    reason += f"{': ' if reason else ''}{one_line(record.get('reason') or '', MAX_REASON)}"
+    width, height = ground.size
+    return (
+        f'<figure data-c="{column}" class="{"ok" if ok else "bad"}">'
+        f'<svg viewBox="0 0 {width} {height}" role="img" '
+        f'aria-label="{escape(one_line(f"{name}: {facts}, {reason}"))}">'
+        f"{_ground(ground, target)}{_drawn(ground, record)}</svg>"
+        f"<figcaption>{words}<br>{facts}<br>{escape(reason)}</figcaption></figure>"
+    )
+
+
+def _ground(ground: Ground, target: str) -> str:
+    if not ground.key:
+        return ""
+    uses = [ground.key]
+    if target in ground.drawing.footprints:
+        uses.append(f"{ground.key}t{list(ground.drawing.footprints).index(target)}")
+    return "".join(f'<use href="#{key}"/>' for key in uses)
+
+
+def _drawn(ground: Ground, record: Record) -> str:
+    """Trail, goals, where the target came into view, start and end."""
+    trail = np.asarray(record.get("trail") or [record["start"][:2]], np.float64).reshape(-1, 2)
+    units = ground.units(trail)
+    marks = [_trail(units), _goals(ground, record.get("goal_xy") or [])]
+    x, y, yaw = record["start"]
+    ahead = np.array([[x, y], [x + HEADING_M * math.cos(yaw), y + HEADING_M * math.sin(yaw)]])
+    ends = ground.units(ahead)
+    marks.append(f'<path class="heading" d="{_path(ends)}"/>{_circle("start", ends[0], 4)}')
+    marks.append(_circle("end", units[-1], 4))
+    seen_m = record.get("first_sight_path_m")
+    if seen_m is not None and math.isfinite(seen_m):
+        marks.append(_circle("seen", ground.units(along(trail, seen_m))[0], 5.5))
+    return "".join(marks)
+
+
+def _trail(units: np.ndarray) -> str:
+    """The way in pieces, one a colour of the ramp; each begins where the one before ends."""
+    moved = np.ones(len(units), bool)
+    moved[1:] = (np.diff(units, axis=0) != 0).any(axis=1)
+    units = units[moved]
+    edges = np.unique(np.linspace(0, len(units) - 1, len(RAMP) + 1).astype(int))
+    return "".join(
+        f'<path class="t t{k * len(RAMP) // max(len(edges) - 1, 1)}" '
+        f'd="{_path(units[first : last + 1])}"/>'
+        for k, (first, last) in enumerate(pairwise(edges))
+    )
+
+
+def _goals(ground: Ground, goals: Sequence[Sequence]) -> str:
+    """A dot each: a line of no length with round ends."""
+    dots: dict[str, str] = {}
+    for x_m, y_m, kind in goals:
+        (x, y), mark = ground.units(np.array([[x_m, y_m]]))[0], _GOALS.get(kind, "l")
+        dots[mark] = f"{dots.get(mark, '')}M{x} {y}h0"
+    return "".join(f'<path class="g {mark}" d="{d}"/>' for mark, d in sorted(dots.items()))
+
+
+def _circle(kind: str, at: np.ndarray, radius: float) -> str:
+    return f'<circle class="{kind}" cx="{at[0]}" cy="{at[1]}" r="{radius:g}"/>'
+
+
+def _path(units: np.ndarray) -> str:
+    """A polyline: where it begins, then steps, as short as SVG lets them be."""
+    steps = np.diff(units, axis=0).ravel().tolist()
+    text = "".join(f"{'' if k == 0 or v < 0 else ' '}{v}" for k, v in enumerate(steps))
+    return f"M{units[0, 0]} {units[0, 1]}{f'l{text}' if steps else ''}"

@@ -1,0 +1,143 @@
+"""The worlds of episodes as a page draws them: floor plan and things; and what was left to drive.
+
+A world is loaded once, for all that is asked about it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from edge import names
+from edge.geometry import Grid, thin
+from edge.lab.eval import geodesic
+from edge.lab.eval.comparison.outcomes import Outcomes
+from edge.lab.eval.metrics import REACHED_M
+from edge.lab.report import raster
+from edge.lab.sim.base import World, WorldObject
+
+MAX_SIDE_PX = 320
+_MARGIN_M = 0.3
+_WALL_M = 0.3  # so much of what bounds the floor is drawn
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """A world from above, as much of it as the robot could see the floor of.
+
+    Attributes:
+        png: north (larger y) at the top.
+        left_m, top_m, width_m, height_m: what it covers, in `map`; `top_m` is the largest y.
+        footprints: of the things that the episodes there ask for, by target: corners, (k, 2).
+    """
+
+    png: bytes
+    left_m: float
+    top_m: float
+    width_m: float
+    height_m: float
+    footprints: dict[str, list[np.ndarray]]
+
+
+def draw(world: World, targets: list[str], robot_radius_m: float) -> Drawing:
+    """Draw a world with the things that targets name: where one can stand is white, furniture grey,
+    walls dark, and the outside pale."""
+    cells = _cells(world, robot_radius_m)
+    inside = np.argwhere(cells.cells >= 0)
+    grid = _cut(cells, inside) if len(inside) else cells
+    grid = thin(grid, MAX_SIDE_PX)
+    image = raster.colour(grid.cells)[::-1, :, ::-1]  # north up; OpenCV has BGR
+    _, png = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    rows, columns = grid.cells.shape
+    left, bottom = grid.origin_xy_m
+    width, height = columns * grid.resolution_m, rows * grid.resolution_m
+    footprints = {t: [corners_m(o) for o in named(world, t)] for t in targets if t}
+    return Drawing(png.tobytes(), left, bottom + height, width, height, footprints)
+
+
+def named(world: World, target: str) -> list[WorldObject]:
+    """The world's things that a target means; none for a name that it does not have."""
+    return [item for item in world.objects if names.same(item.label, target)]
+
+
+def corners_m(item: WorldObject) -> np.ndarray:
+    """(4, 2) float64: the corners of a thing's box on the floor, in `map`, in their order."""
+    half = 0.5 * np.array(item.size_m[:2])
+    c, s = np.cos(item.yaw_rad), np.sin(item.yaw_rad)
+    corners = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * half
+    return corners @ np.array([[c, s], [-s, c]]) + np.array(item.center_m[:2])
+
+
+def _cells(world: World, robot_radius_m: float) -> Grid:
+    """int8 cells: 100 wall, 50 furniture, 0 free, -1 beyond whatever the robot can get near."""
+    plan = world.plan
+    grid, cell_m = plan.grid, plan.grid.resolution_m
+    furniture = np.zeros(grid.cells.shape, np.uint8)
+    for item in world.objects:
+        corners = np.rint(grid.of_metres(corners_m(item)) - 0.5).astype(np.int32)
+        cv2.fillPoly(furniture, [corners], 1)
+    furniture = cv2.dilate(furniture, np.ones((3, 3), np.uint8)) > 0
+    occupied = grid.cells > 0
+    _, component = cv2.connectedComponents((~occupied).astype(np.uint8), connectivity=4)
+    reachable = plan.reachable(world.start.x_m, world.start.y_m, robot_radius_m)
+    floor = np.isin(component, np.unique(component[reachable])) & ~occupied
+    wide = 2 * round(_WALL_M / cell_m) + 1
+    shown = cv2.dilate(floor.astype(np.uint8), np.ones((wide, wide), np.uint8)) > 0
+    cells = np.full(grid.cells.shape, -1, np.int8)
+    cells[occupied & (shown | furniture)] = 100
+    cells[occupied & furniture] = 50
+    cells[floor] = 0
+    return Grid(cells, grid.origin_xy_m, cell_m)
+
+
+def _cut(grid: Grid, inside: np.ndarray) -> Grid:
+    margin = round(_MARGIN_M / grid.resolution_m)
+    (r0, c0), (r1, c1) = inside.min(axis=0) - margin, inside.max(axis=0) + margin + 1
+    r0, c0 = max(int(r0), 0), max(int(c0), 0)
+    origin = grid.to_metres(np.array([c0, r0]))
+    return Grid(grid.cells[r0:r1, c0:c1], tuple(origin.tolist()), grid.resolution_m)
+
+
+def left_at_sight_m(
+    world: World, episodes: list[int], outcomes: Outcomes, radius_m: float, out_m: np.ndarray
+) -> None:
+    """Fill in how far the robot still had to drive when it first saw its target.
+
+    Args:
+        episodes: indices of those in this world.
+        out_m: (C, E) float64, of which these columns are filled where something was seen.
+    """
+    for target in sorted({str(outcomes.target[e]) for e in episodes} - {""}):
+        things = named(world, target)
+        if not things:
+            continue
+        field = geodesic.distance_field(world.plan, things, radius_m, REACHED_M)
+        for (c, e), record in outcomes.records.items():
+            seen_m = outcomes["first_sight_path_m"][c, e]
+            if e in episodes and outcomes.target[e] == target and np.isfinite(seen_m):
+                place = along(np.asarray(record.get("trail") or [record["start"][:2]]), seen_m)
+                out_m[c, e] = nearest(world, field, place)
+
+
+def along(trail_m: np.ndarray, path_m: float) -> np.ndarray:
+    """(2,) the place on a polyline, (n, 2), that lies so far from its start; its end if beyond."""
+    steps = np.hypot(*np.diff(trail_m, axis=0).T)
+    driven = np.concatenate([[0.0], np.cumsum(steps)])
+    return np.array([np.interp(path_m, driven, trail_m[:, k]) for k in (0, 1)])
+
+
+def nearest(world: World, field: np.ndarray, xy_m: np.ndarray, within_m: float = 0.5) -> float:
+    """The smallest value of a field around a place: the robot may be nearer to a wall than the
+    field's cells are free; NaN where there is none."""
+    grid = world.plan.grid
+    reach = int(within_m / grid.resolution_m)
+    column, row = np.floor(grid.of_metres(xy_m)).astype(int)
+    exact = world.plan.grid.cell_of(*xy_m.tolist())
+    if exact is not None and np.isfinite(field[exact]):
+        return float(field[exact])
+    rows = slice(max(row - reach, 0), max(row + reach + 1, 0))
+    around = field[rows, max(column - reach, 0) : max(column + reach + 1, 0)]
+    around = around[np.isfinite(around)]
+    return float(around.min()) if len(around) else float("nan")

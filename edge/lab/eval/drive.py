@@ -1,0 +1,275 @@
+"""One episode, driven: in this process, or with simulator and controller as processes."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from edge.config import Config, parse
+from edge.errors import Stopped, UserError
+from edge.lab.eval import geodesic, world_list
+from edge.lab.eval.closed_loop import ClosedLoop, wants_colour
+from edge.lab.eval.columns import Column, Data, merged
+from edge.lab.eval.episodes import Episode
+from edge.lab.eval.metrics import REACHED_M
+from edge.lab.eval.outcome import Outcome, crashed
+from edge.lab.eval.witness import Truth, Witness, named
+from edge.lab.report.page import write_report
+from edge.lab.report.recorder import Recorder
+from edge.lab.sim.base import World
+from edge.loop.latency import LatencyReport
+from edge.loop.warmup import warm_up
+
+if TYPE_CHECKING:
+    import zenoh
+
+SPARE = 1.1  # of the mission's time limit: when an episode ends whatever the mission thinks
+_LATE_S = 5.0  # for which the simulator's word on an instant is waited, over Zenoh
+_POLL_S = 0.001
+_KEPT = 64
+
+Drive = Callable[[Config, World, Path | None, threading.Event], tuple[Witness, LatencyReport]]
+"""Runs an episode to its end, or until it is told to stop; writes a report where a folder is given.
+
+Raises:
+    Stopped: it was told to stop before its end.
+"""
+
+
+def run_episode(
+    column: Column,
+    episode: Episode,
+    drive: Drive,
+    page: Path | None = None,
+    stop: threading.Event | None = None,
+) -> Outcome:
+    """One episode of one column; whatever goes wrong in it is its outcome.
+
+    Args:
+        drive: `in_process` or `over_zenoh`.
+        page: a folder for a report of the run; None: none is written.
+        stop: breaks it off.
+
+    Raises:
+        Stopped: it was broken off.
+    """
+    began_s = time.monotonic()
+    try:
+        config = config_of(column, episode)
+        world = world_list.load(config)
+        witness, latency = drive(config, world, page, stop or threading.Event())
+        return _outcome(column, episode, config, world, witness, latency, began_s)
+    except Stopped:
+        raise
+    except Exception as error:
+        why = str(error) if isinstance(error, UserError) else repr(error)
+        return crashed(column, episode, why, time.monotonic() - began_s)
+
+
+def config_of(column: Column, episode: Episode) -> Config:
+    """What an episode of a column runs with: in lockstep, every model in the service's process and
+    on one thread, so that no real time decides anything.
+
+    Raises:
+        ConfigError: the episode's world or sensors are not what a configuration may hold.
+    """
+    data = merged(column.base, episode.sensing, column.settings, _LOCKSTEP, episode.settings)
+    data["sim"]["world"] = episode.world
+    if data["perception"]["detector"].get("kind") == "onnx":
+        data["perception"]["detector"]["threads"] = 1
+    return parse(data, f"{column.path}: column {column.name}")
+
+
+_LOCKSTEP: Data = {
+    "loop": {"lockstep": True},
+    "sim": {"lockstep": True},
+    "perception": {"isolation": "thread"},
+}
+
+
+# -- in this process ------------------------------------------------------------------------------
+
+
+def in_process(
+    config: Config, world: World, page: Path | None, stop: threading.Event
+) -> tuple[Witness, LatencyReport]:
+    """See `Drive`: one thread, no Zenoh."""
+    _warmed(config.policy.model_dump_json(), config)
+    witness = Witness(config, world, lambda stamp_ns: _truth_of(loop))
+    recorder = None if page is None else Recorder(config)
+    sinks = [witness] if recorder is None else [witness, recorder]
+    colour = recorder is not None or wants_colour(config)
+    loop = ClosedLoop(config, sinks=sinks, world=world, colour=colour)
+    service = loop.service
+    try:
+        for _ in range(int(SPARE * config.mission.time_limit_s / config.sim.step_s)):
+            if service.status.done:
+                break
+            if stop.is_set():
+                raise Stopped("told to stop")
+            loop.step()
+        if page is not None and recorder is not None:
+            write_report(recorder.record(service.result(), {}), page)
+        return witness, service.latency.report()
+    finally:
+        loop.close()
+
+
+_ready: set[str] = set()
+
+
+def _warmed(policy: str, config: Config) -> None:
+    """Compile what the loop calls, once a process and policy: no tick is to be timed with that."""
+    if policy not in _ready:
+        warm_up(config)
+        _ready.add(policy)
+
+
+def _truth_of(loop: ClosedLoop) -> Truth:
+    motion = loop.drive.motion
+    where = motion.pose.x_m, motion.pose.y_m, motion.pose.yaw_rad
+    return Truth(*where, motion.path_m, motion.collisions, loop.rig.ids)
+
+
+# -- over Zenoh -----------------------------------------------------------------------------------
+
+
+def over_zenoh(
+    config: Config, world: World, page: Path | None, stop: threading.Event
+) -> tuple[Witness, LatencyReport]:
+    """See `Drive`: the service in this process, simulator and controller in two children."""
+    from edge.launch import children, on_a_free_port, open_service
+    from edge.loop.runner import loop
+
+    config = on_a_free_port(config)
+    witness = Witness(config, world, lambda stamp_ns: truth.at(stamp_ns))
+    recorder = Recorder(config)
+    with open_service(config, [witness, recorder], stop=stop) as running:
+        truth = TrueMotion(running.session, config)
+        over = threading.Event()  # which a child that ends by itself sets, too
+
+        def heed() -> None:
+            if stop.is_set():
+                over.set()
+
+        with children(config, over, ("sim", "--no-motion"), ("motion",)):
+            loop(running, over, once=True, each=heed)
+        if stop.is_set():
+            raise Stopped("told to stop")
+        if page is not None:
+            record = recorder.record(running.service.result(), running.source.counters)
+            write_report(record, page)
+        return witness, running.service.latency.report()
+
+
+class TrueMotion:
+    """The simulator's own account of where the robot is and what it sees, by instants."""
+
+    def __init__(self, session: zenoh.Session, config: Config) -> None:
+        from edge.bus import topics
+        from edge.bus.session import Ring
+        from edge.sources.truth import TruthInbox
+
+        self._ring = Ring(session, config.zenoh.key(topics.GROUND_TRUTH.key), _KEPT)
+        self._pictures = TruthInbox(config, session)
+        self._heard: dict[int, dict[str, Any]] = {}
+
+    def at(self, stamp_ns: int) -> Truth:
+        """
+        Raises:
+            UserError: the simulator did not tell.
+        """
+        until_s = time.monotonic() + _LATE_S
+        while True:
+            for sample in self._ring.take():
+                data = json.loads(sample.payload.to_bytes())
+                self._heard[data["stamp_ns"]] = data
+            picture = self._pictures.at(stamp_ns)
+            if stamp_ns in self._heard and picture is not None:
+                break
+            if time.monotonic() > until_s:
+                raise UserError(f"the simulator said nothing of t = {stamp_ns * 1e-9:.2f} s")
+            time.sleep(_POLL_S)
+        data = self._heard[stamp_ns]
+        self._heard = {t: heard for t, heard in self._heard.items() if t >= stamp_ns}
+        return Truth(*data["pose"], data["path_m"], data["collisions"], picture.ids)
+
+
+# -- the verdict ----------------------------------------------------------------------------------
+
+
+def _outcome(
+    column: Column,
+    episode: Episode,
+    config: Config,
+    world: World,
+    witness: Witness,
+    latency: LatencyReport,
+    began_s: float,
+) -> Outcome:
+    """
+    Raises:
+        Exception: what went wrong in the witness; without its word there is no verdict.
+    """
+    if witness.fault is not None:
+        raise witness.fault
+    status, now = witness.status, witness.now
+    if status is None or now is None:
+        raise UserError("not one observation came")
+    failure, sight = witness.failure(status.target), witness.first_sight()
+    away_m = left_m = None
+    if episode.target is not None:
+        away_m = witness.away_m(episode.target, now.x_m, now.y_m)
+        left_m = left_to(config, world, episode.target, now.x_m, now.y_m)
+    score = latency.stage("score")
+    return Outcome(
+        episode.id, column.name, column.id, world.name, str(episode.world["kind"]),
+        episode.target, episode.instruction, episode.start, episode.shortest_m,
+        failure is None, _reason(witness, config), failure,
+        path_m=now.path_m,
+        elapsed_s=witness.seconds,
+        wall_s=time.monotonic() - began_s,
+        distance_m=away_m,
+        left_m=left_m,
+        collisions=now.collisions,
+        first_sight_s=None if sight is None else sight.seconds,
+        first_sight_path_m=None if sight is None else sight.path_m,
+        wrong_stops=len(witness.wrong_stops),
+        false_confirmations=len(witness.mistaken),
+        revisited_m2=witness.revisited_m2,
+        goals=len(witness.goals),
+        tick_ms={key: getattr(latency.tick, f"{key}_ms") for key in ("p50", "p95", "max")},
+        score_ms=score.p95_ms,
+        trail=witness.trail,
+        goal_xy=[[goal.pose.x_m, goal.pose.y_m, goal.kind] for goal in witness.goals],
+    )  # fmt: skip
+
+
+def _reason(witness: Witness, config: Config) -> str:
+    status = witness.status
+    if status is None or not status.done:
+        return f"no end after {SPARE * config.mission.time_limit_s:g} s"
+    for label, away_m in witness.wrong_stops[:1]:
+        return f"declared reached {away_m:.1f} m from the nearest {label}"
+    if status.phase == "reached" and len(witness.stops) == 1:
+        return f"{status.reason} ({witness.stops[0][1]:.1f} m from it)"
+    return status.reason
+
+
+def left_to(config: Config, world: World, target: str, x_m: float, y_m: float) -> float | None:
+    """Metres still to drive from a place until a target is reached; None where there is no way."""
+    field = _field(world, target, config.robot.radius_m)
+    left_m = geodesic.at(world.plan, field, x_m, y_m)
+    return left_m if np.isfinite(left_m) else None
+
+
+@lru_cache(maxsize=8)
+def _field(world: World, target: str, radius_m: float) -> np.ndarray:
+    return geodesic.distance_field(world.plan, named(world, target), radius_m, REACHED_M)

@@ -1,0 +1,309 @@
+"""Episodes: a thing to find or a mission, in a world, from a start; planned once, run by anyone.
+
+A file of them (JSON lines) holds all that a rerun needs: the world's section, the start, what to
+do, the shortest way, and with what sensors.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from edge import names
+from edge.config import Config, parse
+from edge.errors import FileError, UserError
+from edge.host.bars import counted
+from edge.host.files import read_regular, save
+from edge.lab.eval import geodesic, missions, world_list
+from edge.lab.eval.columns import data_of, merged
+from edge.lab.eval.metrics import REACHED_M
+from edge.lab.sim.base import World, WorldError, WorldObject, free_poses
+from edge.lab.sim.worlds import load_world
+from edge.text import one_line, read_json_object
+
+log = logging.getLogger("edge.lab.eval.episodes")
+MAX_BYTES = 1 << 28
+
+COMMON = (
+    "bed", "chair", "house plant", "sofa", "television", "toilet",
+    "dining table", "chest of drawers", "refrigerator", "countertop", "trash can", "tv stand",
+    "floor lamp", "armchair", "shelf", "side table",
+)  # fmt: skip
+"""`--targets common`: the six of ObjectNav, and the ten large things (at least 0.5 m, 0.09 m³) that
+most houses of `procthor_train` have."""
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """One thing to do; exactly one of `target` and `instruction` is not None.
+
+    Attributes:
+        id: unique, and another one when anything else here changes.
+        world: `sim.world` of the configuration.
+        start: x and y [m], yaw [rad], in `map`.
+        shortest_m: that a robot has to drive, by ground truth.
+        sensing: sections `robot`, `sensors` and `sim` that every column runs with, unless it is a
+            column's point to change them.
+    """
+
+    id: str
+    world: dict[str, Any]
+    start: tuple[float, float, float]
+    target: str | None
+    instruction: str | None
+    shortest_m: float
+    sensing: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What it asks of a configuration, besides `sensing`."""
+        asked = {"target": self.target} if self.instruction is None else {}
+        mission = {**asked, "instruction": self.instruction, "checkpoint": None}
+        return {"mission": mission, "sim": {"start": list(self.start)}}
+
+
+def make_episode(
+    world: dict[str, Any],
+    name: str,
+    start: tuple[float, float, float],
+    shortest_m: float,
+    sensing: dict[str, Any],
+    target: str | None = None,
+    instruction: str | None = None,
+) -> Episode:
+    """An episode, with an id that people can read and that its content gives.
+
+    Args:
+        name: of the world.
+    """
+    content = [world, start, target, instruction, sensing]
+    code = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
+    what = one_line(target if instruction is None else instruction, 40).replace(" ", "-")
+    return Episode(f"{name}/{what}/{code}", world, start, target, instruction, shortest_m, sensing)
+
+
+def sensing_of(config: Config) -> dict[str, Any]:
+    """What all columns of an evaluation have in common: robot, sensors, and their noise."""
+    sensing = config.model_dump(mode="json", include={"robot", "sensors", "sim"})
+    for key in ("world", "start", "lockstep"):
+        del sensing["sim"][key]
+    return sensing
+
+
+def objects_of(world: World, target: str) -> list[WorldObject]:
+    """The world's objects that a target's name means.
+
+    Raises:
+        UserError: there are none; lists what there is.
+    """
+    found = [o for o in world.objects if names.same(o.label, target)]
+    if not found:
+        labels = ", ".join(sorted({o.label for o in world.objects}))
+        raise UserError(f"{world.name}: has no {target!r} (there are: {labels})")
+    return found
+
+
+def plan(
+    config: Config,
+    worlds: Sequence[dict[str, Any]],
+    targets: Sequence[str],
+    starts: int,
+    seed: int,
+    min_distance_m: float,
+    per_world: int | None = None,
+) -> list[Episode]:
+    """Seeded starts for targets in worlds.
+
+    Args:
+        worlds: sections `sim.world`; empty: the configuration's own world, which must have every
+            target and as many starts. In several, what one lacks is left out there, and told is
+            one that is left out since no robot fits where it starts.
+        starts: of each target in each world, at least `min_distance_m` of driving from it.
+        per_world: at most so many episodes a world, of targets drawn at random.
+
+    Raises:
+        UserError: a world cannot be loaded, or there is nothing to do at all.
+    """
+    episodes: list[Episode] = []
+    for where in _places(config, worlds):
+        if not worlds:
+            return _in_world(where, targets, starts, seed, min_distance_m, strict=True)
+        labels = [o.label for o in where.world.objects]
+        present = [t for t in targets if any(names.same(label, t) for label in labels)]
+        try:
+            found = _in_world(where, present, starts, seed, min_distance_m, strict=False)
+        except WorldError as error:
+            log.warning("left out: %s", error)
+            continue
+        episodes += _drawn(found, per_world, seed, where.world.name)
+    if targets and not episodes:
+        raise UserError(
+            f"none of the worlds has any of the targets {min_distance_m:g} m of driving away: "
+            "name others with --targets, or a smaller --min-distance"
+        )
+    return episodes
+
+
+def plan_missions(
+    config: Config,
+    worlds: Sequence[dict[str, Any]],
+    targets: Sequence[str],
+    count: int,
+    seed: int,
+    min_distance_m: float,
+) -> list[Episode]:
+    """Missions with several targets, seeded, each from a start of its own (ViTL V-D).
+
+    Args:
+        worlds: sections `sim.world`; empty: the configuration's own world.
+        targets: what missions may name, of what a world has.
+        count: at most so many missions a world.
+        min_distance_m: the least that a mission takes to drive.
+
+    Raises:
+        UserError: a world cannot be loaded, or there is no mission at all.
+    """
+    episodes: list[Episode] = []
+    for place, (world, section, sensing, radius_m) in enumerate(_places(config, worlds)):
+        own = seed + 1_000_000 * place  # no two worlds are asked for the same missions
+        found = missions.plan_missions(world, targets, count, own, radius_m, min_distance_m)
+        episodes += [
+            make_episode(
+                section, world.name, item.start, item.shortest_m, sensing,
+                instruction=item.mission.instruction,
+            )
+            for item in found
+        ]  # fmt: skip
+    if not episodes:
+        raise UserError(
+            f"none of the worlds has two of the targets and {min_distance_m:g} m to drive for "
+            "them: name others with --targets, or a smaller --min-distance"
+        )
+    return episodes
+
+
+class Where(NamedTuple):
+    """A world, its section of the configuration, and who is to drive there."""
+
+    world: World
+    section: dict[str, Any]
+    sensing: dict[str, Any]
+    radius_m: float
+
+
+def _places(config: Config, worlds: Sequence[dict[str, Any]]) -> Iterator[Where]:
+    """The worlds of these sections; without any, the configuration's own."""
+    sensing, radius_m = sensing_of(config), config.robot.radius_m
+    if not worlds:
+        section = config.sim.world.model_dump(mode="json")
+        yield Where(load_world(config), section, sensing, radius_m)
+    for section in counted("worlds", worlds) if worlds else ():
+        data = merged(data_of(config), {"sim": {"world": section, "start": None}})
+        world = world_list.load(parse(data, f"{config.path} with --worlds"))
+        yield Where(world, section, sensing, radius_m)
+
+
+def _in_world(
+    where: Where,
+    targets: Sequence[str],
+    starts: int,
+    seed: int,
+    min_distance_m: float,
+    strict: bool,
+) -> list[Episode]:
+    """Episodes in one world; `strict`: every target has as many starts as asked for."""
+    world, section, sensing, radius_m = where
+    episodes: list[Episode] = []
+    for k, target in enumerate(counted("targets", targets) if strict else targets):
+        wanted = objects_of(world, target)
+        field = geodesic.distance_field(world.plan, wanted, radius_m, REACHED_M)
+        poses = free_poses(world, 50 * starts, seed + 1000 * k, radius_m)
+        found = []
+        for pose in poses:
+            shortest_m = geodesic.at(world.plan, field, pose.x_m, pose.y_m)
+            if min_distance_m <= shortest_m < math.inf and len(found) < starts:
+                start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
+                shortest_m = round(shortest_m, 4)
+                found.append(make_episode(section, world.name, start, shortest_m, sensing, target))
+        if strict and len(found) < starts:
+            raise UserError(
+                f"{world.name}: only {len(found)} of {starts} starts lie {min_distance_m:g} m "
+                f"of driving from a {target}; ask for fewer or a smaller --min-distance"
+            )
+        episodes += found
+    return episodes
+
+
+def _drawn(episodes: list[Episode], count: int | None, seed: int, name: str) -> list[Episode]:
+    """At most `count` of a world's episodes, drawn at random, in their order."""
+    if count is None or len(episodes) <= count:
+        return episodes
+    rng = np.random.default_rng([seed, *name.encode()])
+    return [episodes[k] for k in sorted(rng.permutation(len(episodes))[:count])]
+
+
+# -- files ----------------------------------------------------------------------------------------
+
+
+def write(path: Path, episodes: Iterable[Episode]) -> None:
+    """One JSON line an episode.
+
+    Raises:
+        FileError: it cannot be written.
+    """
+    save(path, "".join(f"{json.dumps(asdict(episode))}\n" for episode in episodes).encode())
+
+
+def read(path: Path) -> list[Episode]:
+    """The episodes of a file that `write` wrote.
+
+    Raises:
+        FileError: it cannot be read.
+        UserError: a line is no episode, or two have one id.
+    """
+    try:
+        lines = read_regular(path, MAX_BYTES).splitlines()
+    except OSError as error:
+        raise FileError(f"{path}: {error.strerror or error}; --plan writes it") from None
+    episodes: dict[str, Episode] = {}
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            episode = parse_episode(read_json_object(line))
+        except (KeyError, TypeError, ValueError) as error:
+            why = f"no {error}" if isinstance(error, KeyError) else one_line(error)
+            raise UserError(f"{path}: line {number}: not an episode: {why}") from None
+        if episode.id in episodes:
+            raise UserError(f"{path}: line {number}: a second {one_line(episode.id)}")
+        episodes[episode.id] = episode
+    return list(episodes.values())
+
+
+def parse_episode(data: dict[str, Any]) -> Episode:
+    """
+    Raises:
+        KeyError, TypeError, ValueError: what is missing or wrong.
+    """
+    x, y, yaw = (float(value) for value in data["start"])
+    target, instruction = data["target"], data.get("instruction")
+    if not isinstance(target if instruction is None else instruction, str):
+        raise ValueError("target or instruction: expected a text")
+    shortest_m = float(data["shortest_m"])
+    if not 0.0 <= shortest_m < math.inf:
+        raise ValueError("shortest_m: expected a length")
+    world, sensing = data["world"], data.get("sensing", {})
+    if not (isinstance(world, dict) and isinstance(sensing, dict)):
+        raise ValueError("world and sensing: expected sections")
+    return Episode(
+        str(data["id"]), world, (x, y, yaw), target if instruction is None else None, instruction,
+        shortest_m, sensing,
+    )  # fmt: skip

@@ -1,0 +1,109 @@
+"""Shortest distances over a simulated world's floor plan: the reference of SPL."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from edge.lab.sim.base import FloorPlan, WorldObject
+
+
+def distance_field(
+    plan: FloorPlan, objects: list[WorldObject], robot_radius_m: float, within_m: float
+) -> np.ndarray:
+    """Metres that a robot must drive from anywhere to come within `within_m` of any of the
+    objects' footprints.
+
+    Shortest paths over the 8-connected raster of places where the robot fits.
+
+    Returns:
+        (rows, columns) float64 on the plan's raster; inf where there is no way.
+    """
+    free = plan.clearance_m > robot_radius_m
+    distance = np.where(near(plan, objects, robot_radius_m, within_m), 0.0, np.inf)
+    while sweep(free, distance):
+        pass
+    return distance * plan.grid.resolution_m
+
+
+def near(
+    plan: FloorPlan, objects: list[WorldObject], robot_radius_m: float, within_m: float
+) -> np.ndarray:
+    """(rows, columns) bool: where a robot fits and is within `within_m` of any of the objects'
+    footprints."""
+    free, cell_m = plan.clearance_m > robot_radius_m, plan.grid.resolution_m
+    found = np.zeros(free.shape, bool)
+    for item in objects:
+        reach_m = within_m + 0.5 * math.hypot(*item.size_m[:2]) + cell_m
+        low = plan.grid.of_metres(np.array(item.center_m[:2]) - reach_m)
+        high = plan.grid.of_metres(np.array(item.center_m[:2]) + reach_m)
+        left, bottom = np.maximum(low.astype(int), 0)
+        right, top = np.maximum(high.astype(int) + 1, 0)
+        row, col = np.nonzero(free[bottom:top, left:right])
+        row, col = row + bottom, col + left
+        close = _is_near(item, plan.grid.centres_m(row, col), within_m)
+        found[row[close], col[close]] = True
+    return found
+
+
+def _is_near(item: WorldObject, xy_m: np.ndarray, within_m: float) -> np.ndarray:
+    """(n,) bool: whether each of (n, 2) places is within `within_m` of an object's footprint."""
+    if item.footprint_m is not None:
+        return any_within(xy_m, item.footprint_m, within_m)
+    return np.array([item.distance_m(x, y) <= within_m for x, y in xy_m.tolist()], bool)
+
+
+def at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> float:
+    """The value of a field on the plan's raster at a point; inf outside."""
+    cell = plan.grid.cell_of(x_m, y_m)
+    return math.inf if cell is None else float(field[cell])
+
+
+@njit(nogil=True, cache=True)
+def any_within(xy_m, points_m, within_m):
+    """Whether any of the points is within `within_m` of each place.
+
+    Args:
+        xy_m: (n, 2) float64 places.
+        points_m: (k, 2) float32.
+
+    Returns:
+        (n,) bool.
+    """
+    near = np.zeros(len(xy_m), np.bool_)
+    for i in range(len(xy_m)):
+        for k in range(len(points_m)):
+            dx, dy = points_m[k, 0] - xy_m[i, 0], points_m[k, 1] - xy_m[i, 1]
+            if dx * dx + dy * dy <= within_m * within_m:
+                near[i] = True
+                break
+    return near
+
+
+@njit(nogil=True, cache=True)
+def sweep(free, distance):
+    """Relax every free cell from its neighbours, there and back; whether anything changed.
+
+    Args:
+        free: (rows, columns) bool.
+        distance: (rows, columns) float64 in cells, in place.
+    """
+    rows, cols = free.shape
+    changed = False
+    for k in range(2 * rows):
+        row = k if k < rows else 2 * rows - 1 - k
+        for c in range(cols):
+            col = c if k < rows else cols - 1 - c
+            if not free[row, col]:
+                continue
+            best = distance[row, col]
+            for r in range(max(row - 1, 0), min(row + 2, rows)):
+                for q in range(max(col - 1, 0), min(col + 2, cols)):
+                    step = 1.0 if r == row or q == col else math.sqrt(2.0)
+                    best = min(best, distance[r, q] + step)
+            if best < distance[row, col] - 1e-9:
+                distance[row, col] = best
+                changed = True
+    return changed

@@ -1,0 +1,183 @@
+"""Missions with several targets in a world, and the shortest way to fulfil each (ViTL V-D).
+
+Sentences and formulas are those of the task-level benchmark, over what stands in the world. The
+shortest way is exact: over every order that satisfies the formula, and over every place from
+which a thing counts as reached.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge import names
+from edge.lab.eval import geodesic
+from edge.lab.eval.metrics import REACHED_M
+from edge.lab.eval.planning.lifted import compiled
+from edge.lab.eval.planning.templates import Family, draws, formula_of, sentence_of, worth_doing
+from edge.lab.sim.base import World, free_poses
+from edge.mission.automaton import NOTHING, Automaton
+from edge.mission.ltl import Formula
+
+TARGETS = (2, 4)
+"""Fewest and most things that a mission names."""
+
+FAMILIES = (
+    Family("sequence", 0.2),
+    Family("any-order", 0.3, any_order=True),
+    Family("choice", 0.25, length=(2, 3), either=0.6, must_choose=True),
+    Family("branches", 0.15, branches=(2, 2), length=(1, 2)),
+    Family("any-order-until", 0.1, any_order=True, untils=(1, 1)),
+)
+_MOST_DRAWS = 10_000
+_POSES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """A sentence and what it means; `family` is one of `FAMILIES` by name."""
+
+    family: str
+    instruction: str
+    formula: Formula
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedMission:
+    """A mission, where it starts (x and y [m], yaw [rad]) and how far one has to drive for it."""
+
+    mission: Mission
+    start: tuple[float, float, float]
+    shortest_m: float
+
+
+def plan_missions(
+    world: World,
+    targets: Sequence[str],
+    count: int,
+    seed: int,
+    robot_radius_m: float,
+    min_distance_m: float = 0.0,
+) -> list[PlannedMission]:
+    """Different missions over what the world has, each from a start of its own; seeded.
+
+    Args:
+        targets: what missions may name; those that the world lacks, or that no robot gets to from
+            its start, are left out.
+        min_distance_m: the least that there must be to drive.
+
+    Returns:
+        At most `count`, in the order of their draws; fewer, or none, where the world has not
+        enough different things.
+    """
+    fields = Fields(world, robot_radius_m)
+    here = [target for target in targets if fields.has(target)]
+    found: list[PlannedMission] = []
+    for k, mission in enumerate(draw_missions(here, count, seed)):
+        field = fields.to_go_m(compiled(mission.formula))
+        for pose in free_poses(world, _POSES, seed + 1000 * k, robot_radius_m):
+            shortest_m = geodesic.at(world.plan, field, pose.x_m, pose.y_m)
+            if min_distance_m <= shortest_m < math.inf:
+                start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
+                found.append(PlannedMission(mission, start, round(shortest_m, 4)))
+                break
+    return found
+
+
+def draw_missions(targets: Sequence[str], count: int, seed: int) -> list[Mission]:
+    """Satisfiable missions with different formulas, over these things; fewer where there are not
+    so many."""
+    things = sorted({names.canonical(target) for target in targets})
+    if len(things) < TARGETS[0]:
+        return []
+    missions: dict[Formula, Mission] = {}
+    rng = random.Random(seed)
+    drawn = draws(rng, FAMILIES, things)
+    for (family, template, objects), _ in zip(drawn, range(_MOST_DRAWS), strict=False):
+        if len(missions) == count:
+            break
+        used = template.placeholders
+        if not TARGETS[0] <= len(used) <= TARGETS[1] or max(used) >= len(objects):
+            continue
+        formula = formula_of(template, objects)
+        if formula not in missions and worth_doing(formula):
+            sentence = sentence_of(template, objects)
+            missions[formula] = Mission(family.name, sentence, formula)
+    return list(missions.values())
+
+
+class Fields:
+    """Where each thing of a world counts as reached, and how far there is to go for missions."""
+
+    def __init__(self, world: World, robot_radius_m: float) -> None:
+        self._world = world
+        self._radius_m = robot_radius_m
+        self._free = world.plan.clearance_m > robot_radius_m
+        start = world.start
+        self._reachable = world.plan.reachable(start.x_m, start.y_m, robot_radius_m)
+        self._near: dict[str, np.ndarray] = {}
+
+    def has(self, target: str) -> bool:
+        """Whether the world has such a thing and a robot gets to it from the world's start."""
+        return bool(self.near(target).any())
+
+    def near(self, target: str) -> np.ndarray:
+        """(rows, columns) bool: where such a thing counts as reached."""
+        if target not in self._near:
+            things = [o for o in self._world.objects if names.same(o.label, target)]
+            near = geodesic.near(self._world.plan, things, self._radius_m, REACHED_M)
+            self._near[target] = near & self._reachable
+        return self._near[target]
+
+    def to_go_m(self, automaton: Automaton) -> np.ndarray:
+        """Metres to drive from anywhere until a mission is fulfilled, at its beginning.
+
+        Least over all words that the automaton accepts and over where each of their things is
+        reached; passing by something reaches nothing.
+
+        Returns:
+            (rows, columns) float64; inf where there is no way.
+        """
+        near = {letter: self.near(letter) for letter in automaton.letters}
+        cells = cells_to_go(automaton, near, self._free)
+        return cells * self._world.plan.grid.resolution_m
+
+
+def cells_to_go(
+    automaton: Automaton, near: Mapping[str, np.ndarray], free: np.ndarray
+) -> np.ndarray:
+    """Dijkstra's distances over places and states, in cells, from the automaton's initial state.
+
+    Args:
+        near: by letter, (rows, columns) bool: where its step can be taken.
+        free: (rows, columns) bool: where one can drive, 8-connected.
+
+    Returns:
+        (rows, columns) float64; inf where there is no way.
+    """
+    left = {s: np.full(free.shape, np.inf) for s in range(automaton.n_states)}
+    before: dict[int, list[tuple[int, str]]] = {s: [] for s in left}
+    for s in left:
+        for letter, after in automaton.edges(s):
+            if after != s and not automaton.accepting[s]:
+                before[after].append((s, letter))
+    queue = deque(s for s in left if automaton.accepting[s])
+    for s in queue:
+        left[s][free] = 0.0
+    while queue:
+        after = queue.popleft()
+        for s, letter in before[after]:
+            steps_off = free if letter == NOTHING else near[letter] & free
+            shorter = steps_off & (left[after] < left[s])
+            if shorter.any():
+                left[s][shorter] = left[after][shorter]
+                while geodesic.sweep(free, left[s]):
+                    pass
+                if s not in queue:
+                    queue.append(s)
+    return left[0]

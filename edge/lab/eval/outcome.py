@@ -1,0 +1,140 @@
+"""What became of an episode, as a line of `outcomes.jsonl`."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from edge.lab.eval.columns import Column
+from edge.lab.eval.episodes import Episode
+from edge.lab.eval.line_file import LineFile
+from edge.text import one_line
+
+NAME = "outcomes.jsonl"
+MAX_BYTES = 1 << 30
+TIMINGS = ("wall_s", "tick_ms", "score_ms")
+"""What the computer decides, and no two runs have in common."""
+
+FAILURES = ("never seen", "seen, not confirmed", "wrong thing", "stuck", "budget", "crashed")
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How an episode ended, judged by the simulator's ground truth.
+
+    Attributes:
+        episode, column, column_id: whose it is.
+        world: its name; `kind` of world.
+        target: None for a mission, which `instruction` gives.
+        shortest_m: the episode's.
+        success: the service said `reached`, and wherever it said so the robot stood within
+            `REACHED_M` of the footprint of such a thing.
+        failure: one of `FAILURES`; None for a success.
+        path_m: driven, by ground truth.
+        elapsed_s: simulated time; `wall_s`: real time.
+        distance_m: at the end, to the nearest footprint of a target; None for a mission.
+        left_m: at the end, metres still to drive until one is reached; None for a mission, and
+            where there is no way.
+        first_sight_s, first_sight_path_m: when a target was first to be seen; None: never.
+        wrong_stops: how often something was declared reached that was not.
+        false_confirmations: instances that were confirmed and are no such thing.
+        revisited_m2: floor that a mission's searches saw again though an earlier leg had seen it
+            (`edge.lab.eval.legs`); None for one target.
+        goals: how many were sent.
+        tick_ms: p50, p95 and max of the tick; `score_ms`: p95 of scoring the candidates.
+        trail: [x, y] every 0.25 m; `goal_xy`: [x, y, kind] of every goal.
+    """
+
+    episode: str
+    column: str
+    column_id: str
+    world: str
+    kind: str
+    target: str | None
+    instruction: str | None
+    start: tuple[float, float, float]
+    shortest_m: float
+    success: bool
+    reason: str
+    failure: str | None
+    path_m: float = 0.0
+    elapsed_s: float = 0.0
+    wall_s: float = 0.0
+    distance_m: float | None = None
+    left_m: float | None = None
+    collisions: int = 0
+    first_sight_s: float | None = None
+    first_sight_path_m: float | None = None
+    wrong_stops: int = 0
+    false_confirmations: int = 0
+    revisited_m2: float | None = None
+    goals: int = 0
+    tick_ms: dict[str, float] = field(default_factory=dict)
+    score_ms: float | None = None
+    trail: list[list[float]] = field(default_factory=list)
+    goal_xy: list[list[Any]] = field(default_factory=list)
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Of all outcomes of one file."""
+        return self.episode, self.column_id
+
+
+def crashed(column: Column, episode: Episode, why: str, wall_s: float = 0.0) -> Outcome:
+    """The outcome of an episode that could not be run to its end."""
+    world = str(
+        episode.world.get("name") or episode.world.get("house") or episode.world.get("mesh")
+    )
+    return Outcome(
+        episode.id, column.name, column.id, world, str(episode.world.get("kind")), episode.target,
+        episode.instruction, episode.start, episode.shortest_m, False, f"crashed: {one_line(why)}",
+        "crashed", wall_s=wall_s,
+    )  # fmt: skip
+
+
+def line(outcome: Outcome) -> bytes:
+    """As JSON on one line; what is not finite is null."""
+    return json.dumps(_plain(asdict(outcome)), separators=(",", ":")).encode() + b"\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return round(value, 4) if math.isfinite(value) else None
+    return value
+
+
+class OutcomeFile:
+    """`outcomes.jsonl` of a folder: what is there, and what is appended, whole lines at a time.
+
+    Args:
+        folder: made where it is not there.
+
+    Raises:
+        FileError: it cannot be read or written.
+        UserError: it has something else in it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._file = LineFile(
+            folder / NAME, lambda data: Outcome(**_tupled(data)), "an outcome", MAX_BYTES
+        )
+        self.known = {outcome.key: outcome for outcome in self._file.found}
+
+    def append(self, outcome: Outcome) -> None:
+        """
+        Raises:
+            FileError: the disk is full, or the folder has gone.
+        """
+        self._file.append(line(outcome))
+        self.known[outcome.key] = outcome
+
+
+def _tupled(data: dict[str, Any]) -> dict[str, Any]:
+    return {**data, "start": tuple(data["start"])}

@@ -1,0 +1,221 @@
+"""Outdoor episodes: a street as LiDAR shows it, an instruction, and the trajectory that is meant.
+
+    for number in range(200):
+        episode = outdoor_episode(number)
+
+Everything is known, not perceived: occupancy, regions and boxes are the street's own, points are a
+LiDAR's of 64 rings. What no point fell on is not in the scene.
+
+The task and its reference are those of `edge.lab.eval.trajectories.meaning`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from edge.geometry import SE2, Grid, se3
+from edge.lab.eval.trajectories.meaning import KINDS, Place, Task, box_outline_m, tasks
+from edge.lab.eval.trajectories.meaning import Thing as Named
+from edge.lab.sim import kernels
+from edge.lab.sim.base import FLOOR_CLEARANCE_M, Fan
+from edge.lab.sim.boxworld import Part
+from edge.lab.sim.generator.draws import Dice
+from edge.lab.sim.street import Street, Thing, solids, street
+from edge.tasks.scene import Region, Scene, SceneObject
+from edge.tasks.value_map import closed_cells
+
+CELL_M = 0.2
+ROBOT_M, HEIGHT_M = 0.4, 1.0
+TASK_M = 7.0, 36.0
+"""How far from the robot a task's things are."""
+RINGS, COLUMNS, RANGE_M = 64, 1024, 60.0
+ELEVATION_RAD = math.radians(-24.8), math.radians(2.0)
+"""Of an HDL-64E, whose scans SemanticKITTI holds."""
+LIDAR_M = 1.73
+LEAST_POINTS = 8
+_X_M, _Y_M = (-12.0, 44.0), (-20.0, 20.0)
+_TRIES = 200
+_KEY = 17
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OutdoorEpisode:
+    """A task in a street.
+
+    Attributes:
+        scene: without a camera; `map` is where the robot stands.
+        cloud_m: (n, 3) float32, the whole scan in `map`.
+        place: what the task is made of.
+        task: what to do, and what that means.
+    """
+
+    name: str
+    scene: Scene
+    cloud_m: np.ndarray
+    place: Place
+    task: Task
+
+
+def outdoor_episode(number: int) -> OutdoorEpisode:
+    """The episode of a number, the same everywhere; kinds take turns.
+
+    Streets are drawn until one has a task of that kind.
+    """
+    kind = KINDS[number % len(KINDS)]
+    for attempt in range(_TRIES):
+        drawn = street(number, attempt)
+        scene, cloud_m = outdoor_scene(drawn)
+        place = place_of(scene)
+        task = next(tasks(place, kind, Dice(_KEY, number, attempt)), None)
+        if task is not None:
+            return OutdoorEpisode(drawn.name, scene, cloud_m, place, task)
+    raise AssertionError(f"no street of {_TRIES} has a task for episode {number}")
+
+
+def outdoor_scene(drawn: Street) -> tuple[Scene, np.ndarray]:
+    """The scene of a street, and the scan (n, 3) float32 in `map`."""
+    floor, stood = solids(drawn)
+    parts = floor + [part for _, mine in stood for part in mine]
+    shape = np.array([part.shape for part in parts], np.uint8)
+    pose = np.array([_row(part) for part in parts])
+    cloud_m = _scan(shape, pose)
+    occupancy = _occupancy(shape, pose)
+    regions_grid = _regions_grid(drawn, occupancy)
+    here = SE2(0.0, 0.0, 0.0)
+    reachable = _reachable(occupancy, here)
+    objects = {}
+    seen = [(thing, _points_on(mine, cloud_m)) for thing, mine in stood]
+    seen.sort(
+        key=lambda item: math.dist((item[0].x_m, item[0].y_m), (drawn.start.x_m, drawn.start.y_m))
+    )
+    for thing, points_m in seen:
+        at = drawn.to_map(thing.x_m, thing.y_m, thing.yaw_rad)
+        if len(points_m) >= LEAST_POINTS and occupancy.cell_of(at.x_m, at.y_m) is not None:
+            number = len(objects) + 1
+            objects[number] = _object(number, thing, at, points_m, regions_grid, reachable)
+    regions = {}
+    for ground in drawn.grounds:
+        cells = int((regions_grid.cells == ground.id).sum())
+        if cells:
+            regions[ground.id] = Region(ground.id, ground.label, cells * CELL_M**2)
+    scene = Scene(0, here, objects, regions, occupancy, regions_grid, None, None, None, {})
+    return scene, cloud_m
+
+
+def place_of(scene: Scene) -> Place:
+    """What a street's tasks are drawn of."""
+    things = tuple(
+        Named(
+            item.id, item.label, item.caption.partition(item.label)[0].strip(),
+            item.position_m[:2],
+            box_outline_m(item.position_m, item.size_m, item.heading_rad),
+        )
+        for item in scene.objects.values()
+    )  # fmt: skip
+    drivable = scene.regions_grid.cells > 0
+    return Place(scene.pose, things, scene.occupancy, drivable, ROBOT_M, TASK_M)
+
+
+def _gaps_m(
+    points_m: np.ndarray, position_m: np.ndarray, size_m: np.ndarray, heading_rad: float
+) -> np.ndarray:
+    """(n,): how far points (n, 2) are from a box on the ground, 0 inside."""
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    local = np.abs((points_m - position_m[:2]) @ np.array([[c, -s], [s, c]]))
+    return np.hypot(*np.maximum(local - 0.5 * size_m[:2], 0.0).T)
+
+
+def _scan(shape: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    low, high = ELEVATION_RAD
+    elevation = np.linspace(low, high, RINGS)[:, None]
+    azimuth = (-math.pi + 2 * math.pi / COLUMNS * np.arange(COLUMNS))[None]
+    parts = (
+        np.cos(elevation) * np.cos(azimuth),
+        np.cos(elevation) * np.sin(azimuth),
+        np.sin(elevation) + 0 * azimuth,
+    )
+    fan = Fan(np.stack(parts, axis=-1), low, (high - low) / (RINGS - 1), RANGE_M)
+    ranges_m = np.empty((RINGS, COLUMNS), np.float32)
+    T_map_lidar = se3(0.0, 0.0, LIDAR_M)
+    kernels.cast_fan(
+        shape, pose, T_map_lidar, fan.directions, fan.el_min_rad, fan.el_step_rad, ranges_m
+    )
+    hit = ranges_m <= fan.range_m
+    points = fan.directions[hit] * ranges_m[hit][:, None] + T_map_lidar[:3, 3]
+    return points.astype(np.float32)
+
+
+def _occupancy(shape: np.ndarray, pose: np.ndarray) -> Grid:
+    """Occupied where something is between the ground and the robot's height; else free."""
+    columns, rows = (round((high - low) / CELL_M) for low, high in (_X_M, _Y_M))
+    solid = np.zeros((rows, columns), np.uint8)
+    origin = np.array([_X_M[0], _Y_M[0]])
+    kernels.rasterise(shape, pose, FLOOR_CLEARANCE_M, HEIGHT_M, origin, CELL_M, solid)
+    return Grid((solid * 100).astype(np.int8), (_X_M[0], _Y_M[0]), CELL_M)
+
+
+def _regions_grid(drawn: Street, occupancy: Grid) -> Grid:
+    rows, columns = np.indices(occupancy.cells.shape)
+    x_m, y_m = np.moveaxis(drawn.to_road(occupancy.centres_m(rows, columns)), -1, 0)
+    cells = np.zeros(occupancy.cells.shape, np.uint8)
+    for ground in drawn.grounds:
+        r = ground.rect
+        cells[(x_m >= r.x0) & (x_m < r.x1) & (y_m >= r.y0) & (y_m < r.y1)] = ground.id
+    return replace(occupancy, cells=cells)
+
+
+def _reachable(occupancy: Grid, here: SE2) -> np.ndarray:
+    """(h, w) bool: where a robot of radius `ROBOT_M` gets to."""
+    is_open = (~closed_cells(occupancy, ROBOT_M)).astype(np.uint8)
+    _, part = cv2.connectedComponents(is_open, connectivity=4)
+    return part == part[occupancy.cell_of(here.x_m, here.y_m)]
+
+
+def _object(
+    number: int, thing: Thing, at: SE2, points_m: np.ndarray, regions: Grid, reachable: np.ndarray
+) -> SceneObject:
+    length, width, height = thing.size_m
+    position_m, size_m = np.array([at.x_m, at.y_m, 0.5 * height]), np.array(thing.size_m)
+    nearest = {}
+    for region in np.unique(regions.cells[reachable & (regions.cells > 0)]).tolist():
+        centres = regions.centres_m(*np.nonzero((regions.cells == region) & reachable))
+        gaps = _gaps_m(centres, position_m, size_m, at.yaw_rad)
+        nearest[region] = tuple(centres[int(np.argmin(gaps))].tolist())
+    size = f"{length:.1f} x {width:.1f} x {height:.1f} m"
+    return SceneObject(
+        id=number,
+        label=thing.label,
+        caption=f"{thing.colour} {thing.label}, {size}".strip(),
+        position_m=position_m,
+        size_m=size_m,
+        heading_rad=at.yaw_rad,
+        points_m=points_m,
+        nearest_m=nearest,
+    )
+
+
+def _points_on(parts: Sequence[Part], cloud_m: np.ndarray) -> np.ndarray:
+    """The points (n, 3) of a scan that lie on one of these parts."""
+    centers = np.array([part.center_m for part in parts], np.float32)
+    halves = 0.5 * np.array([part.size_m for part in parts], np.float32) + 0.01
+    reach = np.linalg.norm(halves, axis=1)[:, None]
+    low, high = (centers - reach).min(axis=0), (centers + reach).max(axis=0)
+    near = cloud_m[((cloud_m > low) & (cloud_m < high)).all(axis=1)]
+    on = np.zeros(len(near), bool)
+    for part, center, half in zip(parts, centers, halves, strict=True):
+        c, s = math.cos(part.yaw_rad), math.sin(part.yaw_rad)
+        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]], np.float32)
+        local = np.abs((near - center) @ turn) / half
+        is_crown = part.shape == kernels.ELLIPSOID
+        on |= (np.linalg.norm(local, axis=1) if is_crown else local.max(axis=1, initial=0.0)) <= 1.0
+    return near[on]
+
+
+def _row(part: Part) -> list[float]:
+    half = [0.5 * extent for extent in part.size_m]
+    return [*part.center_m, *half, math.cos(part.yaw_rad), math.sin(part.yaw_rad)]

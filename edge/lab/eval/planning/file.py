@@ -1,0 +1,96 @@
+"""Benchmark tasks as JSON lines: id, template, objects, sentence, formula."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from edge import names
+from edge.errors import UserError
+from edge.host.files import read_regular, save
+from edge.lab.eval.planning.lifted import MAX_OBJECTS, lift, with_canonical_names, world_of
+from edge.lab.eval.planning.templates import Task
+from edge.mission.ltl import parse, propositions, to_text
+from edge.text import bounded_repr, read_json_object
+
+FIELDS = {"id": int, "template": str, "objects": list, "sentence": str, "formula": str}
+
+
+class TaskFileError(UserError):
+    """A file of tasks that cannot be used: which line, and what is wrong with it."""
+
+
+def write_tasks(path: Path, tasks: Sequence[Task]) -> None:
+    """Replace `path` with the tasks, one a line.
+
+    Raises:
+        FileError: the file cannot be written.
+    """
+    lines = [
+        json.dumps(
+            {
+                "id": task.id,
+                "template": task.template,
+                "objects": list(task.objects),
+                "sentence": task.sentence,
+                "formula": to_text(task.formula),
+            }
+        )
+        for task in tasks
+    ]
+    save(path, ("\n".join(lines) + "\n").encode())
+
+
+def read_tasks(path: Path) -> list[Task]:
+    """Tasks as `write_tasks` writes them; objects may have any name that `edge.names` maps.
+
+    Raises:
+        TaskFileError: the file cannot be read, or a line is not a task that can be fulfilled.
+    """
+    try:
+        lines = read_regular(path).decode("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise TaskFileError(f"{path}: cannot be read: {reason}") from None
+    tasks: dict[int, Task] = {}
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            task = _task(line)
+            if task.id in tasks:
+                raise ValueError(f"id {task.id} was there before; ids must differ")
+        except (ValueError, UserError) as error:
+            raise TaskFileError(f"{path}, line {number}: {error}") from None
+        tasks[task.id] = task
+    if not tasks:
+        raise TaskFileError(f"{path}: holds no tasks; `--export {path}` writes the benchmark's")
+    return list(tasks.values())
+
+
+def _task(line: str) -> Task:
+    """
+    Raises:
+        ValueError, UserError: what is wrong with the line.
+    """
+    try:
+        data = read_json_object(line)
+    except ValueError as error:
+        raise ValueError(f"{error}; every line is one task, with {', '.join(FIELDS)}") from None
+    for field, kind in FIELDS.items():
+        if not isinstance(data.get(field), kind) or isinstance(data[field], bool):
+            raise ValueError(
+                f"{field}: expected {kind.__name__}, got {bounded_repr(data.get(field), 60)}"
+            )
+    if not 0 <= data["id"] < 1 << 63:
+        raise ValueError(f"id: must be between 0 and 2**63 - 1, got {data['id']}")
+    formula = with_canonical_names(parse(data["formula"]))
+    objects = propositions(formula)
+    if {names.canonical(str(name)) for name in data["objects"]} != set(objects):
+        raise ValueError(f"objects: the formula's are {', '.join(objects)}")
+    if len(world_of(objects)) > MAX_OBJECTS:
+        raise ValueError(f"more than {MAX_OBJECTS} objects, HM3D's six included")
+    if lift(formula).automaton.steps_left[0] < 0:
+        raise ValueError("formula: contradicts itself, nothing can fulfil it")
+    return Task(data["id"], data["template"], objects, data["sentence"], formula)

@@ -1,0 +1,259 @@
+"""The LLM-planner of ViTL V-C: a language model that is asked for every next target."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+
+import numpy as np
+
+from edge import names
+from edge.chat import ChatClient, ChatError, CutOffError
+from edge.lab.eval.planning.executor import (
+    DONE,
+    INVALID,
+    Choose,
+    Episode,
+    Problem,
+    Situation,
+    draws_of,
+    run_episode,
+)
+from edge.lab.eval.planning.lifted import lift, world_of
+from edge.lab.eval.planning.report import LLM
+from edge.lab.eval.planning.sweep import Results, Settings, empty_results
+from edge.lab.eval.planning.templates import SPOKEN, Task
+from edge.mission.automaton import Automaton
+from edge.mission.planner import Knowledge, Plan
+from edge.mission.planning.plan import ACCEPTED, DEAD
+
+NAME = LLM
+
+MAX_QUESTIONS = 50
+"""Different questions in one run; a model that has not come to an end by then gives no answer.
+All six objects seen and twice as many reached as any task needs take fewer than 30."""
+
+OPTIONS = {"temperature": 0, "max_tokens": 512}
+
+# The paper's prompt box, word for word.
+PROMPT = """\
+Role: You are a navigation planner. Determine the next target object for an agent to satisfy \
+the task as fast as possible.
+Task: {task}
+Rules: Follow the temporal ordering implied by the task. Revisiting objects is allowed. \
+Output exactly: TARGET: <object> or "DONE".
+Current State:
+• Observed (known location, not yet reached): {{{observed}}}
+• Reached (in order): [{reached}]
+• Failed (unreachable): {{{failed}}}"""
+
+_TARGET = re.compile(r"TARGET\s*:\s*[^\w\n]*([^\n.,;:()<>\"'*`]+)", re.IGNORECASE)
+_DONE = re.compile(r"\bDONE\b", re.IGNORECASE)
+_THOUGHT = re.compile(r"<think>.*?(</think>|$)", re.DOTALL)
+
+
+def prompt(task: Task, situation: Situation) -> str:
+    """What the model is asked in a situation."""
+    spoken = [SPOKEN.get(name, name) for name in world_of(task.objects)]
+    observed = situation.seen & ~situation.reached
+    return PROMPT.format(
+        task=task.sentence,
+        observed=", ".join(word for i, word in enumerate(spoken) if observed >> i & 1),
+        reached=", ".join(spoken[i] for i in situation.order),
+        failed="",
+    )
+
+
+def parse_answer(text: str, objects: Sequence[str]) -> int:
+    """An answer as index into `objects` (canonical names), `DONE`, or `INVALID`.
+
+    >>> parse_answer("TARGET: <potted plant>", ["bed", "houseplant"])
+    1
+    """
+    text = _THOUGHT.sub("", text)
+    target = _TARGET.search(text)
+    if target is None:
+        return DONE if _DONE.search(text) else INVALID
+    try:
+        return list(objects).index(names.canonical(target[1]))
+    except ValueError:
+        return INVALID
+
+
+class LlmPlanner:
+    """The LLM-planner in the loop: a `mission.planner.kind` of its own.
+
+    The model is asked anew when what is seen, reached or failed has changed, and the tick waits for
+    its answer: for evaluations, in lockstep. What it says is done, even if it breaks the mission.
+    Where it names nothing that leads on, or says DONE too early, the mission has failed.
+
+    Args:
+        automaton, instruction: of the mission.
+        url, model, api_key_env, time_limit_s: see `mission.translator.kind: llm`.
+
+    Raises:
+        ChatError: the URL or the key cannot be used; from `plan`, no usable answer.
+    """
+
+    def __init__(
+        self,
+        automaton: Automaton,
+        instruction: str,
+        url: str,
+        model: str = "default",
+        api_key_env: str = "OPENAI_API_KEY",
+        time_limit_s: float = 30.0,
+    ) -> None:
+        self._automaton, self._instruction = automaton, instruction
+        self._client = ChatClient(url, model, os.environ.get(api_key_env), time_limit_s)
+        self._reached: list[str] = []
+        self._answers: dict[str, str | None] = {}
+
+    def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
+        """See `Planner.plan`; costs are steps."""
+        a = self._automaton
+        if a.accepting[state]:
+            return ACCEPTED
+        if a.steps_left[state] < 0:
+            return DEAD
+        self._reached += sorted(knowledge.reached - set(self._reached))
+        letter = self._asked(knowledge)
+        if letter is None:
+            return _no_plan("the language model names no target")
+        if letter in knowledge.failed:
+            return _no_plan(f"the language model asks for {letter}, which failed")
+        if a.step(state, letter) == state:
+            return _no_plan(f"the language model asks for {letter}, which leads no further")
+        reason = "the language model says so"
+        return Plan(letter, (letter,), 1.0, True, (), reason, ((letter, 1.0),))
+
+    def _asked(self, knowledge: Knowledge) -> str | None:
+        """What the model names, of the automaton's letters."""
+        question = PROMPT.format(
+            task=self._instruction,
+            observed=_spoken(sorted(knowledge.detected)),
+            reached=_spoken(self._reached),
+            failed=_spoken(sorted(knowledge.failed)),
+        )
+        if question not in self._answers:
+            try:
+                answer = self._client.ask([{"role": "user", "content": question}], **OPTIONS)
+            except CutOffError as error:
+                answer = error.answer
+            k = parse_answer(answer, self._automaton.letters)
+            self._answers[question] = None if k in (DONE, INVALID) else self._automaton.letters[k]
+        return self._answers[question]
+
+
+def _spoken(letters: Sequence[str]) -> str:
+    return ", ".join(SPOKEN.get(letter, letter) for letter in letters)
+
+
+def _no_plan(reason: str) -> Plan:
+    return Plan(None, (), math.inf, False, (), reason, ())
+
+
+def llm_chooser(task: Task, ask: Callable[[str], str]) -> Choose:
+    """A planner that asks the model; the same question is asked once a run.
+
+    The failed attempt that shows nothing new changes no word of the question, so this is the
+    paper's "re-queried whenever the environment state changes".
+    """
+    objects = world_of(task.objects)
+    answers: dict[str, int] = {}
+
+    def choose(situation: Situation) -> int:
+        question = prompt(task, situation)
+        if question not in answers:
+            if len(answers) == MAX_QUESTIONS:
+                return INVALID
+            try:
+                answers[question] = parse_answer(ask(question), objects)
+            except CutOffError as error:  # it rambles, perhaps after having said its target
+                answers[question] = parse_answer(error.answer, objects)
+        return answers[question]
+
+    return choose
+
+
+def run_llm(
+    tasks: Sequence[Task],
+    rows: Sequence[int],
+    settings: Settings,
+    client: ChatClient,
+    jobs: int = 1,
+    progress: Callable[[int], None] = lambda done: None,
+) -> tuple[Results, BaseException | None]:
+    """Run the LLM-planner on some of the tasks, with the luck that the other planners had.
+
+    Args:
+        rows: which of the tasks.
+        jobs: questions at a time.
+        progress: called with the number of episodes done so far.
+
+    Returns:
+        Results for all tasks, most of them not run, and what ended it early. Nothing is raised,
+        not even Ctrl-C: the caller reports what is done before it raises that. A server's failure
+        is not the planner's, so the episodes it hits count as not run.
+    """
+    settings = settings._replace(planners=(NAME,))
+    results = empty_results(tasks, settings)
+    stop = threading.Event()
+
+    def run(row: int, j: int, e: int) -> Episode | None:
+        task, p_obs = tasks[row], settings.p_obs[j]
+        lifted = lift(task.formula)
+
+        def ask(question: str) -> str:
+            return client.ask([{"role": "user", "content": question}], **OPTIONS)
+
+        choose = llm_chooser(task, ask)
+        draws = draws_of(settings.seed, task.id, p_obs, e)
+        problem = Problem.of(lifted.automaton, lifted.others)
+        try:
+            episode = run_episode(
+                problem, p_obs, lambda s: DONE if stop.is_set() else choose(s), draws
+            )
+        except ChatError:
+            stop.set()  # at once: the pool's next episode would ask the failed server again
+            raise
+        return None if stop.is_set() else episode
+
+    failure: BaseException | None = None
+    pool = ThreadPoolExecutor(jobs)
+    try:
+        futures = {
+            pool.submit(run, row, j, e): (row, j, e)
+            for row in rows
+            for j in range(len(settings.p_obs))
+            for e in range(settings.episodes)
+        }
+        for done, future in enumerate(as_completed(futures), start=1):
+            row, j, e = futures[future]
+            episode = future.result()
+            if episode is not None:
+                at = (0, j, row, e)
+                results.outcome[at], results.explorations[at], results.steps[at] = episode
+            progress(done)
+    except BaseException as error:
+        failure = error
+    finally:
+        stop.set()
+        pool.shutdown(wait=False, cancel_futures=True)  # a question under way may take a minute
+    return results, failure
+
+
+def merged(a: Results, b: Results) -> Results:
+    """The planners of both, on the same tasks and p_obs."""
+    return Results(
+        a.planners + b.planners,
+        a.p_obs,
+        np.concatenate([a.outcome, b.outcome]),
+        np.concatenate([a.explorations, b.explorations]),
+        np.concatenate([a.steps, b.steps]),
+        a.bound,
+    )

@@ -1,0 +1,125 @@
+"""The planners that `edge eval planning` compares, behind one interface.
+
+A planner is made for a problem, then for a p_obs, and then answers situations
+(`edge.lab.eval.planning.executor.Choose`). Only `optimal` makes use of p_obs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.config import PlannerInOrder, PlannerVitl
+from edge.lab.eval.planning.executor import DONE, NOTHING, Choose, Problem, Situation
+from edge.lab.eval.planning.optimum import Optimum
+from edge.mission.planner import Knowledge, Planner, make_planner
+
+MakeForProblem = Callable[[Problem], Callable[[float], Choose]]
+
+
+class Entrant(NamedTuple):
+    """A planner of the comparison.
+
+    Attributes:
+        words: what it is, for the table's legend.
+        knows_all: whether it is told all places at the start.
+    """
+
+    make: MakeForProblem
+    words: str
+    knows_all: bool = False
+
+
+def vitl(problem: Problem, known_reached: bool = True) -> Callable[[float], Choose]:
+    """The service's `vitl` planner; see `VitlPlanner` for `known_reached`."""
+    planner = make_planner(PlannerVitl(), problem.automaton, known_reached=known_reached)
+    choose = _asking(planner, problem)
+    return lambda p_obs: choose
+
+
+def vitl_eq1(problem: Problem) -> Callable[[float], Choose]:
+    """ViTL eq. 1 to the letter: an object that was reached weighs 1, as if it had to be found."""
+    return vitl(problem, known_reached=False)
+
+
+def in_order(problem: Problem) -> Callable[[float], Choose]:
+    """The service's `in_order` planner: the first object of the sentence that makes progress."""
+    choose = _asking(make_planner(PlannerInOrder(), problem.automaton), problem)
+    return lambda p_obs: choose
+
+
+def random_valid(problem: Problem) -> Callable[[float], Choose]:
+    """Any object that changes the state and keeps success possible, drawn at every decision."""
+    targets = valid_targets(problem)
+
+    def choose(situation: Situation) -> int:
+        valid = targets[situation.state]
+        return valid[int(situation.draw * len(valid))] if valid else DONE
+
+    return lambda p_obs: choose
+
+
+def clairvoyant(problem: Problem) -> Callable[[float], Choose]:
+    """A shortest accepted word; where every place is known, nobody needs fewer steps."""
+    left = problem.steps_left
+    after = left[problem.moves]
+    shortest = [
+        next((i for i in range(problem.n_letters) if after[s, i] == left[s] - 1), NOTHING)
+        for s in range(len(left))
+    ]
+    return lambda p_obs: lambda situation: shortest[situation.state]
+
+
+def least_explorations(problem: Problem) -> Callable[[float], Choose]:
+    """The exact optimum under the planners' information; see `Optimum`."""
+    return lambda p_obs: Optimum(problem, p_obs).choose
+
+
+PLANNERS = {
+    "vitl": Entrant(vitl, "ViTL eq. 1 and 2, reached objects known, as in the service"),
+    "vitl-eq1": Entrant(vitl_eq1, "ViTL eq. 1 and 2 to the letter: reached objects weigh 1"),
+    "in-order": Entrant(in_order, "first object of the sentence that makes valid progress"),
+    "random-valid": Entrant(random_valid, "any object that makes valid progress"),
+    "optimal": Entrant(least_explorations, "fewest expected explorations, the exact optimum"),
+    "clairvoyant": Entrant(clairvoyant, "knows every place: the bound for steps", knows_all=True),
+}
+
+
+def valid_targets(problem: Problem) -> list[list[int]]:
+    """By state, the targets that change it and keep success possible, in the formula's order;
+    letting a step pass (`NOTHING`) only where no object does."""
+    moves, alive = problem.moves, problem.steps_left >= 0
+    useful = alive[moves] & (moves != np.arange(len(moves))[:, None])
+    targets = []
+    for row in useful:
+        letters = np.flatnonzero(row[: problem.n_letters]).tolist()
+        targets.append(letters or ([NOTHING] if row[-1] else []))
+    return targets
+
+
+def _asking(planner: Planner, problem: Problem) -> Choose:
+    """A planner of the service, asked about each situation once."""
+    letters = problem.automaton.letters
+    index = {letter: i for i, letter in enumerate(letters)}
+    own = (1 << problem.n_letters) - 1
+    answers: dict[tuple[int, int, int, int], int] = {}
+
+    def choose(situation: Situation) -> int:
+        state, current = situation.state, situation.current
+        seen, reached = situation.seen & own, situation.reached & own
+        key = (state, seen, reached, current)
+        if key not in answers:
+            detected = _names(seen & ~reached, letters)
+            knowledge = Knowledge(detected, _names(reached, letters), frozenset())
+            plan = planner.plan(state, knowledge, letters[current] if current >= 0 else None)
+            waits = plan.feasible and bool(plan.steps)
+            answers[key] = index.get(plan.target, NOTHING if waits else DONE)
+        return answers[key]
+
+    return choose
+
+
+def _names(mask: int, letters: tuple[str, ...]) -> frozenset[str]:
+    return frozenset(letter for i, letter in enumerate(letters) if mask >> i & 1)

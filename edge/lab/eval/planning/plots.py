@@ -1,0 +1,117 @@
+"""Two plots like ViTL's figure 4: completion rate and exploration attempts against p_obs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from edge.host.files import write_atomically
+from edge.lab.eval.intervals import Interval
+from edge.lab.eval.planning.planners import PLANNERS
+from edge.lab.eval.planning.report import LLM, Row
+from edge.lab.report import canvas, palette
+from edge.lab.report.canvas import style_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SIZE_IN = (7.2, 4.2)
+DPI = 150
+
+
+STYLES = {name: style_of(k) for k, name in enumerate((*PLANNERS, LLM))}
+
+
+def write_plots(rows: Sequence[Row], directory: Path) -> list[Path]:
+    """Write `completion` and `explorations`, each as SVG and PNG; returns the files.
+
+    Args:
+        rows: rows for all p_obs together are left out.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    rows = [row for row in rows if row.p_obs is not None]
+    searching = [row for row in rows if row.planner != "clairvoyant"]
+    percent = _drawn(rows, lambda row: Interval(*(100 * x for x in row.complete)), _completion)
+    attempts = _drawn(searching, lambda row: row.explorations, _explorations)
+    paths = []
+    for name, images in (("completion", percent), ("explorations", attempts)):
+        for kind, content in images.items():
+            paths.append(directory / f"{name}.{kind}")
+            write_atomically(paths[-1], content)
+    return paths
+
+
+def _completion(axes: Axes, rows: Sequence[Row]) -> None:
+    worst = min((100 * row.complete.low for row in rows if row.runs), default=0.0)
+    bottom = 0.0 if worst < 80 else 80.0
+    room = 0.04 * (100 - bottom)  # so that marks on the limits are whole
+    axes.set_ylim(bottom - (room if bottom == 0.0 else 0.0), 100 + room)
+    axes.locator_params(axis="y", integer=True)
+    axes.set_ylabel("tasks completed, %")
+    axes.set_title("Completion rate", loc="left", color=palette.INK, fontsize=12)
+
+
+def _explorations(axes: Axes, rows: Sequence[Row]) -> None:
+    axes.set_ylim(bottom=0.0)
+    axes.set_ylabel("exploration attempts a task, mean")
+    axes.set_title("Exploration attempts", loc="left", color=palette.INK, fontsize=12)
+
+
+def _drawn(
+    rows: Sequence[Row],
+    figure_of: Callable[[Row], Interval],
+    finish: Callable[[Axes, Sequence[Row]], None],
+) -> dict[str, bytes]:
+    """A plot's content by file ending."""
+    figure, (axes,) = canvas.plots(SIZE_IN, DPI)
+    lines = _lines(rows, figure_of)
+    for k, (planners, figures) in enumerate(lines.items()):
+        _line(axes, planners, figures, len(lines) - k)
+    p_obs = sorted({row.p_obs for row in rows if row.p_obs is not None})
+    axes.set_xlabel("$p_{obs}$, probability that an exploration finds its target")
+    axes.set_xticks(p_obs[:: max(1, len(p_obs) // 10)])
+    finish(axes, rows)
+    # Beside the axes, so that it covers no data.
+    legend = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "frameon": False}
+    if lines:
+        axes.legend(**legend, fontsize=9, labelcolor=palette.INK, handlelength=3.2)
+    return {kind: canvas.content(figure, kind) for kind in ("svg", "png")}
+
+
+def _lines(
+    rows: Sequence[Row], figure_of: Callable[[Row], Interval]
+) -> dict[tuple[str, ...], list[tuple[float, Interval]]]:
+    """(p_obs, figure) pairs by planner; planners that do not differ anywhere share a line."""
+    alike: dict[str, list[str]] = {}
+    figures: dict[str, list[tuple[float, Interval]]] = {}
+    for planner in dict.fromkeys(row.planner for row in rows):
+        own = [(row.p_obs, figure_of(row)) for row in rows if row.planner == planner]
+        own = [(p, figure) for p, figure in own if not math.isnan(figure.value)]
+        alike.setdefault(repr(own), []).append(planner)
+        figures[repr(own)] = own
+    return {tuple(alike[key]): own for key, own in figures.items() if own}
+
+
+def _line(
+    axes: Axes, planners: tuple[str, ...], figures: list[tuple[float, Interval]], rank: int
+) -> None:
+    """One line with the band of its 95 % intervals.
+
+    Args:
+        rank: larger marks further down, so that lines on top of each other all show.
+    """
+    style = STYLES.get(planners[0], style_of(len(STYLES)))
+    p_obs, values = [p for p, _ in figures], [f.value for _, f in figures]
+    filled = style.mark in "P*X"
+    axes.plot(
+        p_obs, values, label="\n".join(planners), color=style.colour,
+        linestyle=style.dash, linewidth=1.6, marker=style.mark, markersize=4.0 + 0.6 * rank,
+        markerfacecolor=style.colour if filled else "none", markeredgewidth=1.3,
+        zorder=3 - 0.1 * rank,
+    )  # fmt: skip
+    low, high = [f.low for _, f in figures], [f.high for _, f in figures]
+    axes.fill_between(p_obs, low, high, color=style.colour, alpha=0.12, linewidth=0)

@@ -1,0 +1,182 @@
+"""What a comparison of task planners says: figures with intervals, as a table and as JSON.
+
+- complete: share of runs that end in an accepting state, with Wilson's interval.
+- explorations: mean of the completed runs (the paper's attempts, figure 4b).
+- steps / bound: explorations and direct reaches, summed over completed runs, against the steps
+  of the shortest accepted words of the same runs' tasks (what `clairvoyant` needs).
+- explorations / optimum: sums over the runs that both the planner and `optimal` completed.
+
+Means and ratios have intervals by the delta method, the task being the independent unit.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from edge.lab.eval.intervals import Interval, ratio, wilson
+from edge.lab.eval.planning.executor import OUTCOMES
+from edge.lab.eval.planning.lifted import lift
+from edge.lab.eval.planning.planners import PLANNERS
+from edge.lab.eval.planning.sweep import NOT_RUN, Results, Settings
+from edge.lab.eval.planning.templates import Task
+
+LLM, LLM_WORDS = "llm", "a language model, asked for every next target (the paper's prompt)"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A planner's figures at one p_obs, or over all of them.
+
+    Attributes:
+        p_obs: None for all together.
+        outcomes: number of runs by how they ended.
+        steps_to_bound, explorations_to_optimum: ratios; NaN without a bound or optimum.
+    """
+
+    planner: str
+    p_obs: float | None
+    runs: int
+    outcomes: dict[str, int]
+    complete: Interval
+    explorations: Interval
+    steps_to_bound: Interval
+    explorations_to_optimum: Interval
+
+
+def rows_of(results: Results) -> list[Row]:
+    """By planner: a row for each p_obs, then one for all (if there are several)."""
+    rows = []
+    for k in range(len(results.planners)):
+        rows += [_row(results, k, slice(j, j + 1), p) for j, p in enumerate(results.p_obs)]
+        if len(results.p_obs) > 1:
+            rows.append(_row(results, k, slice(None), None))
+    return rows
+
+
+def _row(results: Results, k: int, at: slice, p_obs: float | None) -> Row:
+    outcome, complete = results.outcome[k, at], results.complete[k, at]
+    explorations, steps = results.explorations[k, at], results.steps[k, at]
+    ended = Counter(outcome[outcome != NOT_RUN].tolist())
+    runs = sum(ended.values())
+    bound = np.broadcast_to(results.bound[None, :, None], complete.shape)
+    optimum = Interval(math.nan, math.nan, math.nan)
+    if "optimal" in results.planners and not _knows_all(results.planners[k]):
+        best = results.planners.index("optimal")
+        both = complete & results.complete[best, at]
+        optimum = _ratio(explorations, results.explorations[best, at], both)
+    return Row(
+        results.planners[k],
+        p_obs,
+        runs,
+        {OUTCOMES[code]: n for code, n in sorted(ended.items())},
+        wilson(int(complete.sum()), runs),
+        _ratio(explorations, np.ones_like(explorations), complete),
+        _ratio(steps, bound, complete),
+        optimum,
+    )
+
+
+def _knows_all(planner: str) -> bool:
+    """Whether it has information that the optimum under the planners' information lacks."""
+    return planner in PLANNERS and PLANNERS[planner].knows_all
+
+
+def _ratio(numerators: np.ndarray, denominators: np.ndarray, where: np.ndarray) -> Interval:
+    """Ratio of sums over runs, (p_obs, tasks, episodes), with tasks as the independent units."""
+    counted = where.any(axis=(0, 2))
+    sums = [np.where(where, a, 0).sum(axis=(0, 2))[counted] for a in (numerators, denominators)]
+    return ratio(sums[0].astype(float), sums[1].astype(float))
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Aligned text, an empty line between planners."""
+    lines = [
+        f"{'planner':13}{'p_obs':>6}{'runs':>8}  {'complete, % [95 % interval]':27}"
+        f"{'explorations':>16}{'steps / bound':>17}{'expl. / optimum':>18}"
+    ]
+    for i, row in enumerate(rows):
+        if i and row.planner != rows[i - 1].planner:
+            lines.append("")
+        share = Interval(*(100 * x for x in row.complete))
+        p_obs = "all" if row.p_obs is None else f"{row.p_obs:g}"
+        rate = f"{share.value:6.2f} [{share.low:.2f}, {share.high:.2f}]" if row.runs else "     -"
+        lines.append(
+            f"{row.planner:13}{p_obs:>6}{row.runs:8}  {rate:27}"
+            f"{_pm(row.explorations, 2):>16}{_pm(row.steps_to_bound, 3):>17}"
+            f"{_pm(row.explorations_to_optimum, 3):>18}"
+        )
+    return "\n".join(lines)
+
+
+def _pm(interval: Interval, digits: int) -> str:
+    if math.isnan(interval.value):
+        return "-"
+    text = f"{interval.value:.{digits}f}"
+    if math.isnan(interval.low):
+        return text
+    return f"{text} ± {interval.high - interval.value:.{digits}f}"
+
+
+def legend(planners: Sequence[str]) -> str:
+    """What each planner is, a line each."""
+    words = {**{name: entrant.words for name, entrant in PLANNERS.items()}, **{LLM: LLM_WORDS}}
+    return "\n".join(f"{name:13}{words[name]}" for name in planners)
+
+
+def tasks_line(tasks: Sequence[Task]) -> str:
+    """How many tasks of which templates."""
+    families = Counter(task.template for task in tasks)
+    structures = len({lift(task.formula) for task in tasks})
+    kinds = ", ".join(f"{n} {name}" for name, n in families.items())
+    return f"{len(tasks)} tasks, {structures} lifted formulas: {kinds}"
+
+
+def summary(rows: Sequence[Row]) -> str:
+    """A planner a line: its figures over all p_obs."""
+    last = {row.planner: row for row in rows}
+    return "\n".join(_summary(row) for row in last.values())
+
+
+def _summary(row: Row) -> str:
+    if not row.runs:
+        return f"{row.planner}: not run"
+    others = [f"{n} {how}" for how, n in row.outcomes.items() if how != OUTCOMES[0]]
+    text = f"{row.planner}: {100 * row.complete.value:.2f} % complete"
+    text += f" ({', '.join(others)})" if others else ""
+    for interval, words in (
+        (row.explorations, ", {:.2f} explorations"),
+        (row.explorations_to_optimum, ", {:.3f} times the optimum"),
+        (row.steps_to_bound, "; {:.3f} times the steps of the clairvoyant bound"),
+    ):
+        text += "" if math.isnan(interval.value) else words.format(interval.value)
+    return text
+
+
+def to_json(
+    rows: Sequence[Row], tasks: Sequence[Task], settings: Settings, seconds: float
+) -> bytes:
+    """The figures; NaN, which JSON lacks, is null, and so is the p_obs of "all"."""
+    data = {
+        "tasks": len(tasks),
+        "templates": Counter(task.template for task in tasks),
+        "lifted_formulas": len({lift(task.formula) for task in tasks}),
+        "seed": settings.seed,
+        "episodes": settings.episodes,
+        "seconds": round(seconds, 1),
+        "rows": [_jsonable(asdict(row)) for row in rows],
+    }
+    return json.dumps(data, indent=1, allow_nan=False).encode()
+
+
+def _jsonable(data):  # type: ignore[no-untyped-def]
+    if isinstance(data, dict):
+        return {key: _jsonable(value) for key, value in data.items()}
+    if isinstance(data, Interval):
+        return {key: _jsonable(value) for key, value in data._asdict().items()}
+    return None if isinstance(data, float) and math.isnan(data) else data

@@ -1,0 +1,146 @@
+"""The task-level benchmark (ViTL V-C, figure 4): which planner completes tasks in language with
+the fewest explorations, under a probabilistic executor.
+
+The formulas are given (right): translation is what `edge eval translate` measures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from edge.errors import FileError, UserError
+
+if TYPE_CHECKING:
+    from edge.lab.eval.planning.sweep import Results, Settings
+    from edge.lab.eval.planning.templates import Task
+
+JSON_NAME = "results.json"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge eval planning`.
+
+    Raises:
+        UserError: bad options or tasks; nothing can be written to `--out`; the language model's
+            server failed. What ends the language model's runs, Ctrl-C too, is raised after the
+            results until then have been printed and written.
+    """
+    from edge.lab.eval.planning import file, report
+    from edge.lab.eval.planning.sweep import Settings
+
+    began_s = time.monotonic()
+    settings = Settings(_planners(args.planners), args.p_obs, args.episodes, args.seed)
+    client = _client(args)
+    tasks = file.read_tasks(args.tasks) if args.tasks else _generate(args.n, args.seed)
+    if args.export:
+        file.write_tasks(args.export, tasks)
+        print(f"{len(tasks)} tasks in {args.export}")
+        return 0
+    out = _writable(args.out)
+    print(report.tasks_line(tasks), flush=True)
+    results = _run_offline(tasks, settings, args.jobs)
+    failure = None
+    if client is not None:
+        results, failure = _run_llm(tasks, settings, args, client, results)
+    _report(results, tasks, settings, out, began_s)
+    if failure is not None:
+        raise failure
+    return 0
+
+
+def _report(
+    results: Results, tasks: list[Task], settings: Settings, out: Path, began_s: float
+) -> None:
+    """Print the figures, write them and the plots."""
+    from edge.host.files import write_atomically
+    from edge.lab.eval.planning import report
+    from edge.lab.eval.planning.plots import write_plots
+
+    rows = report.rows_of(results)
+    print(report.legend(results.planners), end="\n\n")
+    print(report.table(rows), end="\n\n")
+    print(report.summary(rows), end="\n\n")
+    seconds = time.monotonic() - began_s
+    try:
+        content = report.to_json(rows, tasks, settings, seconds)
+        write_atomically(out / JSON_NAME, content)
+        paths = [out / JSON_NAME, *write_plots(rows, out)]
+    except OSError as error:
+        raise FileError(f"--out {out}: {error.strerror}; name another directory") from None
+    print("\n".join(map(str, paths)))
+    print(f"{seconds:.0f} s")
+
+
+def _writable(directory: Path) -> Path:
+    """Make sure, before the work, that its results can be written there.
+
+    Raises:
+        UserError: they cannot.
+    """
+    from edge.host.files import make_writable
+
+    try:
+        make_writable(directory)
+    except OSError as error:
+        reason = error.strerror
+        raise FileError(f"--out {directory}: {reason}; name another directory") from None
+    return directory
+
+
+def _generate(n: int, seed: int) -> list[Task]:
+    from edge.lab.eval.planning.templates import generate
+
+    return generate(n, seed)
+
+
+def _run_offline(tasks: list[Task], settings: Settings, jobs: int) -> Results:
+    from edge.host.bars import Bar
+    from edge.lab.eval.planning.sweep import run_tasks
+
+    with Bar("tasks", len(tasks)) as bar:
+        return run_tasks(tasks, settings, jobs, bar.reach)
+
+
+def _run_llm(tasks, settings, args, client, results):  # type: ignore[no-untyped-def]
+    """The results with the language model's, and what ended its runs early."""
+    import numpy as np
+
+    from edge.host.bars import Bar
+    from edge.lab.eval.planning.llm_planner import merged, run_llm
+
+    n = min(args.llm_tasks, len(tasks))
+    rows = np.linspace(0, len(tasks) - 1, n).round().astype(int).tolist()
+    total = n * len(settings.p_obs) * settings.episodes
+    with Bar("runs of the language model", total) as bar:
+        own, failure = run_llm(tasks, rows, settings, client, args.jobs, bar.reach)
+    return merged(results, own), failure
+
+
+def _client(args: argparse.Namespace):  # type: ignore[no-untyped-def]
+    """The language model's client; None when none is asked for."""
+    if not args.llm:
+        return None
+    from edge.chat import client_of
+    from edge.config import TranslatorLlm
+
+    return client_of(TranslatorLlm(url=args.llm, model=args.model))
+
+
+def _planners(text: str | None) -> tuple[str, ...]:
+    """
+    Raises:
+        UserError: an unknown name; lists what there is.
+    """
+    from edge.lab.eval.planning.planners import PLANNERS
+
+    if text is None:
+        return tuple(PLANNERS)
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    unknown = [name for name in names if name not in PLANNERS]
+    if unknown or not names:
+        what = f"no planner {unknown[0]!r}" if unknown else "no planner named"
+        raise UserError(f"--planners: {what}; there are: {', '.join(PLANNERS)}")
+    return names

@@ -1,0 +1,170 @@
+"""All planners on all tasks at all p_obs, on as many processes as there are cores to use.
+
+Tasks that share a lifted formula run together, so that automaton, plans and policies are made
+once for all of them.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.errors import UserError
+from edge.lab.eval.planning.executor import COMPLETE, Problem, draws_of, run_episode
+from edge.lab.eval.planning.lifted import lift
+from edge.lab.eval.planning.optimum import solvable
+from edge.lab.eval.planning.planners import PLANNERS
+from edge.lab.eval.planning.templates import Task
+
+BATCH_EPISODES = 20
+"""Of one planner at one p_obs, between two looks at whether to stop."""
+
+NOT_RUN = -1
+"""Outcome of an episode that did not take place."""
+
+
+class Settings(NamedTuple):
+    """What every task is run with.
+
+    Attributes:
+        planners: names in `PLANNERS`.
+        p_obs: each in (0, 1], with at most six decimals.
+        episodes: a task, planner and p_obs.
+    """
+
+    planners: tuple[str, ...]
+    p_obs: tuple[float, ...]
+    episodes: int = 1
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Results:
+    """Every episode of a comparison.
+
+    Attributes:
+        outcome: (planners, p_obs, tasks, episodes) int8 index into `executor.OUTCOMES`, or
+            `NOT_RUN` (the optimum of a task that is too large to solve).
+        explorations, steps: the same shape, int32.
+        bound: (tasks,) int32, steps of the shortest accepted word.
+    """
+
+    planners: tuple[str, ...]
+    p_obs: tuple[float, ...]
+    outcome: np.ndarray
+    explorations: np.ndarray
+    steps: np.ndarray
+    bound: np.ndarray
+
+    @property
+    def complete(self) -> np.ndarray:
+        return self.outcome == COMPLETE
+
+
+class Batch(NamedTuple):
+    """Tasks with one lifted formula, as a process gets them: rows of the results and ids."""
+
+    problem: Problem
+    rows: list[int]
+    ids: list[int]
+
+
+def run_tasks(
+    tasks: Sequence[Task],
+    settings: Settings,
+    jobs: int = 1,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Results:
+    """Run the comparison; the results do not depend on `jobs`.
+
+    Args:
+        progress: called with the number of tasks done so far.
+
+    Raises:
+        CompileError: a formula is beyond the compiler's limits.
+        UserError: a process was killed.
+    """
+    results = empty_results(tasks, settings)
+    work = list(_batches(tasks, max(1, BATCH_EPISODES // settings.episodes)))
+    done = 0
+    for batch, part in _run_all(work, settings, jobs):
+        results.outcome[:, :, batch.rows], results.explorations[:, :, batch.rows] = part[:2]
+        results.steps[:, :, batch.rows] = part[2]
+        results.bound[batch.rows] = batch.problem.steps_left[0]
+        done += len(batch.rows)
+        progress(done)
+    return results
+
+
+def empty_results(tasks: Sequence[Task], settings: Settings) -> Results:
+    """Results to be filled in."""
+    shape = (len(settings.planners), len(settings.p_obs), len(tasks), settings.episodes)
+    return Results(
+        settings.planners, settings.p_obs, np.full(shape, NOT_RUN, np.int8),
+        np.zeros(shape, np.int32), np.zeros(shape, np.int32), np.zeros(len(tasks), np.int32),
+    )  # fmt: skip
+
+
+def _batches(tasks: Sequence[Task], size: int) -> Iterator[Batch]:
+    rows: dict = {}
+    for row, task in enumerate(tasks):
+        rows.setdefault(lift(task.formula), []).append(row)
+    for lifted, members in rows.items():
+        problem = Problem.of(lifted.automaton, lifted.others)
+        for i in range(0, len(members), size):
+            part = members[i : i + size]
+            yield Batch(problem, part, [tasks[row].id for row in part])
+
+
+def run_batch(batch: Batch, settings: Settings) -> np.ndarray:
+    """(3, planners, p_obs, tasks, episodes) int32: outcomes, explorations and steps."""
+    problem = batch.problem
+    shape = (len(settings.planners), len(settings.p_obs), len(batch.ids), settings.episodes)
+    results = np.zeros((3, *shape), np.int32)
+    results[0] = NOT_RUN
+    everything = (1 << problem.n_objects) - 1
+    entrants = [
+        (k, PLANNERS[name].make(problem), everything if PLANNERS[name].knows_all else 0)
+        for k, name in enumerate(settings.planners)
+        if name != "optimal" or solvable(problem)
+    ]
+    for j, p_obs in enumerate(settings.p_obs):
+        choosers = [(k, make(p_obs), seen) for k, make, seen in entrants]
+        for i, task in enumerate(batch.ids):
+            for e in range(settings.episodes):
+                draws = draws_of(settings.seed, task, p_obs, e)
+                for k, choose, seen in choosers:
+                    episode = run_episode(problem, p_obs, choose, draws, seen)
+                    results[:, k, j, i, e] = episode
+    return results
+
+
+def _run_all(
+    work: list[Batch], settings: Settings, jobs: int
+) -> Iterator[tuple[Batch, np.ndarray]]:
+    """Batches with their results, in the order of being done."""
+    if jobs == 1:
+        yield from ((batch, run_batch(batch, settings)) for batch in work)
+        return
+    # Forking would copy the locks of the numerical libraries' threads in whatever state they are.
+    pool = ProcessPoolExecutor(
+        jobs, multiprocessing.get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
+    )
+    try:
+        futures = {pool.submit(run_batch, batch, settings): batch for batch in work}
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+    except BrokenProcessPool:
+        raise UserError(
+            "a process of the benchmark was ended from outside, perhaps for want of memory; "
+            "try fewer --jobs"
+        ) from None
+    finally:
+        pool.shutdown(cancel_futures=True)

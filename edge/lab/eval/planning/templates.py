@@ -1,0 +1,261 @@
+"""The task-level benchmark's tasks: English sentences with their formulas (ViTL V-C).
+
+A task is a lifted template, an abstract temporal structure over placeholders, grounded with
+objects of HM3D's six categories. `FAMILIES` is the distribution that templates are drawn from;
+the paper gives its kinds ("disjunctive branches and until constraints, up to 6 targets") but not
+their shares, which are ours. "Do not reach X until Y" is the weak until `!X W Y`: the paper writes
+U, but its tables II and III hold only under W.
+
+Tasks that contradict themselves are drawn anew, and no two tasks have the same formula.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from edge.lab.eval.planning.lifted import HM3D_OBJECTS, lift
+from edge.mission.ltl import (
+    Formula,
+    always,
+    ap,
+    conj,
+    disj,
+    eventually,
+    neg,
+    propositions,
+    weak_until,
+)
+
+SPOKEN = {"houseplant": "potted plant", "television": "tv", "sofa": "couch"}
+"""The paper's word for an object where it is not the canonical name."""
+
+JOINTS = (", then {}", " and then {}", ", then reach {}")
+"""How a sequence goes on: the paper's example, its case studies, its running example."""
+
+PLACEHOLDERS = len(HM3D_OBJECTS)
+
+Step = tuple[int, ...]
+"""One placeholder, or several to choose from."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A sentence and what it means.
+
+    Attributes:
+        template: the family of its lifted template.
+        objects: canonical names in order of first appearance in the formula.
+        formula: over `objects`.
+    """
+
+    id: int
+    template: str
+    objects: tuple[str, ...]
+    sentence: str
+    formula: Formula
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """Templates alike; pairs are inclusive ranges, drawn from uniformly.
+
+    Attributes:
+        share: relative frequency among the draws.
+        branches: alternatives of the task ("…; or reach …").
+        length: steps of each branch, one after the other or in any order.
+        either: probability that a step is a choice of two objects.
+        must_choose: whether at least one step is such a choice.
+        untils: constraints "do not reach X until Y is reached", with different X.
+        avoided: objects never to be reached.
+    """
+
+    name: str
+    share: float
+    branches: tuple[int, int] = (1, 1)
+    length: tuple[int, int] = (2, 4)
+    either: float = 0.0
+    must_choose: bool = False
+    any_order: bool = False
+    untils: tuple[int, int] = (0, 0)
+    avoided: int = 0
+
+
+FAMILIES = (
+    Family("single", 0.01, length=(1, 1)),
+    Family("sequence", 0.12),
+    Family("choice", 0.12, length=(1, 4), either=0.5, must_choose=True),
+    Family("any-order", 0.08, any_order=True),
+    Family("branches", 0.20, branches=(2, 3), either=0.15),
+    Family("sequence-until", 0.10, either=0.15, untils=(1, 2)),
+    Family("branches-until", 0.27, branches=(2, 3), either=0.15, untils=(1, 3)),
+    Family("any-order-until", 0.05, any_order=True, untils=(1, 2)),
+    Family("avoid", 0.05, branches=(1, 3), length=(1, 4), either=0.15, untils=(0, 1), avoided=1),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Template:
+    """An abstract temporal structure over the placeholders 0 … 5.
+
+    Attributes:
+        branches: alternatives, each a sequence of steps (a set with `any_order`).
+        untils: (X, Y) for "do not reach X until Y is reached".
+        joint: an entry of `JOINTS`.
+    """
+
+    branches: tuple[tuple[Step, ...], ...]
+    any_order: bool = False
+    untils: tuple[tuple[int, int], ...] = ()
+    avoided: tuple[int, ...] = ()
+    joint: str = JOINTS[0]
+
+    @property
+    def placeholders(self) -> frozenset[int]:
+        """Those that it has."""
+        steps = {i for branch in self.branches for step in branch for i in step}
+        return frozenset(steps.union(self.avoided, *self.untils))
+
+
+def generate(n: int = 2000, seed: int = 0) -> list[Task]:
+    """The benchmark: `n` satisfiable tasks with different formulas, the same for the same seed."""
+    tasks: list[Task] = []
+    seen: set[Formula] = set()
+    for family, template, objects in draws(random.Random(seed), FAMILIES, HM3D_OBJECTS):
+        if len(tasks) == n:
+            break
+        formula = formula_of(template, objects)
+        if formula in seen or not worth_doing(formula):
+            continue
+        seen.add(formula)
+        sentence = sentence_of(template, objects)
+        tasks.append(Task(len(tasks), family.name, propositions(formula), sentence, formula))
+    return tasks
+
+
+def formula_of(template: Template, objects: Sequence[str]) -> Formula:
+    """What a grounded template means, as ViTL writes it but with the weak until."""
+
+    def step(choices: Step) -> Formula:
+        return disj(*[ap(objects[i]) for i in choices])
+
+    def sequence(steps: tuple[Step, ...]) -> Formula:
+        first, *rest = steps
+        return eventually(conj(step(first), *([sequence(tuple(rest))] if rest else [])))
+
+    def branch(steps: tuple[Step, ...]) -> Formula:
+        if template.any_order:
+            return conj(*[eventually(step(choices)) for choices in steps])
+        return sequence(steps)
+
+    parts = [disj(*[branch(steps) for steps in template.branches])]
+    parts += [weak_until(neg(ap(objects[x])), ap(objects[y])) for x, y in template.untils]
+    parts += [always(neg(ap(objects[x]))) for x in template.avoided]
+    return conj(*parts)
+
+
+def sentence_of(template: Template, objects: Sequence[str]) -> str:
+    """A grounded template in the paper's wording."""
+
+    # "either a bed or a tv and then a couch" could be read in two ways.
+    choice_inside = any(len(choices) > 1 for steps in template.branches for choices in steps[:-1])
+    joint = JOINTS[0] if choice_inside and template.joint == JOINTS[1] else template.joint
+
+    def thing(i: int) -> str:
+        word = SPOKEN.get(objects[i], objects[i])
+        return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
+
+    def step(choices: Step) -> str:
+        either = "either " if len(choices) > 1 else ""
+        return either + " or ".join(map(thing, choices))
+
+    def branch(steps: tuple[Step, ...]) -> str:
+        if template.any_order:
+            *most, last = map(step, steps)
+            return f"{', '.join(most)} and {last} in any order"
+        first, *rest = steps
+        return step(first) + "".join(joint.format(step(choices)) for choices in rest)
+
+    sentences = ["reach " + "; or reach ".join(map(branch, template.branches))]
+    if template.untils:
+        constraints = [
+            f"do not reach {thing(x)} until {thing(y)} is reached" for x, y in template.untils
+        ]
+        sentences.append(", and ".join(constraints))
+    sentences += [f"never reach {thing(x)}" for x in template.avoided]
+    return " ".join(f"{s[0].upper()}{s[1:]}." for s in sentences)
+
+
+def draws(
+    rng: random.Random, families: Sequence[Family], objects: Sequence[str]
+) -> Iterator[tuple[Family, Template, list[str]]]:
+    """Templates and objects to ground them with, without end.
+
+    Args:
+        objects: what to draw from; where they are fewer than `PLACEHOLDERS`, some templates have
+            placeholders for which there is none.
+    """
+    while True:
+        family = _family(families, rng.random())
+        yield family, _template(family, rng), _sample(objects, PLACEHOLDERS, rng)
+
+
+def _family(families: Sequence[Family], u: float) -> Family:
+    total = sum(family.share for family in families)
+    for family in families:
+        u -= family.share / total
+        if u < 0:
+            return family
+    return families[-1]
+
+
+def _template(family: Family, rng: random.Random) -> Template:
+    """A template of the family, its placeholders drawn at random."""
+    branches: list[tuple[Step, ...]] = []
+    for _ in range(_between(family.branches, rng)):
+        branch = _branch(family, rng)
+        while branch in branches:
+            branch = _branch(family, rng)
+        branches.append(branch)
+    targets = sorted({i for branch in branches for step in branch for i in step})
+    everything = range(PLACEHOLDERS)
+    held_back = _sample(targets, _between(family.untils, rng), rng)
+    untils = [(x, _sample([y for y in everything if y != x], 1, rng)[0]) for x in held_back]
+    return Template(
+        tuple(branches),
+        family.any_order,
+        tuple(untils),
+        tuple(_sample(everything, family.avoided, rng)),
+        _sample(JOINTS, 1, rng)[0],
+    )
+
+
+def _branch(family: Family, rng: random.Random) -> tuple[Step, ...]:
+    """Steps with different placeholders."""
+    length = _between(family.length, rng)
+    free = _sample(range(PLACEHOLDERS), PLACEHOLDERS, rng)
+    choices = [rng.random() < family.either for _ in range(length)]
+    if family.must_choose and not any(choices):
+        choices[int(rng.random() * length)] = True
+    steps: list[Step] = []
+    for i, choice in enumerate(choices):
+        enough = len(free) - 2 >= length - i - 1
+        steps.append(tuple(free.pop() for _ in range(2 if choice and enough else 1)))
+    return tuple(steps)
+
+
+def worth_doing(formula: Formula) -> bool:
+    """Whether it can be satisfied, and is not yet before the first step."""
+    return int(lift(formula).automaton.steps_left[0]) > 0
+
+
+# Built on random() alone: the other methods' streams have changed between Python versions.
+def _between(limits: tuple[int, int], rng: random.Random) -> int:
+    low, high = limits
+    return low + int(rng.random() * (high - low + 1))
+
+
+def _sample(items: Sequence, k: int, rng: random.Random) -> list:  # type: ignore[type-arg]
+    """`k` different items in random order; all of them when there are fewer."""
+    return sorted(items, key=lambda _: rng.random())[:k]

@@ -1,0 +1,169 @@
+"""`edge eval episodes`: columns on the same episodes; what is already there is not run again."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from edge.config import Config, load
+from edge.errors import UserError
+from edge.host.signals import stop_on_signals
+from edge.lab.eval import columns as cols
+from edge.lab.eval import episodes as eps
+from edge.lab.eval import world_list
+from edge.lab.eval.columns import Column
+from edge.lab.eval.comparison.run import told
+from edge.lab.eval.episodes import Episode
+from edge.lab.eval.outcome import Outcome, OutcomeFile
+from edge.lab.eval.workers import Task, outcomes_of
+from edge.lab.report.page import prepare
+
+EPISODES_NAME = "episodes.jsonl"
+TARGETS = "trash can,sofa,chair,bed,desk"
+
+Tell = Callable[[int, int, Outcome], None]
+"""Told of each outcome as it comes: its number, how many there are to come in all, and itself."""
+
+
+def run_all(
+    columns: Sequence[Column],
+    episodes: Sequence[Episode],
+    out: Path | None = None,
+    *,
+    workers: int = 1,
+    ray: str | None = None,
+    processes: bool = False,
+    pages: Path | None = None,
+    tell: Tell = lambda number, total, outcome: None,
+    stop: threading.Event | None = None,
+) -> list[Outcome]:
+    """Every column on every episode; outcomes go to `out` as they come.
+
+    Args:
+        out: a folder. An outcome that it has is taken from there, unless the episode crashed then
+            or the column's configuration was another. None: nothing is kept.
+        workers: processes; 1: in this one.
+        ray: address of a cluster that runs the episodes instead.
+        processes: over Zenoh, each with a simulator and a controller of its own.
+        pages: a folder for a report of each episode.
+        stop: ends it early.
+
+    Returns:
+        In the order of episodes and columns; fewer where it was ended early.
+
+    Raises:
+        UserError: `out` cannot be used, or the cluster.
+    """
+    file = None if out is None else OutcomeFile(out)
+    known = {} if file is None else file.known
+    if out is not None:
+        _keep(out / EPISODES_NAME, episodes)
+    have = {key: o for key, o in known.items() if o.failure != "crashed"}
+    pairs = [(episode, column) for episode in episodes for column in columns]
+    tasks = [
+        Task(column, episode, processes, pages and pages / _page_name(episode, column))
+        for episode, column in pairs
+        if (episode.id, column.id) not in have
+    ]
+    done = len(pairs) - len(tasks)
+    outcomes = outcomes_of(tasks, workers, ray, stop or threading.Event())
+    for number, outcome in enumerate(outcomes, start=done + 1):
+        if file is not None:
+            file.append(outcome)
+        have[outcome.key] = outcome
+        tell(number, len(pairs), outcome)
+    return [have[e.id, c.id] for e, c in pairs if (e.id, c.id) in have]
+
+
+def changed(columns: Sequence[Column], out: Path) -> dict[str, int]:
+    """How many outcomes of columns of the same name, but other settings, a folder has."""
+    ids = {column.name: column.id for column in columns}
+    counts: dict[str, int] = {}
+    for outcome in OutcomeFile(out).known.values():
+        if outcome.column_id != ids.get(outcome.column, outcome.column_id):
+            counts[outcome.column] = counts.get(outcome.column, 0) + 1
+    return counts
+
+
+def _keep(path: Path, episodes: Sequence[Episode]) -> None:
+    """Have a folder's file of episodes hold these, besides those that it has."""
+    known = eps.read(path) if path.exists() else []
+    ids = {episode.id for episode in known}
+    new = [episode for episode in episodes if episode.id not in ids]
+    if new:
+        eps.write(path, [*known, *new])
+
+
+def _page_name(episode: Episode, column: Column) -> str:
+    return f"{episode.id.replace('/', '-')}-{column.name}"
+
+
+# -- the command ----------------------------------------------------------------------------------
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge eval episodes`."""
+    if args.report is not None:
+        prepare(args.report)
+    config = load(args.config)
+    columns = cols.make_columns(config, _columns(args))
+    episodes = _episodes(config, args)
+    if args.plan is not None:
+        eps.write(args.plan, episodes)
+        print(f"{args.plan}: {len(episodes)} episodes")
+        return 0
+    out = args.out or args.report
+    if out is not None:
+        for name, count in changed(columns, out).items():
+            print(f"{name}: its settings have changed; {count} outcomes of before do not count")
+    logging.getLogger("edge").setLevel(logging.WARNING)  # each has a story of its own
+    outcomes = run_all(
+        columns, episodes, out, workers=args.workers, ray=args.ray, processes=args.processes,
+        pages=args.report, tell=lambda *news: print(_line(*news), flush=True),
+        stop=stop_on_signals(),
+    )  # fmt: skip
+    print(f"\n{told(outcomes)}")
+    return 0
+
+
+def _columns(args: argparse.Namespace) -> dict[str, cols.Data]:
+    given = {} if args.columns is None else cols.read_columns(args.columns)
+    for words in args.column or ():
+        name, settings = cols.parse_column(words)
+        if name in given:
+            raise UserError(f"--column {name}: there is a column of that name already")
+        given[name] = settings
+    return given
+
+
+def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
+    if args.episodes is not None:
+        return eps.read(args.episodes)[: args.limit]
+    worlds = world_list.sections(args.worlds or ())
+    asked = args.targets or ("common" if worlds else TARGETS)
+    targets = eps.COMMON if asked == "common" else [t.strip() for t in asked.split(",")]
+    targets = [target for target in targets if target]
+    if not targets:
+        raise UserError("--targets: name at least one, such as --targets sofa,bed")
+    if args.missions is not None:
+        planned = eps.plan_missions(
+            config, worlds, targets, args.missions, args.seed, args.min_distance
+        )
+        return planned[: args.limit]
+    planned = eps.plan(
+        config, worlds, targets, args.starts, args.seed, args.min_distance, args.per_world
+    )
+    return planned[: args.limit]
+
+
+def _line(number: int, total: int, o: Outcome) -> str:
+    verdict = "ok  " if o.success else "FAIL"
+    return (
+        f"{number:3}/{total} {verdict} {o.column:12} {o.world:18} "
+        f"{o.instruction or o.target:12} {o.elapsed_s:6.1f} s, {o.path_m:5.1f} m driven, "
+        f"{o.shortest_m:4.1f} m shortest, {o.collisions} bumps, {o.wall_s:.1f} s of real time: "
+        f"{o.reason}"
+    )

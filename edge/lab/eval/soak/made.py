@@ -1,0 +1,228 @@
+"""How each fault is made: a generator.
+
+What comes before its first `yield` makes it, what follows each is done a few times a second while
+it lasts, and its `finally` ends it.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import socket
+import time
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, suppress
+from itertools import cycle
+
+import numpy as np
+
+from edge.bus import topics
+from edge.errors import UserError
+from edge.host.processes import descendants
+from edge.lab.eval.soak import relay
+from edge.lab.eval.soak.holds import LIVE_PAGES
+from edge.lab.eval.soak.relay import Alter
+from edge.lab.eval.soak.stage import ANSWER_S, BROKEN, TWIN, Stage
+from edge.live.view import PUBLIC
+
+Made = Generator[None, None, None]
+Make = Callable[[Stage, np.random.Generator], Made]
+
+LATE_S = 0.4
+_BATCH = 40  # messages of a flood at a time, of which there are several a second
+
+
+def until_over(end: Callable[[], object] = lambda: None) -> Made:
+    """Nothing more is done while it lasts."""
+    try:
+        while True:
+            yield
+    finally:
+        end()
+
+
+def altered(make: Callable[[np.random.Generator], Alter]) -> Make:
+    """The relay sends something else."""
+
+    def fault(stage: Stage, rng: np.random.Generator) -> Made:
+        stage.relay.alter = make(rng)
+        try:
+            yield from until_over()
+        finally:
+            stage.relay.alter = None
+
+    return fault
+
+
+def sent(*payloads: Callable[[np.random.Generator], tuple[str, bytes]]) -> Make:
+    """The soak publishes these again and again, by key, a batch at a time."""
+
+    def fault(stage: Stage, rng: np.random.Generator) -> Made:
+        while True:
+            for make in payloads:
+                for _ in range(_BATCH):
+                    stage.put(*make(rng))
+            yield
+
+    return fault
+
+
+def late(stage: Stage, rng: np.random.Generator) -> Made:
+    stage.relay.delay(LATE_S)
+    yield from until_over(lambda: stage.relay.delay(0.0))
+
+
+def simulator_stopped(stage: Stage, rng: np.random.Generator) -> Made:
+    stage.send("simulator", signal.SIGSTOP)
+    yield from until_over(lambda: stage.send("simulator", signal.SIGCONT))
+
+
+def next_house(stage: Stage, rng: np.random.Generator) -> Made:
+    stage.move_house()
+    yield from until_over()
+
+
+def cut(stage: Stage, rng: np.random.Generator) -> Made:
+    stage.relay.cut()
+    yield from until_over(stage.relay.connect)
+
+
+def router_killed(stage: Stage, rng: np.random.Generator) -> Made:
+    stage.kill("router")
+    yield from until_over(stage.start_router)
+
+
+def controller_killed(stage: Stage, rng: np.random.Generator) -> Made:
+    stage.kill("controller")
+    yield from until_over(stage.start_controller)
+
+
+def model_signalled(number: int) -> Make:
+    def fault(stage: Stage, rng: np.random.Generator) -> Made:
+        process = stage.model_process()
+        if process is None:
+            raise UserError("the service's model has no process")
+        os.kill(process.pid, number)
+        yield from until_over()
+
+    return fault
+
+
+def disk_full(stage: Stage, rng: np.random.Generator) -> Made:
+    """No file that the service writes may grow, as on a full disk; what is open stays whole."""
+    before = resource.prlimit(stage.service.pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(stage.service.pid, resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        yield from until_over()
+    finally:  # whoever it started meanwhile has its limits
+        for pid in (stage.service.pid, *(child.pid for child in descendants(stage.service.pid))):
+            with suppress(ProcessLookupError):
+                resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
+
+
+def reloaded(*choices: dict[str, dict[str, object]]) -> Make:
+    """Write one of these changes after the other, and have the service read it."""
+
+    def fault(stage: Stage, rng: np.random.Generator) -> Made:
+        present = stage.config_file.read_bytes()
+        for changes in choices:
+            stage.write_config(**changes)
+            if stage.config_file.read_bytes() != present:
+                break
+        stage.service.send_signal(signal.SIGHUP)
+        yield from until_over()
+
+    return fault
+
+
+def badly_reloaded(stage: Stage, rng: np.random.Generator) -> Made:
+    present = stage.config_file.read_bytes()
+    bad = (b"mission: [", b'{"perception": {"detector": {"kind": "guess"}}}', present[:-9], b"\xff")
+    stage.config_file.write_bytes(bad[rng.integers(len(bad))])
+    stage.service.send_signal(signal.SIGHUP)
+    yield from until_over(lambda: stage.config_file.write_bytes(present))
+
+
+def swapped(stage: Stage, rng: np.random.Generator) -> Made:
+    """To the twin, or back; however slow the computer is at that moment."""
+    running = stage.models(do="status")
+    own = stage.config.perception.detector.model  # type: ignore[union-attr]
+    at_work = running["model"] if running["state"] in ("kept", "idle") else running["previous"]
+    stage.models(do="use", model=own if at_work == TWIN else TWIN, force=True)
+    yield from until_over()
+
+
+def badly_swapped(stage: Stage, rng: np.random.Generator) -> Made:
+    stage.models(do="use", model=BROKEN)
+    yield from until_over()
+
+
+def log_reader_gone(stage: Stage, rng: np.random.Generator) -> Made:
+    """What it writes then has nowhere to go: at once where every thread is, later its log."""
+    stage.log.leave()
+    stage.service.send_signal(signal.SIGUSR1)
+    try:
+        yield from until_over()
+    finally:
+        stage.log.open()
+        stage.service.send_signal(signal.SIGUSR1)
+
+
+def log_reader_stuck(stage: Stage, rng: np.random.Generator) -> Made:
+    stage.log.stick()
+    yield from until_over(stage.log.open)
+
+
+def viewer_stopped(stage: Stage, rng: np.random.Generator) -> Made:
+    stage.start_viewer()
+    stops_s = time.monotonic() + 3.0  # once it is there
+    try:
+        while time.monotonic() < stops_s:
+            yield
+        stage.send("viewer", signal.SIGSTOP)
+        yield from until_over()
+    finally:
+        stage.kill("viewer")
+
+
+def page_open(stage: Stage, rng: np.random.Generator) -> Made:
+    for path in cycle((*PUBLIC, *LIVE_PAGES)):
+        stage.text(path)
+        yield
+
+
+def visitors_stuck(stage: Stage, rng: np.random.Generator) -> Made:
+    """More connections than the service keeps, on which nothing whole is ever said."""
+    address = stage.config.http.host, stage.config.http.port
+    with ExitStack() as opened:
+        while True:
+            for said in _HALVES:
+                with suppress(OSError):  # too many, at times
+                    visitor = socket.create_connection(address, ANSWER_S)
+                    opened.enter_context(visitor).sendall(said)
+            yield
+
+
+def asked(make: Callable[[np.random.Generator], bytes]) -> Make:
+    """Requests, whose answers nobody waits for."""
+
+    def fault(stage: Stage, rng: np.random.Generator) -> Made:
+        keys = [
+            stage.config.zenoh.key(name) for name in (topics.MISSION_REQUEST, topics.MODELS_REQUEST)
+        ]
+        while True:
+            for _ in range(_BATCH):
+                stage.session.get(keys[rng.integers(2)], payload=make(rng), timeout=1.0)
+            yield
+
+    return fault
+
+
+_HALVES = (b"", b"GET /live/map HT", b"GET /live/map HTTP/1.1\r\nHost: 127.0.0.1\r\n")
+REQUESTS = (b'{"do": "status"}', b'{"do": "resume"}')
+ANSWER = b'{"stamp": 1, "state": "accepted"}'
+
+
+def nonsense(rng: np.random.Generator) -> bytes:
+    return relay.broken(b'{"do": "new", "instruction": "go to the bed"}', rng)

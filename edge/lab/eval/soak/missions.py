@@ -1,0 +1,79 @@
+"""One mission after another, in words for what the house holds."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Any
+
+import numpy as np
+
+from edge import names
+from edge.bus.client import RequestError
+from edge.config import DetectorOnnx
+from edge.lab.eval.soak.stage import Stage
+from edge.lab.eval.soak.watch import Watch
+from edge.lab.sim.worlds import load_world
+
+log = logging.getLogger("edge.lab.eval.soak")
+
+FORMS = (
+    "go to the {0}",
+    "find the {0}",
+    "go to the {0}, then to the {1}",
+    "go to the {0} or the {1}",
+)
+_AGAIN_S = 2.0  # after a request that nobody took, and for status to follow a new mission
+_OVER = ("reached", "failed")
+
+
+class Missions:
+    """Gives the service a mission whenever it has none.
+
+    Attributes:
+        ended: of each mission its end: `instruction`, `phase`, `reason`, `elapsed_s`, `path_m`.
+    """
+
+    def __init__(self, stage: Stage, watch: Watch, rng: np.random.Generator) -> None:
+        self.ended: list[dict[str, Any]] = []
+        self._stage, self._watch, self._rng = stage, watch, rng
+        self._asked_s = time.monotonic()
+        self._words: dict[int, list[str]] = {}
+
+    def step(self) -> dict[str, Any] | None:
+        """Give the next, if it is time for one; the end of the last, if that was seen now."""
+        status = self._watch.status
+        fresh = self._watch.status_s > self._asked_s + _AGAIN_S
+        if not fresh or status.get("phase") not in _OVER:
+            return None
+        end = {
+            key: status[key] for key in ("instruction", "phase", "reason", "elapsed_s", "path_m")
+        }
+        try:
+            self._stage.mission(do="new", instruction=self._next())
+        except RequestError as error:  # a fault is under way: it is given again
+            log.debug("%s", error)
+            return None
+        finally:  # to be understood may take as long as status comes again
+            self._asked_s = time.monotonic()
+        self.ended.append(end)
+        return end
+
+    def _next(self) -> str:
+        words = self._here()
+        form = FORMS[self._rng.integers(len(FORMS))]
+        return form.format(*self._rng.permutation(words)[:2])
+
+    def _here(self) -> list[str]:
+        """What the house holds that the detector knows, sorted."""
+        stage = self._stage
+        if stage.house not in self._words:
+            sim = stage.config.sim.model_copy(update={"world": stage.world})
+            world = load_world(stage.config.model_copy(update={"sim": sim}))
+            labels = {thing.label for thing in world.objects}
+            detector = stage.config.perception.detector
+            if isinstance(detector, DetectorOnnx):
+                known = set(map(names.canonical, detector.background))
+                labels = {label for label in labels if names.canonical(label) in known}
+            self._words[stage.house] = sorted(labels)
+        return self._words[stage.house]

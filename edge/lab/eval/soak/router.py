@@ -1,0 +1,27 @@
+"""A Zenoh router as a process of its own: `python -m edge.lab.eval.soak.router ENDPOINT PARENT`."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import zenoh
+
+from edge.host.signals import stop_on_signals
+
+
+def main(endpoint: str, parent: str) -> None:
+    stop = stop_on_signals(int(parent))
+    config = zenoh.Config()
+    for key, value in {
+        "mode": "router",
+        "scouting/multicast/enabled": False,
+        "listen/endpoints": [endpoint],
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    with zenoh.open(config):
+        stop.wait()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

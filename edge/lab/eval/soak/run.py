@@ -1,0 +1,213 @@
+"""`edge soak`: run all, make faults, watch, judge."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+
+from edge.config import load
+from edge.errors import FAILED, FileError, Stopped
+from edge.host.signals import stop_on_signals
+from edge.lab.eval.soak.faults import Fault, chosen
+from edge.lab.eval.soak.holds import When, recovered, says
+from edge.lab.eval.soak.missions import Missions
+from edge.lab.eval.soak.record import Record, of, verdict
+from edge.lab.eval.soak.rules import GROWTHS, RULES, grown, grows, most_per_h, none_reached
+from edge.lab.eval.soak.schedule import Drawn, Steps, make, rounds
+from edge.lab.eval.soak.stage import Stage, staged
+from edge.lab.eval.soak.tables import summary
+from edge.lab.eval.soak.watch import Watch
+
+log = logging.getLogger("edge.lab.eval.soak")
+
+_STEP_S = 0.1
+_LOOK_S = 1.0
+_WARM_UP_S, _WARM_UP = 10.0, 0.1  # at most that share of the run
+_CALM_S = (2.0, 6.0)
+_SETTLES_S = 2.0  # after a fault, what is watched is not yet as without one
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge soak`; the exit code, see `edge.errors`.
+
+    Raises:
+        UserError: it cannot be begun: the configuration, the faults, the folder, the service.
+    """
+    stop = stop_on_signals()
+    config = load(args.config)
+    faults = chosen(config, args.faults.split(",") if args.faults is not None else None)
+    make_empty(args.out)
+    out = args.out.resolve()
+    record = Record(out / "record.jsonl")
+    with closing(record), closing(Stage(staged(config, out), out, stop)) as stage:
+        soak = Soak(stage, record, faults, args.seed, 60.0 * args.minutes)
+        try:
+            stage.start()
+            soak.run(stop)
+        except Stopped:
+            log.info("stopped before all had started")
+            return os.EX_OK
+        soak.conclude()
+    print(summary(record.rows))
+    print(verdict(record.rows))
+    return FAILED if of(record.rows, "broken") else os.EX_OK
+
+
+def make_empty(folder: Path) -> None:
+    """Make a folder, where there is none.
+
+    Raises:
+        FileError: it cannot be made, or has something in it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise FileError(f"--out {folder}: there is something in it; name another folder")
+    except OSError as error:
+        raise FileError(f"--out {folder}: {error.strerror}") from None
+
+
+class Soak:
+    """One run."""
+
+    def __init__(
+        self, stage: Stage, record: Record, faults: Sequence[Fault], seed: int, lasts_s: float
+    ) -> None:
+        self._stage, self._record, self._faults = stage, record, faults
+        # Apart, so that the order of faults is that of the seed however long each takes.
+        self._drawn, self._chance, self._worded = map(
+            np.random.default_rng, np.random.SeedSequence(seed).spawn(3)
+        )
+        self._lasts_s = lasts_s
+        self._told: set[str] = set()
+        record.add("begin", seed=seed, minutes=lasts_s / 60.0, faults=[f.name for f in faults],
+                   config=stage.config.model_dump(mode="json"))  # fmt: skip
+
+    def run(self, stop: threading.Event) -> None:
+        """Until its time is over, and the fault that it finds under way, `stop` is set or there is
+        nothing to go on with."""
+        self._watch = Watch(self._stage)
+        self._missions = Missions(self._stage, self._watch, self._worded)
+        self._record.began_s = time.monotonic()
+        ends_s, look_s = self._record.began_s + self._lasts_s, 0.0
+        with closing(self._all_faults(ends_s)) as faults:
+            for _ in faults:
+                self._stage.relay.step()
+                self._stage.log.poll()
+                if (end := self._missions.step()) is not None:
+                    self._record.add("mission", **end)
+                if time.monotonic() >= look_s:
+                    look_s = max(look_s + _LOOK_S, time.monotonic())
+                    if self._look():
+                        return
+                if stop.wait(_STEP_S):
+                    return
+
+    def _look(self) -> bool:
+        """Take a sample and hold the rules against it; whether there is no going on."""
+        sample = self._watch.look()
+        self._record.add("sample", calm=self._watch.calm, **sample)
+        for rule in RULES:
+            if why := rule.broken(self._stage, self._watch, sample):
+                self._break(rule.name, why)
+                if rule.ends:
+                    return True
+        return False
+
+    def _break(self, rule: str, why: str) -> None:
+        """Told once a rule: it may not hold for long."""
+        if rule not in self._told:
+            self._told.add(rule)
+            log.error("broken: %s: %s", rule, why)
+            self._record.add("broken", rule=rule, why=why)
+
+    # -- faults ---------------------------------------------------------------------------------
+
+    def _all_faults(self, ends_s: float) -> Steps:
+        """A step each time that the next is asked for."""
+        yield from self._pause(min(_WARM_UP_S, _WARM_UP * self._lasts_s))
+        for drawn in rounds(self._faults, self._drawn):
+            yield from self._one(drawn)
+            yield from self._pause(float(self._drawn.uniform(*_CALM_S)))
+            if time.monotonic() >= ends_s:
+                return ""
+        return ""
+
+    def _pause(self, lasts_s: float) -> Steps:
+        until_s = time.monotonic() + lasts_s
+        while time.monotonic() < until_s:
+            yield
+        return ""
+
+    def _one(self, drawn: Sequence[Drawn]) -> Steps:
+        """Make a fault, or one within another, and wait until all is well again."""
+        watch, began_s = self._watch, time.monotonic()
+        faults = [fault for fault, _ in drawn]
+        name, alone = " + ".join(fault.name for fault in faults), len(faults) == 1
+        watch.calm = False
+        why = yield from make(drawn, self._stage, watch, self._chance)
+        watch.mutes, ended_s = False, time.monotonic()
+        why = why if alone else ""
+        why = why or (yield from self._recovers(faults, When(began_s, ended_s)))
+        self._record.add(
+            "fault", name=name, began_s=round(began_s - self._record.began_s, 2),
+            lasted_s=round(ended_s - began_s, 2),
+            recovered_s=round(time.monotonic() - ended_s, 2), broken=why,
+        )  # fmt: skip
+        if why:
+            self._break(f"fault {name}", why)
+        yield from self._pause(_SETTLES_S)
+        watch.calm = True
+
+    def _recovers(self, faults: Sequence[Fault], when: When) -> Steps:
+        """What does not hold in time after them, the first of it; empty once all holds."""
+        holds = [recovered, *(hold for fault in faults for hold in fault.after)]
+        if len(faults) == 1 and faults[0].says:
+            holds.append(says(faults[0].says))
+        within_s = sum(fault.within_s for fault in faults)
+        while True:
+            every = (hold(self._stage, self._watch, when) for hold in holds)
+            if not (why := next(filter(None, every), "")):
+                return ""
+            if time.monotonic() - when.ended_s > within_s:
+                return f"{within_s:g} s after: {why}"
+            yield
+
+    # -- the end --------------------------------------------------------------------------------
+
+    def conclude(self) -> None:
+        """Judge the whole run, and have the service end."""
+        ran_s = time.monotonic() - self._record.began_s
+        samples = of(self._record.rows, "sample")
+        for growth in GROWTHS:
+            slope = grown(growth, samples)
+            if slope is not None:
+                self._record.add(
+                    "growth", name=growth.name, unit=growth.unit,
+                    most_per_h=round(most_per_h(growth, ran_s), 1), **slope._asdict(),
+                )  # fmt: skip
+            if why := grows(growth, slope, ran_s):
+                self._break(growth.name, why)
+        if why := none_reached(self._missions.ended, ran_s):
+            self._break("missions", why)
+        self._stage.look_at_family()
+        code = self._stage.stop_service()
+        if code != os.EX_OK:
+            self._break("service ends", "not within its time" if code is None else f"with {code}")
+        recorded = self._watch.recordings.judge()
+        self._record.add("recordings", **recorded)
+        if why := self._watch.recordings.problem:
+            self._break("recordings", why)
+        if left := self._stage.orphans():
+            names = ", ".join(process.command[:60] for process in left)
+            self._break("no child is left", f"{len(left)} of the service's: {names}")
+        self._record.add("end", faults=len(of(self._record.rows, "fault")),
+                         missions=len(self._missions.ended))  # fmt: skip

@@ -1,0 +1,73 @@
+"""Which fault is next, for how long, and whether another begins within it."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from edge.errors import UserError
+from edge.lab.eval.soak.faults import Fault
+from edge.lab.eval.soak.holds import When
+
+if TYPE_CHECKING:
+    from edge.lab.eval.soak.stage import Stage
+    from edge.lab.eval.soak.watch import Watch
+
+log = logging.getLogger("edge.lab.eval.soak")
+
+SECOND = 0.2  # of all faults have another within them
+_BEGINS = 0.5  # of the first one's time
+
+Steps = Generator[None, None, str]
+"""What is done a step at a time, and what came of it."""
+
+
+class Drawn(NamedTuple):
+    fault: Fault
+    lasts_s: float
+
+
+def rounds(faults: Sequence[Fault], rng: np.random.Generator) -> Iterator[tuple[Drawn, ...]]:
+    """All faults, then all in another order, for ever; now and then one with another that is to
+    begin within it, done to something else."""
+    while True:
+        for k in rng.permutation(len(faults)):
+            first = faults[k]
+            others = [fault for fault in faults if fault.part != first.part]
+            second = others and rng.random() < SECOND
+            made = (first, others[rng.integers(len(others))]) if second else (first,)
+            yield tuple(Drawn(fault, float(rng.uniform(*fault.lasts_s))) for fault in made)
+
+
+def make(drawn: Sequence[Drawn], stage: Stage, watch: Watch, rng: np.random.Generator) -> Steps:
+    """Make the first, and what follows within it, which ends before it does.
+
+    Returns:
+        What the first did not show while it lasted, or why it could not be made; empty if neither.
+    """
+    if not drawn:
+        return ""
+    (fault, lasts_s), *rest = drawn
+    log.info("fault: %s: %s, for %.0f s", fault.name, fault.what, lasts_s)
+    watch.mutes |= fault.mutes
+    began_s = time.monotonic()
+    when, unshown, ended = When(began_s, began_s), list(fault.shows), False
+    try:
+        with (
+            closing(fault.make(stage, rng)) as making,
+            closing(make(rest, stage, watch, rng)) as second,
+        ):
+            while not ended or time.monotonic() < began_s + lasts_s:
+                next(making)
+                unshown = [hold for hold in unshown if hold(stage, watch, when)]
+                if not ended and time.monotonic() >= began_s + _BEGINS * lasts_s:
+                    ended = next(second, second) is second
+                yield
+            return "; ".join(hold(stage, watch, when) for hold in unshown)
+    except UserError as error:
+        return f"it could not be made, or ended: {error}"

@@ -1,0 +1,24 @@
+"""Hears all that is published: `python -m edge.lab.eval.soak.viewer ENDPOINT PREFIX PARENT`."""
+
+from __future__ import annotations
+
+import sys
+
+import zenoh
+
+from edge.bus.session import zenoh_session
+from edge.config import Zenoh
+from edge.host.signals import stop_on_signals
+
+
+def main(endpoint: str, prefix: str, parent: str) -> None:
+    stop = stop_on_signals(int(parent))
+    # As on another machine: there, what is large does not pass by in shared memory.
+    settings = Zenoh(endpoint=endpoint, prefix=prefix, shared_memory=False)
+    with zenoh_session(settings, "connect", stop) as session:
+        session.declare_subscriber(f"{prefix}/**", zenoh.handlers.RingChannel(8))
+        stop.wait()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

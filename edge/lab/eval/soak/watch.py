@@ -1,0 +1,226 @@
+"""What is to be seen of the service from outside: what it publishes, its pages, its processes."""
+
+from __future__ import annotations
+
+import logging
+import re
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zenoh
+from prometheus_client.parser import text_string_to_metric_families
+
+from edge.bus import topics
+from edge.host.processes import usage
+from edge.lab.eval.soak import beat
+from edge.lab.eval.soak.recordings import Recordings
+from edge.lab.eval.soak.stage import Stage
+from edge.loop import place_file
+from edge.loop.place_keeper import SUFFIX
+from edge.loop.vitals import PROBES
+from edge.mission import saved
+from edge.text import read_json_object
+
+log = logging.getLogger("edge.lab.eval.soak")
+
+_KEPT_BEATS = 4096
+_MINUTE_S = 60.0
+_DROPPED = "edge_source_dropped_total"
+_LOGGED = re.compile(r"\d\d:\d\d:\d\d")
+
+
+class Watch:
+    """For the soak's own thread, but for what Zenoh hands in.
+
+    Times are `time.monotonic`'s, in seconds.
+
+    Attributes:
+        status: the newest status message; `status_s`: when it came.
+        beats: the newest of `edge.lab.eval.soak.beat`, with when they came, oldest first.
+        ready: what `/readyz` says is amiss, where `/healthz` was 200; `ready_s`: since when so.
+        alive_s: when `/healthz` was 200 last.
+        counts: goals, the controller's answers by state, missions by how they ended.
+        checkpoint, places: why the mission's, and that of the map beside it, cannot be read; empty
+            while they can.
+        recordings: what is recorded.
+        calm: there is no fault; may be set.
+        mutes: a fault keeps all that is published from being heard; may be set. `muted_s`: when one
+            did so last.
+    """
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self._hand = threading.Lock()
+        self.status: dict[str, Any] = {}
+        self.latency: dict[str, Any] = {}
+        self.beats: deque[tuple[float, dict[str, Any]]] = deque(maxlen=_KEPT_BEATS)
+        self.status_s = self.alive_s = self.seen_s = self.began_s = time.monotonic()
+        self.ready: tuple[str, ...] = ()
+        self.is_ready = False
+        self.counts: Counter[str] = Counter()
+        self.checkpoint = self.places = ""
+        self.recordings = Recordings(stage.config, stage.out)
+        self.calm = True
+        self.mutes = False
+        self.muted_s = self.began_s
+        self._calm_hz: deque[float] = deque(maxlen=600)
+        heard: dict[str, Callable[[dict[str, Any]], None]] = {
+            topics.STATUS.key: self._on_status,
+            topics.LATENCY.key: self._on_latency,
+            topics.GOAL_STATUS.key: self._on_answer,
+            beat.KEY: self._on_beat,
+        }
+        for key, take in heard.items():
+            full = stage.config.zenoh.key(key)
+            stage.session.declare_subscriber(full, partial(self._on_json, take))
+        goal = stage.config.zenoh.key(topics.GOAL.key)
+        self._goals: set[bytes] = set()
+        stage.session.declare_subscriber(goal, self._on_goal)
+
+    # -- on Zenoh's threads -----------------------------------------------------------------------
+
+    def _on_json(self, take: Callable[[dict[str, Any]], None], sample: zenoh.Sample) -> None:
+        try:
+            told = read_json_object(sample.payload.to_bytes())
+        except ValueError:  # the soak itself sends garbage
+            return
+        with self._hand:
+            take(told)
+
+    def _on_status(self, told: dict[str, Any]) -> None:
+        self.status, self.status_s = told, time.monotonic()
+
+    def _on_latency(self, told: dict[str, Any]) -> None:
+        self.latency = told
+
+    def _on_beat(self, told: dict[str, Any]) -> None:
+        self.beats.append((time.monotonic(), told))
+        if self.calm and told["ticks"]:
+            self._calm_hz.append(told["ticks"] / told["seconds"])
+
+    def _on_answer(self, told: dict[str, Any]) -> None:
+        if isinstance(state := told.get("state"), str) and state in ("reached", "failed"):
+            self.counts[f"goals {state}"] += 1
+
+    def _on_goal(self, sample: zenoh.Sample) -> None:
+        """A goal is sent again until it is answered."""
+        payload = sample.payload.to_bytes()
+        with self._hand:
+            if payload not in self._goals:
+                self._goals = {payload}
+                self.counts["goals"] += 1
+
+    # -- on the soak's ---------------------------------------------------------------------------
+
+    @property
+    def usual_hz(self) -> float:
+        """Ticks a second without a fault."""
+        with self._hand:
+            known = list(self._calm_hz)
+        return float(np.median(known)) if known else 0.0
+
+    def ticks_hz(self, since_s: float) -> float:
+        """Ticks a second by the newest two beats after `since_s`, 0 before there are two."""
+        with self._hand:
+            newest = list(self.beats)[-2:]
+        if len(newest) < 2 or newest[0][0] < since_s + newest[0][1]["seconds"]:
+            return 0.0
+        seconds = sum(told["seconds"] for _, told in newest)
+        return float(sum(told["ticks"] for _, told in newest) / seconds)
+
+    @property
+    def beat_s(self) -> float:
+        """When the loop's beat was heard last."""
+        with self._hand:
+            return self.beats[-1][0] if self.beats else self.began_s
+
+    def look(self) -> dict[str, Any]:
+        """Look at pages, processes and checkpoint; a sample, JSON-ready."""
+        stage, now_s = self._stage, time.monotonic()
+        codes = {path: stage.page(path) for path in PROBES}
+        health, ready = (codes[path] for path in PROBES)
+        if health[0] == 200:
+            self.alive_s = now_s
+        self.is_ready = ready[0] == 200
+        self.ready = tuple(ready[1].get("why", ("no answer",)))
+        self.seen_s = now_s
+        if self.mutes:
+            self.muted_s = now_s
+        mission = Path(stage.config.mission.checkpoint)
+        self.checkpoint = _unreadable(mission, saved.MAX_BYTES, saved.decode)
+        places = mission.with_name(mission.name + SUFFIX)
+        self.places = _unreadable(places, place_file.MAX_BYTES, place_file.decode)
+        self.recordings.look()
+        stage.look_at_family()
+        with self._hand:
+            status, latency = self.status, self.latency
+            newest = self.beats[-1] if self.beats else (now_s, {})
+        sample: dict[str, Any] = {
+            "healthz": health[0],
+            "readyz": ready[0],
+            "why": list(self.ready) if not self.is_ready else [],
+            "beat_age_s": round(now_s - newest[0], 2),
+            **{key: value for key, value in newest[1].items() if key != "seconds"},
+            "dropped": dropped(stage.text("/metrics")),
+            "phase": status.get("phase"),
+            "instruction": status.get("instruction"),
+            "checkpoint": status.get("checkpoint"),
+            "sinks": status.get("sinks"),
+            "places_age_s": _age_s(places),
+            "recorded_mb": round(self.recordings.size_mb, 2),
+            "loop": status.get("loop"),
+            "detector": status.get("detector"),
+            "missed": latency.get("tick", {}).get("overruns"),
+            "log_a_minute": sum(map(_is_logged, stage.log.since(now_s - _MINUTE_S))),
+            "goals": self.counts["goals"],
+            "goals_reached": self.counts["goals reached"],
+            "goals_failed": self.counts["goals failed"],
+        }
+        model = stage.model_process()
+        for name, pid in (("service", stage.service.pid), ("model", model and model.pid)):
+            used = usage(pid) if pid is not None else None
+            sample[name] = used and {
+                "pid": pid,
+                "memory_mb": round(used.memory_mb, 2),
+                "shared_mb": round(used.shared_mb, 2),
+                "threads": used.threads,
+                "descriptors": used.descriptors,
+                "cpu_s": round(used.cpu_s, 2),
+            }
+        return sample
+
+
+def dropped(page: str) -> dict[str, int]:
+    """Messages that became part of no observation since the start, by reason, of `/metrics`."""
+    samples = (s for family in text_string_to_metric_families(page) for s in family.samples)
+    return {s.labels["reason"]: int(s.value) for s in samples if s.name == _DROPPED and s.value}
+
+
+def _is_logged(line: str) -> bool:
+    """Whether it is a line of the log, not of what a signal has it show."""
+    return _LOGGED.match(line) is not None
+
+
+def _age_s(path: Path) -> float | None:
+    try:
+        return round(time.time() - path.stat().st_mtime, 1)
+    except FileNotFoundError:
+        return None
+
+
+def _unreadable(path: Path, most_bytes: int, decode: Callable[[bytes], object]) -> str:
+    """Why a checkpoint is no whole one; empty where it is, or where there is none yet."""
+    try:
+        with path.open("rb") as file:
+            decode(file.read(most_bytes + 1))
+    except FileNotFoundError:
+        return ""
+    except (OSError, ValueError) as error:
+        return str(error)
+    return ""

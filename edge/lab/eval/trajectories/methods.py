@@ -1,0 +1,191 @@
+"""The methods of OpenNav's tables: who writes a trajectory, and what becomes of it.
+
+| method | written with | then |
+|---|---|---|
+| ours | words, picture, map | refined on the value map |
+| llm_tg | words and map alone: LLM-TG (Kwon et al. 2024) | refined on the value map |
+| ours, not refined | words, picture, map | driven as written |
+| vlt_code | words and picture: `a_star_plan` draws straight lines, nothing is checked | driven as written |
+| a_star | as ours | A* on the occupancy to where that ends, whatever the way to it was to be |
+
+The rules see no picture, and known places have none: there `llm_tg` would be `ours` once more, and
+is left out.
+"""  # noqa: E501 (a table)
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from edge.chat import ChatError, LateError
+from edge.config import Tasks, WriterModel
+from edge.errors import UnavailableError, UserError
+from edge.lab.eval.trajectories.episodes import Episode
+from edge.mission.translate import TranslationError
+from edge.tasks.functions import Functions, Point
+from edge.tasks.legs import RefineError
+from edge.tasks.refine import refine
+from edge.tasks.scene import Scene
+from edge.tasks.trajectory import TrajectoryError, coarse_of
+from edge.tasks.value_map import Body
+from edge.tasks.write import WriteError, Written, write
+from edge.text import one_line
+from edge.trajectory.pursuit import MotionLimits
+
+LIMITS = MotionLimits(1.5, 1.0, 0.8, 3.0)
+"""They set the times of a refined trajectory, not its way."""
+CAUSES: tuple[tuple[type[UserError], str], ...] = (
+    (TranslationError, "not understood"),
+    (RefineError, "not refined"),
+    (TrajectoryError, "cannot be done"),
+    (LateError, "too late"),
+    (ChatError, "no answer"),
+    (WriteError, "nothing written"),
+)
+"""What a refusal is counted as, by the first that fits."""
+REFUSALS = (*(cause for _, cause in CAUSES), "no way", "crashed")
+
+
+class NoWayError(UserError):
+    """A* found none."""
+
+
+Finish = Callable[[Episode, Written], np.ndarray]
+"""From what was written to a path (n, 2) float64 in `map`."""
+
+
+class Method(NamedTuple):
+    """
+    Attributes:
+        writing: with what it is written: "all", "no picture" or "no map".
+        ends: whether it is one of table I, where only the end counts.
+    """
+
+    writing: str
+    finish: Finish
+    ends: bool = False
+
+
+class Made(NamedTuple):
+    """What a method made of an instruction.
+
+    Attributes:
+        path_m: (n, 2) float64; of a robot that was refused one, the place where it stands.
+        refused: of `REFUSALS`; "" where there is a trajectory.
+        reason: one line, why.
+        seconds: of writing and of what came after.
+    """
+
+    path_m: np.ndarray
+    refused: str
+    reason: str
+    seconds: float
+
+
+@dataclass(slots=True, eq=False)
+class Unmapped(Functions):
+    """The functions without a map under them: ways are straight, and none is refused."""
+
+    def a_star_plan(self, start: Any, end: Any, regions: Any = ()) -> list[Point]:
+        """A straight line."""
+        return self.line(start, end)
+
+    def give_trajectory(
+        self, segments: Any, regions: Any = (), speed_mps: Any = None, heading_rad: Any = None
+    ) -> None:
+        """Hand over the trajectory, whatever it is."""
+        self.given = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)
+
+
+def _refined(episode: Episode, written: Written) -> np.ndarray:
+    coarse, body = written.coarse, Body(episode.robot_m)
+    made = refine(episode.scene, coarse.segments, coarse.regions, body, LIMITS)
+    return made.poses[:, :2]
+
+
+def _as_written(episode: Episode, written: Written) -> np.ndarray:
+    pose = episode.scene.pose
+    return np.concatenate([[(pose.x_m, pose.y_m)], written.coarse.points_m])
+
+
+def _to_its_end(episode: Episode, written: Written) -> np.ndarray:
+    pose, end = episode.scene.pose, written.coarse.points_m[-1]
+    found = written.ground.plan((pose.x_m, pose.y_m), (float(end[0]), float(end[1])))
+    if not found.ok:
+        raise NoWayError(f"no way: {found.reason}")
+    return found.path_m
+
+
+METHODS: dict[str, Method] = {
+    "ours": Method("all", _refined, ends=True),
+    "llm_tg": Method("no picture", _refined, ends=True),
+    "ours, not refined": Method("all", _as_written),
+    "vlt_code": Method("no map", _as_written),
+    "a_star": Method("all", _to_its_end),
+}
+
+
+def methods_of(config: Tasks, scene: Scene | None = None) -> tuple[str, ...]:
+    """Those that differ with a writer, in a scene if one is given."""
+    pictured = scene is None or scene.rgb is not None
+    by_model = pictured and isinstance(config.planner, WriterModel)
+    return tuple(name for name, method in METHODS.items()
+                 if by_model or method.writing != "no picture")  # fmt: skip
+
+
+def make(episode: Episode, names: Sequence[str], config: Tasks) -> dict[str, Made]:
+    """What methods make of an episode, by their names; what several need is written once.
+
+    Nothing but the instruction, the scene and the robot's size is looked at.
+
+    Raises:
+        UnavailableError: the scripts' interpreter is not there.
+    """
+    written: dict[str, tuple[Written | Exception, float]] = {}
+    made = {}
+    for name in names:
+        method = METHODS[name]
+        if method.writing not in written:
+            written[method.writing] = _written(episode, method.writing, config)
+        given, seconds = written[method.writing]
+        begin_s = time.perf_counter()
+        try:
+            if isinstance(given, Exception):
+                raise given
+            path_m, refused, reason = method.finish(episode, given), "", ""
+        except Exception as error:
+            pose = episode.scene.pose
+            path_m = np.array([(pose.x_m, pose.y_m)])
+            refused, reason = _cause(error), one_line(error if str(error) else repr(error))
+        made[name] = Made(path_m, refused, reason, seconds + time.perf_counter() - begin_s)
+    return made
+
+
+def _written(episode: Episode, writing: str, config: Tasks) -> tuple[Written | Exception, float]:
+    """What was written, or why nothing was; and the seconds that it took."""
+    limits = config.trajectory.model_copy(update={"clearance_m": episode.robot_m})
+    planner = config.planner
+    if writing == "no picture":
+        planner = planner.model_copy(update={"picture": False})
+    config = config.model_copy(update={"trajectory": limits, "planner": planner})
+    functions = Unmapped if writing == "no map" else Functions
+    begin_s = time.perf_counter()
+    try:
+        given = write(episode.task.instruction, episode.scene, config, make=functions)
+    except ChatError as error:
+        return error, time.perf_counter() - begin_s
+    except UnavailableError:
+        raise
+    except Exception as error:
+        return error, time.perf_counter() - begin_s
+    return given, time.perf_counter() - begin_s
+
+
+def _cause(error: Exception) -> str:
+    if isinstance(error, NoWayError):
+        return "no way"
+    return next((cause for kind, cause in CAUSES if isinstance(error, kind)), "crashed")

@@ -1,0 +1,243 @@
+"""Outcomes of methods on episodes, as lines of files, and as arrays."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from edge.errors import UserError
+from edge.geometry import Grid
+from edge.lab.eval.line_file import LineFile
+from edge.lab.eval.outcome import MAX_BYTES, NAME
+from edge.lab.eval.trajectories.episodes import Episode
+from edge.lab.eval.trajectories.meaning import CATEGORIES
+from edge.lab.eval.trajectories.methods import Made
+from edge.lab.eval.trajectory_metrics import contacts, evenly, likeness, point_contacts
+
+EPISODES_NAME = "episodes.jsonl"
+_DRAWN_M = 0.25  # distance of the points of a path that is kept
+_OUTLINE_M = 0.05
+_FINER = 4  # outlines lead through the middles of cells, which are so many times smaller for it
+_MARGIN_M = 4.0  # around a reference, what stands there is kept
+
+Polyline = list[list[float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """An episode, as much of it as tables and pictures need.
+
+    Attributes:
+        things: outlines of what the instruction names.
+        occupied: outlines of what stands near the reference.
+    """
+
+    id: str
+    source: str
+    world: str
+    kind: str
+    category: str
+    instruction: str
+    robot_m: float
+    reference: Polyline
+    things: list[Polyline]
+    occupied: list[Polyline]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of an episode with a method.
+
+    Attributes:
+        writer: "rules", or a model's name.
+        error_m, frechet_m, ndtw, contacts: see `edge.lab.eval.trajectory_metrics.Likeness`;
+            contacts with what the scene tells, as OpenNav counts them.
+        true_contacts: with what truly is there.
+        refused: of `methods.REFUSALS`, "" for none; `reason`: one line.
+        seconds: of writing and refining.
+    """
+
+    episode: str
+    method: str
+    writer: str
+    success: bool
+    error_m: float
+    frechet_m: float
+    ndtw: float
+    contacts: int
+    true_contacts: int
+    length_m: float
+    refused: str
+    reason: str
+    seconds: float
+    path: Polyline
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        return self.episode, self.method, self.writer
+
+
+def facts_of(episode: Episode) -> Facts:
+    task = episode.task
+    things = {thing.id: thing for thing in episode.things}
+    hulls = [
+        cv2.convexHull(things[k].outline_m.astype(np.float32))[:, 0].astype(float)
+        for k in task.things
+    ]
+    return Facts(
+        episode.id, episode.source, episode.world, task.kind, task.category, task.instruction,
+        episode.robot_m, _plain(evenly(task.reference_m, _DRAWN_M)), [*map(_plain, hulls)],
+        [*map(_plain, _outlines(episode.truth, task.reference_m))],
+    )  # fmt: skip
+
+
+def outcome_of(episode: Episode, method: str, writer: str, made: Made) -> Outcome:
+    """What a method made, held against the reference and the truth."""
+    path_m = made.path_m
+    told, robot_m = episode.scene.occupancy, episode.robot_m
+    like = likeness(path_m, episode.task.reference_m, told, robot_m)
+    if episode.solid_m is None:
+        true_contacts = contacts(path_m, episode.truth, robot_m)
+    else:
+        true_contacts = point_contacts(path_m, episode.solid_m, robot_m)
+    length_m = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
+    numbers = (like.error_m, like.frechet_m, like.ndtw)
+    return Outcome(
+        episode.id, method, writer, like.success and not made.refused,
+        *(round(x, 4) for x in numbers), like.contacts, true_contacts,
+        round(length_m, 2), made.refused, made.reason, round(made.seconds, 4),
+        _plain(evenly(path_m, _DRAWN_M)),
+    )  # fmt: skip
+
+
+class Folder:
+    """What a folder holds of earlier runs, and what is added.
+
+    Raises:
+        FileError: it cannot be read or written.
+        UserError: it has something else in it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._episodes = LineFile(path / EPISODES_NAME, _facts, "an episode", MAX_BYTES)
+        self._outcomes = LineFile(path / NAME, _outcome, "an outcome", MAX_BYTES)
+        self.facts = {facts.id: facts for facts in self._episodes.found}
+        self.outcomes = {outcome.key: outcome for outcome in self._outcomes.found}
+
+    def add(self, facts: Facts) -> None:
+        if facts.id not in self.facts:
+            self._episodes.append(_line(facts))
+            self.facts[facts.id] = facts
+
+    def append(self, outcome: Outcome) -> None:
+        self._outcomes.append(_line(outcome))
+        self.outcomes[outcome.key] = outcome
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """Outcomes as arrays: M methods by E episodes.
+
+    Attributes:
+        methods: their names, with the writer's where there are several; `bare`: without.
+        facts: of each episode.
+        ran: (M, E) bool.
+        numbers: success, error_m, frechet_m, ndtw, collided, truly collided, refused, seconds:
+            (M, E) float64, NaN where nothing ran.
+        outcomes: by their indices.
+    """
+
+    methods: tuple[str, ...]
+    bare: tuple[str, ...]
+    facts: tuple[Facts, ...]
+    ran: np.ndarray
+    numbers: dict[str, np.ndarray]
+    outcomes: dict[tuple[int, int], Outcome]
+
+
+def gather(facts: Iterable[Facts], outcomes: Iterable[Outcome]) -> Results:
+    """
+    Raises:
+        UserError: outcomes of an episode that is not among the facts.
+    """
+    outcomes = list(outcomes)
+    by_id = {one.id: one for one in facts}
+    several = len({outcome.writer for outcome in outcomes}) > 1
+    names = {_name(outcome, several): outcome.method for outcome in outcomes}
+    ids = [one for one in by_id if any(outcome.episode == one for outcome in outcomes)]
+    row, column = ({key: k for k, key in enumerate(keys)} for keys in (names, ids))
+    at: dict[tuple[int, int], Outcome] = {}
+    for outcome in outcomes:
+        if outcome.episode not in by_id:
+            raise UserError(f"{EPISODES_NAME}: lacks the episode {outcome.episode}")
+        at[row[_name(outcome, several)], column[outcome.episode]] = outcome
+    shape = len(names), len(ids)
+    numbers = {key: np.full(shape, math.nan) for key in _NUMBERS}
+    for place, outcome in at.items():
+        for key, of in _NUMBERS.items():
+            numbers[key][place] = of(outcome)
+    ran = ~np.isnan(numbers["success"])
+    return Results(
+        tuple(names), tuple(names.values()), tuple(by_id[k] for k in ids), ran, numbers, at
+    )
+
+
+_NUMBERS = {
+    "success": lambda o: float(o.success),
+    "error_m": lambda o: o.error_m,
+    "frechet_m": lambda o: o.frechet_m,
+    "ndtw": lambda o: o.ndtw,
+    "collided": lambda o: float(o.contacts > 0),
+    "truly collided": lambda o: float(o.true_contacts > 0),
+    "refused": lambda o: float(bool(o.refused)),
+    "seconds": lambda o: o.seconds,
+}
+
+
+def _name(outcome: Outcome, several: bool) -> str:
+    return f"{outcome.method} ({outcome.writer})" if several else outcome.method
+
+
+def _outlines(grid: Grid, path_m: np.ndarray) -> list[np.ndarray]:
+    """Polygons (n, 2) [m] around what is occupied near a path."""
+    low, high = path_m.min(axis=0) - _MARGIN_M, path_m.max(axis=0) + _MARGIN_M
+    shape = grid.cells.shape[::-1]
+    x0, y0 = np.clip(np.floor(grid.of_metres(low)), 0, shape).astype(int)
+    x1, y1 = np.clip(np.ceil(grid.of_metres(high)), 0, shape).astype(int)
+    cells = np.kron(grid.cells[y0:y1, x0:x1] > 0, np.ones((_FINER, _FINER), np.uint8))
+    lines, _ = cv2.findContours(cells, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    tolerance = _FINER * _OUTLINE_M / grid.resolution_m
+    rounded = (cv2.approxPolyDP(line, tolerance, True)[:, 0] for line in lines)
+    return [grid.to_metres((line + 0.5) / _FINER + (x0, y0)) for line in rounded]
+
+
+def _plain(points_m: np.ndarray | Sequence) -> Polyline:
+    return np.round(np.asarray(points_m, float), 2).tolist()
+
+
+def _line(item: Facts | Outcome) -> bytes:
+    return json.dumps(asdict(item), separators=(",", ":"), allow_nan=False).encode() + b"\n"
+
+
+def _facts(data: dict[str, Any]) -> Facts:
+    facts = Facts(**data)
+    if facts.category not in CATEGORIES:
+        raise ValueError("category: unknown")
+    return facts
+
+
+def _outcome(data: dict[str, Any]) -> Outcome:
+    outcome = Outcome(**data)
+    for key in _NUMBERS.values():
+        key(outcome)
+    for name in ("error_m", "frechet_m", "ndtw", "seconds"):
+        if not isinstance(getattr(outcome, name), (int, float)):
+            raise ValueError(f"{name}: expected a number")
+    return outcome

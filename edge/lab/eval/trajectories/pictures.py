@@ -1,0 +1,81 @@
+"""A few episodes seen from above: what was meant, and what methods made of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edge.lab.eval.comparison.plots import DPI
+from edge.lab.eval.trajectories.meaning import KINDS
+from edge.lab.eval.trajectories.outcomes import Facts, Results
+from edge.lab.report import canvas, palette
+from edge.lab.report.canvas import style_of
+from edge.text import shorten
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+WORDS = {"episodes": "What was meant, and what methods made of it, seen from above"}
+"""By name, what each picture shows."""
+COLUMNS, EACH_IN = 2, 3.7
+MARGIN_M = 3.0
+_MEANT = "#b9b9b9"
+_MOST_WORDS = 60
+
+
+def images(results: Results, kind: str) -> dict[str, bytes]:
+    """The content of each picture's "svg" or "png" file, by its name; none where nothing ran."""
+    chosen = chosen_of(results)
+    if not chosen:
+        return {}
+    rows = -(-len(chosen) // COLUMNS)
+    figure, axes = canvas.plots((COLUMNS * EACH_IN, rows * EACH_IN + 0.4), DPI, COLUMNS, rows)
+    for place, ax in enumerate(axes):
+        if place < len(chosen):
+            _draw(ax, results, chosen[place])
+        else:
+            ax.axis("off")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False,
+                  fontsize=8)  # fmt: skip
+    return {"episodes": canvas.content(figure, kind)}
+
+
+def chosen_of(results: Results) -> list[int]:
+    """The first episode of each kind that all methods ran, by the order of `KINDS`."""
+    whole = np.flatnonzero(results.ran.all(axis=0)).tolist() if results.ran.size else []
+    kinds = [results.facts[e].kind for e in whole]
+    return [whole[kinds.index(kind)] for kind in KINDS if kind in kinds]
+
+
+def _draw(axes: Axes, results: Results, episode: int) -> None:
+    facts = results.facts[episode]
+    for outline in facts.occupied:
+        axes.fill(*np.array(outline).T, color=palette.INFLATED, linewidth=0)
+    for outline in facts.things:
+        axes.fill(*np.array(outline).T, facecolor="none", edgecolor=palette.INK, linewidth=1.4)
+    axes.plot(*np.array(facts.reference).T, color=_MEANT, linewidth=5.0, solid_capstyle="round",
+              label="meant")  # fmt: skip
+    for m, name in enumerate(results.methods):
+        look, outcome = style_of(m), results.outcomes[m, episode]
+        points = np.array(outcome.path)
+        axes.plot(*points.T, color=look.colour, linestyle=look.dash, linewidth=1.5, label=name)
+        axes.plot(*points[-1], color=look.colour, marker=look.mark, markersize=5)
+    axes.plot(*facts.reference[0], color=palette.INK, marker="o", markersize=4)
+    _frame(axes, facts)
+    axes.set_title(
+        shorten(facts.instruction, _MOST_WORDS), loc="left", fontsize=8, color=palette.INK,
+        parse_math=False,
+    )  # fmt: skip
+
+
+def _frame(axes: Axes, facts: Facts) -> None:
+    """A square around the reference."""
+    points = np.array(facts.reference)
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    half = 0.5 * float(np.ptp(points, axis=0).max()) + MARGIN_M
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=7)

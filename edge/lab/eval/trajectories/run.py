@@ -1,0 +1,160 @@
+"""`edge eval trajectories`: methods on the same episodes; what is there is not run again."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+
+from pydantic import ValidationError
+
+from edge.config import ConfigError, Tasks, WriterModel, load
+from edge.config.explain import explain
+from edge.errors import FileError, UnavailableError, UserError
+from edge.host.files import write_atomically
+from edge.host.signals import stop_on_signals
+from edge.lab.eval.comparison import tables as text
+from edge.lab.eval.trajectories import pictures, tables
+from edge.lab.eval.trajectories.episodes import Episode, episodes
+from edge.lab.eval.trajectories.methods import METHODS, make, methods_of
+from edge.lab.eval.trajectories.outcomes import Folder, Outcome, facts_of, gather, outcome_of
+from edge.lab.eval.trial.views import detector_chain
+from edge.tasks.chain import Chain
+from edge.text import one_line
+
+RERUN = "crashed"
+"""What is so refused is run again."""
+
+
+def run_all(
+    found: Iterable[Episode],
+    names: Sequence[str],
+    config: Tasks,
+    folder: Folder,
+    tell: Callable[[Episode, Outcome], None] = lambda episode, outcome: None,
+    stop: threading.Event | None = None,
+    seen_by: str = "",
+) -> list[tuple[str, str, str]]:
+    """Methods on episodes; outcomes go to the folder as they come, and what it has is not run.
+
+    Args:
+        stop: ends it early, between two episodes.
+        seen_by: what told the things of the scenes; "" where they are known, or by the labels.
+
+    Returns:
+        The keys of their outcomes.
+
+    Raises:
+        UnavailableError: what the writer needs is not there, or its server gives no answer to the
+            first episode.
+    """
+    writer = ", by ".join(filter(None, (writer_of(config), seen_by)))
+    keys: list[tuple[str, str, str]] = []
+    asked = isinstance(config.planner, WriterModel)
+    for episode in found:
+        if stop is not None and stop.is_set():
+            break
+        there = methods_of(config, episode.scene)
+        mine = [(episode.id, name, writer) for name in names if name in there]
+        have = folder.outcomes
+        missing = [key[1] for key in mine if key not in have or have[key].refused == RERUN]
+        if missing:
+            made = make(episode, missing, config)
+            if asked and all(one.refused == "no answer" for one in made.values()):
+                raise UnavailableError(next(iter(made.values())).reason)
+            asked = False
+            folder.add(facts_of(episode))
+            for name in missing:
+                outcome = outcome_of(episode, name, writer, made[name])
+                folder.append(outcome)
+                tell(episode, outcome)
+        keys += mine
+    return keys
+
+
+def writer_of(config: Tasks) -> str:
+    """Who writes, as outcomes have it."""
+    planner = config.planner
+    return planner.model if isinstance(planner, WriterModel) else planner.kind
+
+
+# -- the command --------------------------------------------------------------------------------
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge eval trajectories`."""
+    config = _config(args)
+    names = _methods(args.methods, config)
+    logging.getLogger("edge").setLevel(logging.WARNING)
+    folder = Folder(args.out)
+    with _seen_by(args) as (chain, seen_by):
+        keys = run_all(
+            episodes(args.places, args.limit, chain), names, config, folder,
+            lambda episode, outcome: print(_line(episode, outcome), flush=True),
+            stop_on_signals(), seen_by,
+        )  # fmt: skip
+    results = gather(folder.facts.values(), [folder.outcomes[key] for key in keys])
+    for table in tables.tables(results):
+        print(f"\n{text.text(table)}")
+    try:
+        for name, content in pictures.images(results, "svg").items():
+            path = args.out / f"{name}.svg"
+            write_atomically(path, content)
+            print(path)
+    except OSError as error:
+        raise FileError(f"{args.out}: {error.strerror or error}") from None
+    return 0
+
+
+@contextmanager
+def _seen_by(args: argparse.Namespace) -> Iterator[tuple[Chain | None, str]]:
+    """The chain of `--detector`'s configuration, and the model's name; None and "" without."""
+    if args.detector is None:
+        yield None, ""
+        return
+    with detector_chain(load(args.detector), ()) as chain_and_name:
+        yield chain_and_name
+
+
+def _config(args: argparse.Namespace) -> Tasks:
+    """
+    Raises:
+        ConfigError: the server's address is none.
+    """
+    if args.url is None:
+        if args.model is not None:
+            raise UserError("--model: say with --url which server has it")
+        return Tasks()
+    planner = {"kind": "model", "url": args.url, "time_limit_s": args.time_limit,
+               "rounds": args.rounds}  # fmt: skip
+    if args.model is not None:
+        planner["model"] = args.model
+    try:
+        return Tasks.model_validate({"planner": planner})
+    except ValidationError as error:
+        raise ConfigError(explain(error.errors()[0], "--url, --model", Tasks)) from None
+
+
+def _methods(wanted: str | None, config: Tasks) -> tuple[str, ...]:
+    there = methods_of(config)
+    if wanted is None:
+        return there
+    names = tuple(dict.fromkeys(name.strip() for name in wanted.split(";")))
+    for name in names:
+        if name in METHODS and name not in there:
+            raise UserError(f"--methods: {name}: the rules see no picture; it is what ours is")
+        if name not in there:
+            raise UserError(f"--methods: no {one_line(name)!r} (there are: {'; '.join(there)})")
+    return names
+
+
+def _line(episode: Episode, outcome: Outcome) -> str:
+    verdict = "ok  " if outcome.success else "FAIL"
+    said = outcome.refused and f"{outcome.refused}: {outcome.reason}"
+    return (
+        f"{verdict} {outcome.method:18} {episode.world:15} NE {outcome.error_m:5.2f} m, "
+        f"Fréchet {outcome.frechet_m:5.2f} m, NDTW {outcome.ndtw:.2f}, {outcome.contacts} contacts,"
+        f" {outcome.seconds:.2f} s: {episode.task.instruction}{said and f' ({said})'}"
+    )

@@ -1,0 +1,185 @@
+"""What outcomes say, in the tables of OpenNav IV beside the paper's own figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.lab.eval.comparison.tables import DASH, Table, bounded
+from edge.lab.eval.intervals import Interval, bootstrap, wilson
+from edge.lab.eval.trajectories.meaning import CATEGORIES
+from edge.lab.eval.trajectories.methods import METHODS, REFUSALS
+from edge.lab.eval.trajectories.outcomes import Results
+from edge.text import one_line
+
+BASELINE = "ours"
+LEAST_WORLDS = 10
+"""With fewer, intervals are of episodes, and say nothing of other worlds."""
+
+
+class Paper(NamedTuple):
+    """A row of table I: navigation error, and successes of 50."""
+
+    error_m: float
+    reached: int
+
+
+PAPER_TASKS: dict[str, dict[str, Paper]] = {
+    "LLM-TG": {
+        "specific": Paper(1.44, 43), "ambiguous": Paper(7.40, 13), "high-level": Paper(5.90, 23),
+    },
+    "OpenNav": {
+        "specific": Paper(1.01, 45), "ambiguous": Paper(1.63, 42), "high-level": Paper(2.40, 40),
+    },
+}  # fmt: skip
+"""OpenNav table I."""
+PAPER_TOTAL = {"LLM-TG": (4.91, "53"), "OpenNav": (1.68, "84")}
+PAPER_SHAPES = {
+    "ours": (12.60, 0.38, "2/30"), "vlt_code": (17.53, 0.16, "16/30"),
+    "a_star": (24.20, 0.08, "0/30"),
+}  # fmt: skip
+"""OpenNav table II, by our names: Fréchet distance, NDTW, trajectories that collide."""
+
+
+def tables(results: Results) -> list[Table]:
+    """Every table that has something to say."""
+    found = [by_task(results), shapes(results), paired(results), refusals(results)]
+    return [table for table in found if table.rows]
+
+
+NAMES = ("tasks", "shapes", "paired", "refusals")
+
+
+def by_task(results: Results) -> Table:
+    """A category a row: how many succeed, and how far from the end (table I)."""
+    wanted = [m for m, name in enumerate(results.bare) if METHODS[name].ends]
+    category = np.array([facts.category for facts in results.facts], str)
+    head = ["task", "n"]
+    for m in wanted:
+        head += [f"{one_line(results.methods[m])}: NE, m", "SR, %"]
+    for name in PAPER_TASKS:
+        head += [f"{name} (paper): NE", "SR"]
+    rows = []
+    for row in (*CATEGORIES, "total"):
+        inside = np.ones(len(category), bool) if row == "total" else category == row
+        if not inside.any():
+            continue
+        cells = [row, str(int((results.ran[wanted][:, inside]).any(axis=0).sum()))]
+        for m in wanted:
+            kept = inside & results.ran[m]
+            reached = int(results.numbers["success"][m, kept].sum())
+            cells += [
+                bounded(_means(results, "error_m", m, kept), 2),
+                bounded(wilson(reached, int(kept.sum())), 0, 100.0),
+            ]
+        rows.append([*cells, *_paper_cells(row)])
+    return Table("tasks", "By kind of task (OpenNav table I)", head, rows, _unit_words(results))
+
+
+def shapes(results: Results) -> Table:
+    """A method a row: how alike its trajectories are to the references (table II)."""
+    head = ("method", "n", "Fréchet, m", "NDTW", "collided", "in truth", "refused", "SR, %",
+            "NE, m", "time, s", "paper: Fréchet", "NDTW", "collided")  # fmt: skip
+    rows = []
+    for m, name in enumerate(results.methods):
+        ran = results.ran[m]
+        n = int(ran.sum())
+        counts = {key: int(results.numbers[key][m, ran].sum())
+                  for key in ("success", "collided", "truly collided", "refused")}  # fmt: skip
+        paper = PAPER_SHAPES.get(results.bare[m])
+        rows.append([
+            one_line(name), str(n),
+            bounded(_means(results, "frechet_m", m, ran), 2),
+            bounded(_means(results, "ndtw", m, ran), 2),
+            f"{counts['collided']}/{n}", f"{counts['truly collided']}/{n}",
+            f"{counts['refused']}/{n}",
+            bounded(wilson(counts["success"], n), 0, 100.0),
+            bounded(_means(results, "error_m", m, ran), 2),
+            f"{np.median(results.numbers['seconds'][m, ran]):.2f}",
+            *((f"{paper[0]:.2f}", f"{paper[1]:.2f}", paper[2]) if paper else (DASH,) * 3),
+        ])  # fmt: skip
+    note = (
+        "Collided: trajectories that come nearer to something than the robot's radius, in the map "
+        "that they were made on, and in truth, which knows what the scene does not. Of a robot "
+        "that was refused a trajectory, the place where it stands is the trajectory. Time: median, "
+        "of writing and refining. " + _unit_words(results)
+    )
+    return Table("shapes", "Shape of the trajectories (OpenNav table II)", head, rows, note)
+
+
+def paired(results: Results) -> Table:
+    """A method a row: what ours has more, on the episodes that both ran."""
+    head = ("ours less", "n", "SR, % points", "NE, m", "Fréchet, m", "NDTW", "collided, % points")
+    rows = []
+    base = next((m for m, name in enumerate(results.bare) if name == BASELINE), None)
+    for m, name in enumerate(results.methods) if base is not None else ():
+        both = results.ran[m] & results.ran[base]
+        if m == base or not both.any():
+            continue
+        keys = (("success", 1, 100.0), ("error_m", 2, 1.0), ("frechet_m", 2, 1.0),
+                ("ndtw", 2, 1.0), ("collided", 1, 100.0))  # fmt: skip
+        cells = [
+            bounded(_mean(results.numbers[key][base] - results.numbers[key][m], results, both),
+                    digits, scale, "+")
+            for key, digits, scale in keys
+        ]  # fmt: skip
+        rows.append([one_line(name), str(int(both.sum())), *cells])
+    return Table("paired", "Ours against the others, paired", head, rows, _unit_words(results))
+
+
+def refusals(results: Results) -> Table:
+    """A method a row: how many were refused, by why."""
+    causes = [c for c in REFUSALS if any(o.refused == c for o in results.outcomes.values())]
+    rows = []
+    for m, name in enumerate(results.methods):
+        mine = [o for (row, _), o in results.outcomes.items() if row == m]
+        counts = [sum(o.refused == cause for o in mine) for cause in causes]
+        rows.append([one_line(name), str(len(mine)), *map(str, counts)])
+    rows = rows if causes else []
+    return Table("refusals", "Refused", ("method", "n", *causes), rows)
+
+
+def _paper_cells(row: str) -> list[str]:
+    cells = []
+    for name, of in PAPER_TASKS.items():
+        if row == "total":
+            error_m, share = PAPER_TOTAL[name]
+            cells += [f"{error_m:.2f}", share]
+        else:
+            cells += [f"{of[row].error_m:.2f}", f"{of[row].reached}/50"]
+    return cells
+
+
+def _means(results: Results, key: str, method: int, kept: np.ndarray) -> Interval:
+    return _mean(results.numbers[key][method], results, kept)
+
+
+def _mean(values: np.ndarray, results: Results, kept: np.ndarray) -> Interval:
+    """The mean over some episodes, its interval by bootstrap over their worlds."""
+    if not kept.any():
+        return Interval(math.nan, math.nan, math.nan)
+    cluster, _ = _clusters(results)
+    own = np.unique(cluster[kept], return_inverse=True)[1].ravel()
+    ones = np.ones((1, int(kept.sum())))
+    return bootstrap(values[kept][None], ones, own)[0]
+
+
+def _clusters(results: Results) -> tuple[np.ndarray, str]:
+    """(E,) int of what is resampled, and what that is."""
+    names: Sequence[str] = [facts.world for facts in results.facts]
+    worlds, index = np.unique(np.array(names, str), return_inverse=True)
+    if len(worlds) >= LEAST_WORLDS:
+        return index.ravel(), "place"
+    return np.arange(len(names)), "episode"
+
+
+def _unit_words(results: Results) -> str:
+    unit = _clusters(results)[1]
+    places = len({facts.world for facts in results.facts})
+    how = f"{places} places" if unit == "place" else (
+        f"episodes; of {places} place{'s' * (places != 1)}, so they say nothing of others"
+    )  # fmt: skip
+    return f"In brackets: 95 % intervals, of shares Wilson's, else by bootstrap over {how}."

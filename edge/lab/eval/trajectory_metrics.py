@@ -1,0 +1,248 @@
+"""How near a trajectory comes to the one that was meant (OpenNav IV): where it ends, its shape, and
+what it runs into."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.spatial import cKDTree
+
+from edge.geometry import Grid
+from edge.lab.eval.metrics import REACHED_M
+from edge.tasks.value_map import closed_cells
+from edge.trajectory.smoothing import resample
+
+SPACING_M = 0.5
+"""NDTW compares points this far apart, however densely a trajectory was written down."""
+_jit = {"nogil": True, "cache": True}
+
+
+@dataclass(frozen=True, slots=True)
+class Likeness:
+    """A trajectory beside its reference.
+
+    Attributes:
+        success: it ends within 1 m of where the reference does.
+        error_m: navigation error, how far from there.
+        frechet_m: Fréchet distance.
+        ndtw: normalised dynamic time warping, 1 for the same.
+        contacts: how many times it runs into something.
+    """
+
+    success: bool
+    error_m: float
+    frechet_m: float
+    ndtw: float
+    contacts: int
+
+
+def likeness(
+    path_m: np.ndarray, reference_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0
+) -> Likeness:
+    """All of OpenNav's figures of one trajectory (tables I and II).
+
+    Args:
+        path_m, reference_m: (n, 2) and (m, 2) float64 in `map`, n, m >= 1; of a robot that was
+            refused a trajectory, the place where it stands.
+        occupancy: int8, 100 where something is.
+    """
+    error_m = navigation_error_m(path_m, reference_m)
+    return Likeness(
+        success=error_m <= REACHED_M,
+        error_m=error_m,
+        frechet_m=frechet_m(path_m, reference_m),
+        ndtw=ndtw(path_m, reference_m),
+        contacts=contacts(path_m, occupancy, clearance_m),
+    )
+
+
+def navigation_error_m(path_m: np.ndarray, reference_m: np.ndarray) -> float:
+    """Distance of the ends (NE). OpenNav's success rate counts those within 1 m."""
+    path, reference = _points(path_m), _points(reference_m)
+    return math.dist(path[-1], reference[-1])
+
+
+def frechet_m(a_m: np.ndarray, b_m: np.ndarray) -> float:
+    """Fréchet distance of two polylines (Alt & Godau 1995, section 3.1), within 0.1 mm.
+
+    The shortest leash with which a dog and its owner can go along the two, neither of them
+    backward. Found by halving between the distance of the ends, below which it cannot be, and the
+    distance by points (Eiter & Mannila 1994), above which it cannot be.
+
+    Args:
+        a_m, b_m: (n, 2) and (m, 2) float64, n, m >= 1.
+    """
+    a, b = _points(a_m), _points(b_m)
+    low, high = max(math.dist(a[0], b[0]), math.dist(a[-1], b[-1])), _by_points(a, b)
+    if low >= high or _fits(a, b, low):
+        return low
+    while high - low > 1e-4:
+        middle = 0.5 * (low + high)
+        if _fits(a, b, middle):
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+def ndtw(path_m: np.ndarray, reference_m: np.ndarray, within_m: float = REACHED_M) -> float:
+    """Normalised dynamic time warping (Ilharco et al. 2019): exp(-DTW / (|R| d_th)).
+
+    Args:
+        path_m, reference_m: (n, 2) and (m, 2) float64, n, m >= 1; compared at points `SPACING_M`
+            apart.
+        within_m: d_th, within which a robot has reached a place.
+
+    Returns:
+        In (0, 1]; 1 for the same.
+    """
+    path, reference = (evenly(_points(p), SPACING_M) for p in (path_m, reference_m))
+    return math.exp(-_warp(reference, path) / (len(reference) * within_m))
+
+
+def evenly(path_m: np.ndarray, spacing_m: float) -> np.ndarray:
+    """(k, 2): points as far apart along a path (n, 2) as divides it evenly, at most `spacing_m`;
+    a corner between two of them is left out."""
+    along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(path_m, axis=0).T)))
+    if along_m[-1] == 0.0:
+        return path_m[:1]
+    at_m = np.linspace(0.0, along_m[-1], math.ceil(along_m[-1] / spacing_m) + 1)
+    return np.column_stack([np.interp(at_m, along_m, axis) for axis in path_m.T])
+
+
+def contacts(path_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0) -> int:
+    """How many stretches of a path lie in, or nearer than `clearance_m` to, an occupied cell.
+
+    Outside the map nothing is.
+    """
+    points = resample(_points(path_m), 0.25 * occupancy.resolution_m)
+    cells = np.floor(occupancy.of_metres(points)).astype(np.int64)
+    inside = ((cells >= 0) & (cells < occupancy.cells.shape[::-1])).all(axis=1)
+    touches = np.zeros(len(points) + 1, bool)
+    columns, rows = cells[inside].T
+    touches[1:][inside] = closed_cells(occupancy, clearance_m)[rows, columns]
+    return int((touches[1:] & ~touches[:-1]).sum())
+
+
+def point_contacts(path_m: np.ndarray, solid_m: np.ndarray, clearance_m: float) -> int:
+    """How many stretches of a path lie nearer than `clearance_m` to a point of what is there.
+
+    Args:
+        solid_m: (n, 2) float64.
+    """
+    points = resample(_points(path_m), 0.05)
+    away_m, _ = cKDTree(solid_m.reshape(-1, 2)).query(points)
+    touches = np.append(False, away_m < clearance_m)
+    return int((touches[1:] & ~touches[:-1]).sum())
+
+
+def _points(path_m: np.ndarray) -> np.ndarray:
+    path = np.ascontiguousarray(path_m, np.float64)
+    if path.ndim != 2 or path.shape[1] != 2 or not len(path) or not np.isfinite(path).all():
+        raise ValueError(f"a trajectory: expected finite points (n, 2), n >= 1, got {path.shape}")
+    return path
+
+
+@njit(**_jit)
+def _by_points(a, b):
+    """The discrete Fréchet distance (Eiter & Mannila 1994): both jump from point to point."""
+    row = np.empty(len(b))
+    for i in range(len(a)):
+        diagonal = 0.0
+        for j in range(len(b)):
+            d = math.hypot(a[i, 0] - b[j, 0], a[i, 1] - b[j, 1])
+            if i == 0:
+                reached = row[j - 1] if j > 0 else 0.0
+            elif j == 0:
+                reached = row[0]
+            else:
+                reached = min(row[j], row[j - 1], diagonal)
+            diagonal = row[j]
+            row[j] = max(d, reached)
+    return row[-1]
+
+
+@njit(**_jit)
+def _warp(reference, path):
+    """The least sum of distances over a matching of points that goes back on neither."""
+    row = np.full(len(path) + 1, math.inf)
+    row[0] = 0.0
+    for i in range(len(reference)):
+        diagonal = row[0]
+        row[0] = math.inf
+        for j in range(len(path)):
+            d = math.hypot(reference[i, 0] - path[j, 0], reference[i, 1] - path[j, 1])
+            least = min(row[j + 1], row[j], diagonal)
+            diagonal = row[j + 1]
+            row[j + 1] = d + least
+    return row[-1]
+
+
+@njit(**_jit)
+def _free(x, y, ax, ay, bx, by, leash):
+    """Which part (from, to) of the leg a to b lies within `leash` of (x, y); empty: from > to."""
+    dx, dy, ox, oy = bx - ax, by - ay, ax - x, ay - y
+    square, half, rest = dx * dx + dy * dy, dx * ox + dy * oy, ox * ox + oy * oy - leash * leash
+    # Rounding must not shut what is exactly as far as the leash is long.
+    slack = 1e-12 * (1.0 + leash * leash)
+    if square == 0.0:
+        return (0.0, 1.0) if rest <= slack else (1.0, 0.0)
+    root = half * half - square * rest
+    if root < -slack * square:
+        return 1.0, 0.0
+    root = math.sqrt(max(root, 0.0))
+    low, high = max((-half - root) / square, 0.0), min((-half + root) / square, 1.0)
+    # An end of the leg that only touches is reached.
+    if low > high and low - high < 1e-9:
+        high = low
+    return low, high
+
+
+@njit(**_jit)
+def _fits(a, b, leash):
+    """Whether a leash is long enough: a way through the free space, cell by cell.
+
+    `below[i]` is what can be reached of the lower side of cell (i, j), `left` of its left side.
+    """
+    n, m = len(a), len(b)
+    if n == 1 or m == 1:
+        far = 0.0
+        for i in range(n):
+            for j in range(m):
+                far = max(far, math.hypot(a[i, 0] - b[j, 0], a[i, 1] - b[j, 1]))
+        return far <= leash
+    for end in (0, -1):
+        if math.hypot(a[end, 0] - b[end, 0], a[end, 1] - b[end, 1]) > leash * (1.0 + 1e-12):
+            return False
+    below = np.empty((n - 1, 2))
+    joined = True
+    for i in range(n - 1):
+        low, high = _free(b[0, 0], b[0, 1], a[i, 0], a[i, 1], a[i + 1, 0], a[i + 1, 1], leash)
+        joined = joined and low <= 0.0 and high >= 0.0
+        below[i, 0], below[i, 1] = (low, high) if joined else (1.0, 0.0)
+        joined = joined and high >= 1.0
+    on_left, left_low, left_high = True, 1.0, 0.0
+    for j in range(m - 1):
+        bx0, by0, bx1, by1 = b[j, 0], b[j, 1], b[j + 1, 0], b[j + 1, 1]
+        left_low, left_high = _free(a[0, 0], a[0, 1], bx0, by0, bx1, by1, leash)
+        on_left = on_left and left_low <= 0.0 and left_high >= 0.0
+        if not on_left:
+            left_low, left_high = 1.0, 0.0
+        on_left = on_left and left_high >= 1.0
+        for i in range(n - 1):
+            top_low, top_high = _free(bx1, by1, a[i, 0], a[i, 1], a[i + 1, 0], a[i + 1, 1], leash)
+            right_low, right_high = _free(a[i + 1, 0], a[i + 1, 1], bx0, by0, bx1, by1, leash)
+            from_left, from_below = left_low <= left_high, below[i, 0] <= below[i, 1]
+            # Free space in a cell is convex: from its left side all of the top is in reach, from
+            # below what lies to the right of where one came in; and so for the right side.
+            if not from_left:
+                top_low = max(top_low, below[i, 0]) if from_below else 2.0
+            if not from_below:
+                right_low = max(right_low, left_low) if from_left else 2.0
+            below[i, 0], below[i, 1] = top_low, top_high
+            left_low, left_high = right_low, right_high
+    from_left, from_below = left_low <= left_high, below[-1, 0] <= below[-1, 1]
+    return (from_left and left_high >= 1.0) or (from_below and below[-1, 1] >= 1.0)

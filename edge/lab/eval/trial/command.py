@@ -1,0 +1,93 @@
+"""`edge trajectory` itself."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+
+from edge.chat import client_of
+from edge.config import Config, WriterModel, load
+from edge.host import resources
+from edge.lab.eval.trial.files import Folder
+from edge.lab.eval.trial.trial import Outcome, carry_out
+from edge.lab.eval.trial.views import View, ViewError, kitti_view, street_view
+from edge.tasks.brief import known_names
+from edge.tasks.reading import named
+from edge.tasks.write import check_instruction
+from edge.text import aligned, one_line
+
+_STREET = re.compile(r"street:(\d{1,9})")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do it, write the files, print a table.
+
+    Raises:
+        UserError: what was given cannot be used, or nothing was written that may be driven; what
+            there is until then is in the folder.
+    """
+    check_instruction(args.instruction)
+    config = _config(args)
+    words = _words(args.instruction, config) if args.objects == "detector" else None
+    folder = Folder(resources.expand(args.out))
+    outcome, failed = carry_out(args.instruction, _view(args, config, words), config)
+    folder.save(outcome)
+    print(aligned(table(outcome, folder)))
+    if failed is not None:
+        raise failed
+    return os.EX_OK
+
+
+def table(outcome: Outcome, folder: Folder) -> list[tuple[str, str]]:
+    """What there is to say, a name and a value a row."""
+    view, refined = outcome.view, outcome.refined
+    scene, rows = view.scene, [("place", one_line(view.name))]
+    seen = f"{len(scene.objects)} things by {view.by}, {len(scene.regions)} regions of ground"
+    rows.append(("seen", seen))
+    if outcome.written is not None:
+        by_model = f"by a model, in {len(outcome.rounds)} answers"
+        rows.append(("written", one_line(outcome.written.understood or by_model)))
+    rows += [("object", f"{thing.id}: {one_line(thing.caption, 90)}") for thing in outcome.named()]
+    if refined is not None:
+        shape = f"spline of {refined.control_m:g} m" if refined.control_m else "not smoothed"
+        took = f"{outcome.length_m:.1f} m in {refined.times_s[-1]:.1f} s"
+        rows.append(("trajectory", f"{took}, {len(refined.poses)} poses, {shape}"))
+        rows += [("note", note) for note in refined.notes]
+    if (near := outcome.ends_at()) is not None:
+        rows.append(("ends", f"{near[1]:.1f} m from {near[0].label} {near[0].id}"))
+    return [*rows, ("files", f"{folder.path}: {', '.join(folder.written)}")]
+
+
+def _view(args: argparse.Namespace, config: Config, words: tuple[str, ...] | None) -> View:
+    seed = _STREET.fullmatch(args.place)
+    if seed is None and args.place.startswith("street:"):
+        raise ViewError(f"{one_line(args.place)}: no street; give it a number, as street:3")
+    if seed is None:
+        return kitti_view(resources.expand(args.place), args.frames, config, words)
+    if args.frames:
+        raise ViewError(f"{args.place}: it has no frames; leave --frames out, or give a folder")
+    return street_view(int(seed[1]), config, words)
+
+
+def _words(instruction: str, config: Config) -> tuple[str, ...]:
+    """What the detector is to look for: what the rules read as named, or, for a model, all that is
+    known as the name of a thing."""
+    if not isinstance(config.tasks.planner, WriterModel):
+        return named(instruction)
+    return known_names(instruction)
+
+
+def _config(args: argparse.Namespace) -> Config:
+    """The configuration, with `--url` and `--model` put in."""
+    config = load(args.config)
+    planner = config.tasks.planner
+    given = {key: value for key in ("url", "model") if (value := getattr(args, key)) is not None}
+    if given:
+        model = planner if isinstance(planner, WriterModel) else WriterModel()
+        planner = model.model_copy(update=given)
+        tasks = config.tasks.model_copy(update={"planner": planner})
+        config = config.model_copy(update={"tasks": tasks})
+    if isinstance(planner, WriterModel):
+        client_of(planner).close()  # a URL or a key that cannot be used is told before the work
+    return config

@@ -1,0 +1,165 @@
+"""The folder that a trial is kept in."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from edge.config import WriterModel
+from edge.errors import FileError
+from edge.host.files import make_writable, save
+from edge.lab.eval.trial.trial import Outcome, ground_heights_m
+from edge.lab.report import camera_picture, trajectory_map
+from edge.lab.report.recorder import machine
+from edge.lab.report.view3d import Line, coarse_and_refined, scene_page
+from edge.tasks.picture import annotated
+from edge.tasks.prompt import picture, prompt, words
+from edge.text import one_line
+
+OBJECTS, CAMERA, MAP, PAGE = "objects.png", "camera.png", "map.png", "scene.html"
+JSON, CSV, MODEL = "trajectory.json", "trajectory.csv", "model"
+COLUMNS = ("x_m", "y_m", "z_m", "heading_rad", "speed_mps", "time_s")
+
+
+class Folder:
+    """Where the files go.
+
+    Attributes:
+        path: of the folder.
+        written: names of the files, in the order in which they were written.
+
+    Raises:
+        FileError: nothing can be written there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.written = path, list[str]()
+        try:
+            make_writable(path)
+            # What another trial left would be taken for this one's.
+            old = [path / name for name in (OBJECTS, CAMERA, MAP, PAGE, JSON, CSV)]
+            for one in (*old, *(path / MODEL).glob("*.*")):
+                one.unlink(missing_ok=True)
+        except OSError as error:
+            raise FileError(
+                f"{path}: cannot be written: {error.strerror}: give another --out"
+            ) from None
+
+    def save(self, outcome: Outcome) -> None:
+        """Write all that there is of a trial.
+
+        Raises:
+            FileError: a file cannot be written.
+        """
+        view, refined, scene = outcome.view, outcome.refined, outcome.view.scene
+        self._picture(OBJECTS, annotated(scene))
+        coarse_m = outcome.coarse_m
+        laid_m = None
+        if coarse_m is not None:
+            laid_m = np.column_stack([coarse_m, ground_heights_m(view, coarse_m)])
+            poses_m = None if refined is None else refined.poses[:, :3]
+            half_m = outcome.config.robot.radius_m
+            self._picture(CAMERA, camera_picture.drawn(scene, laid_m, poses_m, half_m))
+        self._write(MAP, trajectory_map.png(scene, coarse_m, refined, outcome.costmap))
+        self._write(PAGE, _bytes(_page(outcome, laid_m)))
+        if refined is not None:
+            text = json.dumps(as_json(outcome), indent=1, ensure_ascii=False)
+            self._write(JSON, _bytes(text))
+            self._write(CSV, _csv(outcome).encode())
+        if isinstance(outcome.config.tasks.planner, WriterModel):
+            for name, content in _of_the_model(outcome).items():
+                self._write(f"{MODEL}/{name}", content)
+
+    def _picture(self, name: str, rgb: np.ndarray | None) -> None:
+        if rgb is not None:
+            ok, png = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+            assert ok, name
+            self._write(name, png.tobytes())
+
+    def _write(self, name: str, content: bytes) -> None:
+        save(self.path / name, content)
+        self.written.append(name)
+
+
+def as_json(outcome: Outcome) -> dict[str, object]:
+    """The trajectory and where it comes from; lengths in metres, angles in radians, times in
+    seconds, all in the frame `map`."""
+    written, refined = outcome.written, outcome.refined
+    assert written is not None
+    assert refined is not None
+    return {
+        "instruction": outcome.instruction,
+        "place": outcome.view.name,
+        "frame": "map",
+        "understood": written.understood,
+        "objects": [thing.id for thing in outcome.named()],
+        "coarse": [_rounded(points) for points in written.coarse.segments],
+        "regions": sorted(refined.drivable),
+        "length_m": round(outcome.length_m, 3),
+        "poses": _rounded(refined.poses),
+        "speeds_mps": _rounded(refined.speeds_mps),
+        "times_s": _rounded(refined.times_s),
+        "notes": list(refined.notes),
+    }
+
+
+def _csv(outcome: Outcome) -> str:
+    refined, out = outcome.refined, io.StringIO()
+    assert refined is not None
+    rows = csv.writer(out, lineterminator="\n")
+    rows.writerow(COLUMNS)
+    rows.writerows(_rounded(np.column_stack([refined.poses, refined.speeds_mps, refined.times_s])))
+    return out.getvalue()
+
+
+def _page(outcome: Outcome, laid_m: np.ndarray | None) -> str:
+    view, refined = outcome.view, outcome.refined
+    lines: tuple[Line, ...] = ()
+    if laid_m is not None and refined is not None:
+        lines = coarse_and_refined(laid_m, refined)
+    elif laid_m is not None:
+        lines = (Line("as it was written", laid_m, trajectory_map.COARSE, 2.0),)
+    facts = [("place", view.name), ("objects told by", view.by)]
+    if outcome.written is not None and outcome.written.understood:
+        facts.append(("understood", outcome.written.understood))
+    if refined is not None:
+        facts.append(("length", f"{outcome.length_m:.1f} m in {refined.times_s[-1]:.1f} s"))
+        facts += [("note", note) for note in refined.notes]
+    if outcome.error:
+        facts.append(("refused", outcome.error))
+    return scene_page(
+        one_line(outcome.instruction, 120), view.scene, lines, machine(), refined=refined,
+        cloud_m=view.cloud_m, facts=facts, ground_m=view.base_z_m,
+    )  # fmt: skip
+
+
+def _of_the_model(outcome: Outcome) -> dict[str, bytes]:
+    """What the model was told and shown, and each of its answers, by file name."""
+    tasks, scene = outcome.config.tasks, outcome.view.scene
+    assert isinstance(tasks.planner, WriterModel)
+    told = words(outcome.instruction, scene, tasks.trajectory)
+    files = {"prompt.txt": _bytes(f"{prompt()}\n\n{told}\n")}
+    jpeg = picture(scene) if tasks.planner.picture else None
+    if jpeg is not None:
+        files["picture.jpg"] = jpeg
+    for k, round in enumerate(outcome.rounds, start=1):
+        kinds = {"answer": "txt", "code": "py", "printed": "txt", "error": "txt"}
+        for name, text in asdict(round).items():
+            if text:
+                files[f"round-{k}-{name}.{kinds[name]}"] = _bytes(text)
+    return files
+
+
+def _bytes(text: str) -> bytes:
+    """Of a text that may hold what UTF-8 has not: a model's answer, a command line."""
+    return text.encode("utf-8", errors="replace")
+
+
+def _rounded(values: np.ndarray) -> list:
+    return np.round(values, 4).tolist()

@@ -1,0 +1,214 @@
+"""Episodes one by one, by several processes, or by a Ray cluster: the same outcomes from each.
+
+A task is an episode of a column; whoever runs it gets all that it needs with it, so that nothing
+depends on what ran before it. What breaks a task costs its own outcome and no other.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import connection, get_context
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+
+from edge.errors import Stopped, UserError
+from edge.lab.eval.columns import Column
+from edge.lab.eval.drive import in_process, over_zenoh, run_episode
+from edge.lab.eval.episodes import Episode
+from edge.lab.eval.outcome import Outcome, crashed
+
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)
+_LOOK_S = 0.5
+_END_S = 5.0
+_AHEAD = 2  # tasks that Ray is given at a time, for each of its cores
+
+
+class Task(NamedTuple):
+    """An episode of a column.
+
+    Attributes:
+        processes: over Zenoh, with simulator and controller in processes of their own.
+        page: a folder for a report; None: none is written.
+    """
+
+    column: Column
+    episode: Episode
+    processes: bool = False
+    page: Path | None = None
+
+
+def run_task(task: Task, stop: threading.Event | None = None) -> Outcome:
+    """
+    Raises:
+        Stopped: `stop` was set before its end.
+    """
+    drive = over_zenoh if task.processes else in_process
+    return run_episode(task.column, task.episode, drive, task.page, stop)
+
+
+def one_by_one(tasks: Iterable[Task], stop: threading.Event) -> Iterator[Outcome]:
+    """In this process."""
+    for task in tasks:
+        if stop.is_set():
+            return
+        try:
+            yield run_task(task, stop)
+        except Stopped:
+            return
+
+
+# -- processes ------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class _Worker:
+    """A process, and what it is at."""
+
+    process: Any
+    pipe: connection.Connection
+    task: Task | None = None
+
+    def give(self, task: Task) -> None:
+        self.task = task
+        self.pipe.send(task)
+
+    def take(self) -> Outcome:
+        """What came of its task; a process that ended has failed it."""
+        task, self.task = self.task, None
+        assert task is not None
+        try:
+            return self.pipe.recv()
+        except (EOFError, OSError):
+            self.process.join(_END_S)
+            code = self.process.exitcode
+            return crashed(task.column, task.episode, f"its process ended (exit code {code})")
+
+
+def by_workers(tasks: Iterable[Task], count: int, stop: threading.Event) -> Iterator[Outcome]:
+    """By `count` processes of one thread each; outcomes come as they are done.
+
+    When `stop` is set, what is under way is left out.
+    """
+    waiting = deque(tasks)
+    workers: list[_Worker] = []
+    try:
+        while waiting or any(worker.task for worker in workers):
+            workers = [worker for worker in workers if worker.task or worker.process.is_alive()]
+            while waiting and len(workers) < count:
+                workers.append(_start())
+            for worker in workers:
+                if worker.task is None and waiting:
+                    worker.give(waiting.popleft())
+            busy = {worker.pipe: worker for worker in workers if worker.task is not None}
+            ready = connection.wait(list(busy), _LOOK_S)
+            if stop.is_set():
+                return
+            yield from (busy[pipe].take() for pipe in ready)
+    finally:
+        for worker in workers:
+            worker.process.terminate()
+        for worker in workers:
+            worker.process.join(_END_S)
+
+
+def _start() -> _Worker:
+    context = get_context("spawn")
+    mine, theirs = context.Pipe()
+    process = context.Process(target=_serve, args=(theirs,), name="episodes", daemon=False)
+    with _environment(ONE_THREAD):
+        process.start()
+    theirs.close()
+    return _Worker(process, mine)
+
+
+@contextmanager
+def _environment(values: dict[str, str]) -> Iterator[None]:
+    """For processes started meanwhile: a library reads these when it is loaded."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _serve(pipe: connection.Connection) -> None:
+    """A worker's life: it ends with its parent, whose Ctrl-C is not for it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    cv2.setNumThreads(1)
+    while True:
+        try:
+            task = pipe.recv()
+        except EOFError:
+            return
+        pipe.send(run_task(task))
+
+
+# -- Ray ------------------------------------------------------------------------------------------
+
+
+def by_ray(tasks: Iterable[Task], address: str, stop: threading.Event) -> Iterator[Outcome]:
+    """By a Ray cluster, whose machines have this package and the worlds' files at the same paths.
+
+    Args:
+        address: of the cluster's head; `local` starts one on this machine, which ends with this.
+
+    Raises:
+        UserError: Ray is not installed, or there is no cluster at the address.
+    """
+    try:
+        import ray
+    except ImportError:
+        raise UserError("--ray needs Ray: pip install 'edge-vln[ray]'") from None
+    environ = {**ONE_THREAD, **{k: v for k, v in os.environ.items() if k.startswith("EDGE_")}}
+    try:
+        ray.init(
+            address=None if address == "local" else address, include_dashboard=None,
+            runtime_env={"env_vars": environ}, log_to_driver=False, logging_level="ERROR",
+        )  # fmt: skip
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        raise UserError(f"--ray {address}: no cluster there: {error}") from None
+    try:
+        yield from _through(ray, deque(tasks), stop)
+    finally:
+        ray.shutdown()
+
+
+def _through(ray: Any, waiting: deque[Task], stop: threading.Event) -> Iterator[Outcome]:
+    run = ray.remote(num_cpus=1, max_retries=0)(run_task)
+    most = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
+    under_way: dict[Any, Task] = {}
+    while (waiting or under_way) and not stop.is_set():
+        while waiting and len(under_way) < most:
+            task = waiting.popleft()
+            under_way[run.remote(task)] = task
+        done, _ = ray.wait(list(under_way), timeout=_LOOK_S)
+        for reference in done:
+            task = under_way.pop(reference)
+            try:
+                yield ray.get(reference)
+            except ray.exceptions.RayError as error:
+                yield crashed(task.column, task.episode, str(error))
+
+
+def outcomes_of(
+    tasks: Sequence[Task], workers: int, ray: str | None, stop: threading.Event
+) -> Iterator[Outcome]:
+    """By whichever is asked for: a cluster, several processes, or this one."""
+    if ray is not None:
+        return by_ray(tasks, ray, stop)
+    return by_workers(tasks, workers, stop) if workers > 1 else one_by_one(tasks, stop)

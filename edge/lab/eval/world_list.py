@@ -1,0 +1,87 @@
+"""Worlds by lists: which ones an evaluation takes, and the one at hand, loaded once."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+from edge.config import Config, parse
+from edge.errors import UserError
+from edge.host import resources
+from edge.lab.sim.base import World
+from edge.lab.sim.procthor import read_houses
+from edge.lab.sim.worlds import load_world
+
+Section = dict[str, Any]
+"""`sim.world` of a configuration."""
+
+KNOWN = "FILE.jsonl.gz[0:75], generated[1000:1050], house:NAME, MESH.glb,OBJECTS.json"
+_SPEC = re.compile(r"^(?P<name>.+?)(?:\[(?P<first>\d*)(?P<to>:(?P<end>\d*))?\])?$")
+_MAX_SEEDS = 100_000
+_LOADED = 2
+
+
+def sections(specs: Sequence[str]) -> list[Section]:
+    """What `--worlds` names, in its order.
+
+    Args:
+        specs: each `KNOWN` shows a form: houses of a ProcTHOR file by their places in it,
+            generated houses by seed, a built-in house or a house's file, a mesh with its objects.
+
+    Raises:
+        UserError: one is of no such form, or its range is empty.
+    """
+    return [section for spec in specs for section in _sections(spec)]
+
+
+def _sections(spec: str) -> list[Section]:
+    matched = _SPEC.match(spec)
+    name, ranged = matched["name"], matched["first"] is not None
+    if name.endswith((".jsonl", ".jsonl.gz")):
+        houses = [house.get("name") for house in read_houses(resources.expand(name))]
+        chosen = [houses[k] for k in _range(spec, matched, len(houses)) if k < len(houses)]
+        if not chosen:
+            raise UserError(f"--worlds {spec}: {name} has {len(houses)} houses, none of them there")
+        return [{"kind": "procthor", "file": name, "name": house} for house in chosen]
+    if name == "generated" and ranged:
+        seeds = _range(spec, matched, None)
+        return [{"kind": "generated", "seed": seed} for seed in seeds]
+    built_in, colon, house = name.partition(":")
+    if (built_in, colon) == ("house", ":") and house and not ranged:
+        return [{"kind": "house", "house": house}]
+    mesh, comma, objects = name.partition(",")
+    if comma and objects and not ranged:
+        return [{"kind": "mesh", "mesh": mesh, "objects": objects}]
+    raise UserError(f"--worlds {spec}: not understood (forms: {KNOWN})")
+
+
+def _range(spec: str, matched: re.Match[str], length: int | None) -> range:
+    """The numbers in `[first:end]`, `[one]` or, of what has an end, nothing."""
+    if matched["first"] is None:
+        return range(length or 0)
+    first = int(matched["first"] or 0)
+    end = first + 1 if matched["to"] is None else int(matched["end"] or length or 0)
+    if not first < end <= first + _MAX_SEEDS:
+        raise UserError(f"--worlds {spec}: an empty range, or one without an end")
+    return range(first, end)
+
+
+def load(config: Config) -> World:
+    """The world of a configuration; those loaded last are kept.
+
+    Raises:
+        edge.lab.sim.base.WorldError: see `load_world`.
+    """
+    # All that a world is made of: the robot's height and the camera's depths besides its file.
+    about = config.model_dump(mode="json", include={"robot", "sensors", "sim", "perception"})
+    about["sim"] = {"world": about["sim"]["world"]}
+    about["perception"] = {"detector": {"kind": "sim"}}
+    return _loaded(json.dumps(about, sort_keys=True), config.path)
+
+
+@lru_cache(maxsize=_LOADED)
+def _loaded(about: str, path: str) -> World:
+    return load_world(parse(json.loads(about), path))

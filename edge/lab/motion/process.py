@@ -1,0 +1,218 @@
+"""The reference motion controller as a process of its own on the Zenoh bus.
+
+Reads `map`, `goal` and `odom`, writes `cmd_vel` and `goal_status` (`edge/bus/topics.py`). Any other
+controller that does so can take its place.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+import zenoh
+
+from edge.bus import topics
+from edge.bus.session import Ring, declare_publisher, zenoh_session
+from edge.bus.topics import Topic
+from edge.bus.wire import messages
+from edge.config import Config
+from edge.geometry import SE2, Grid, se2_of
+from edge.host.interruptible import unless_stopped
+from edge.lab.motion.controller import Controller
+from edge.text import bounded_repr, read_json_object
+from edge.trajectory.pursuit import STOP, Command
+from edge.types import GoalStatus
+
+log = logging.getLogger("edge.lab.motion")
+T = TypeVar("T")
+
+ODOMETRY_LOST_S = 1.0
+MAP_LOST_S = 3.0  # or three maps, where they come less often
+_PAUSE_S = 0.0003  # between two looks at the rings, in lockstep
+_RINGS = {topics.MAP: 1, topics.GOAL: 8, topics.ODOMETRY: 64, topics.TICK: 16}
+_MAX_JSON = 4096
+
+
+def main(config: Config, stop: threading.Event) -> int:
+    """Run until `stop` is set; returns the exit status."""
+    unless_stopped(partial(warm_up, config), stop)
+    with zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
+        bus = Bus(session, config)
+        controller = Controller(config)
+        try:
+            if config.sim.lockstep:
+                run_lockstep(bus, controller, stop)
+            else:
+                run(bus, controller, stop, config)
+        finally:
+            bus.close()
+    return 0
+
+
+def warm_up(config: Config) -> None:
+    """Drive one step on a small map, so that no goal waits for a compiler."""
+    controller = Controller(config)
+    controller.on_map(Grid(np.zeros((64, 64), np.int8), (0.0, 0.0), 0.05))
+    controller.on_goal(1, SE2(2.0, 1.0, 0.0))
+    controller.step(SE2(0.5, 0.5, 0.0), 0.0, 0.0, 0)
+
+
+class Bus:
+    """The controller's topics: what came in since the last look, and what goes out.
+
+    Attributes:
+        malformed: messages that could not be read, by topic key.
+        map_heard_s: when the newest map came (`time.monotonic`); None before the first.
+    """
+
+    def __init__(self, session: zenoh.Session, config: Config) -> None:
+        settings, lockstep = config.zenoh, config.sim.lockstep
+        self.malformed: dict[str, int] = {}
+        self.map_heard_s: float | None = None
+        self._lockstep = lockstep
+        self._map_ns: int | None = None
+        self._max_bytes = int(config.source.max_message_mb * 1e6)
+        self._rings = {
+            topic: Ring(session, settings.key(topic.key), kept) for topic, kept in _RINGS.items()
+        }
+        # In lockstep simulator and service wait for every message: none may be dropped.
+        change = {"qos": "block"} if lockstep else {}
+        self._commands, self._answers = (
+            declare_publisher(session, replace(topic, **change), settings)
+            for topic in (topics.CMD_VEL, topics.GOAL_STATUS)
+        )
+
+    def read(self, topic: Topic, decode: Callable[[bytes], T]) -> list[T]:
+        """What came, oldest first, at most a ring's worth; what cannot be read is counted."""
+        read = []
+        for sample in self._rings[topic].take():
+            try:
+                if len(sample.payload) > self._max_bytes:
+                    raise ValueError(f"{len(sample.payload)} bytes, over source.max_message_mb")
+                read.append(decode(sample.payload.to_bytes()))
+            except ValueError as error:
+                self._count(topic, error)
+        return read
+
+    def _count(self, topic: Topic, error: Exception) -> None:
+        self.malformed[topic.key] = self.malformed.get(topic.key, 0) + 1
+        if self.malformed[topic.key] == 1:
+            log.warning("%s: %s; further ones are only counted", topic.key, error)
+
+    def command(self, command: Command, stamp_ns: int) -> None:
+        self._commands.put(messages.encode_twist_stamped(stamp_ns, command.v_mps, command.w_radps))
+
+    def answer(self, answers: list[GoalStatus]) -> None:
+        for a in answers:
+            data = {"stamp": a.stamp_ns, "state": a.state, "reason": a.reason}
+            if a.blocked is not None:
+                data["blocked"] = a.blocked
+            self._answers.put(json.dumps(data).encode())
+
+    def feed(self, controller: Controller) -> None:
+        """Give the controller the newest map and all goals, and send its answers."""
+        for stamp_ns, grid in self.read(topics.MAP, messages.decode_occupancy_grid):
+            # In lockstep one is sent again while nobody answers, which is no newer map: taking it
+            # in would plan anew, and the run depend on how slow the computer is.
+            if self._lockstep and stamp_ns == self._map_ns:
+                continue
+            try:
+                controller.on_map(grid)
+                self._map_ns = stamp_ns
+                self.map_heard_s = time.monotonic()
+            except ValueError as error:
+                self._count(topics.MAP, error)
+        for stamp_ns, goal in self.read(topics.GOAL, messages.decode_pose_stamped):
+            self.answer(controller.on_goal(stamp_ns, goal))
+
+    def close(self) -> None:
+        for ring in self._rings.values():
+            ring.close()
+        for publisher in (self._commands, self._answers):
+            publisher.undeclare()
+
+
+def parse_tick(payload: bytes) -> int:
+    """The stamp of `{"stamp": ns}`.
+
+    Raises:
+        ValueError: with one line that says what is wrong.
+    """
+    stamp = read_json_object(payload, _MAX_JSON).get("stamp")
+    if type(stamp) is not int:
+        raise ValueError(f"stamp: expected nanoseconds, got {bounded_repr(stamp, 40)}")
+    return stamp
+
+
+def run(bus: Bus, controller: Controller, stop: threading.Event, config: Config) -> None:
+    """Step at `motion.rate_hz` on the newest odometry.
+
+    The robot is stopped when there is no odometry for 1 s, and when the maps that it was driven
+    by have ceased: whoever sends them no longer sees where it goes.
+    """
+    period_s = 1.0 / config.motion.rate_hz
+    map_lost_s = max(MAP_LOST_S, 3.0 / config.report.map_hz)
+    stamp_ns, heard_s, is_held = 0, None, False
+    due_s = time.monotonic()
+    while not stop.wait(max(due_s - time.monotonic(), 0.0)):
+        due_s = max(due_s + period_s, time.monotonic())
+        odometry = bus.read(topics.ODOMETRY, messages.decode_odometry)
+        bus.feed(controller)
+        was_held, is_held = is_held, _is_lost(bus.map_heard_s, map_lost_s)
+        if is_held and not was_held:
+            log.warning("no map for %.1f s: standing still until one comes", map_lost_s)
+            controller.pause()
+        if odometry and odometry[-1].stamp_ns != stamp_ns:
+            newest = odometry[-1]
+            stamp_ns, heard_s = newest.stamp_ns, time.monotonic()
+            bus.command(*((STOP, stamp_ns) if is_held else _step(bus, controller, newest)))
+        elif _is_lost(heard_s, ODOMETRY_LOST_S):
+            bus.command(STOP, stamp_ns)
+    if heard_s is not None:
+        bus.command(STOP, stamp_ns)
+
+
+def _is_lost(heard_s: float | None, after_s: float) -> bool:
+    """Whether something that was heard once has been silent for so long."""
+    return heard_s is not None and time.monotonic() - heard_s > after_s
+
+
+def run_lockstep(bus: Bus, controller: Controller, stop: threading.Event) -> None:
+    """Answer each odometry stamp once the service's tick for it has come.
+
+    A tick is sent after the map and the goal that came with it, so ticks are read first. A
+    stamp that comes again (its answer was lost) is answered again with the same command.
+    """
+    last: tuple[Command, int] | None = None
+    waiting: dict[int, messages.Odometry] = {}
+    tick_ns: int | None = None
+    while not stop.wait(_PAUSE_S):
+        ticks = bus.read(topics.TICK, parse_tick)
+        arrived = bus.read(topics.ODOMETRY, messages.decode_odometry)
+        tick_ns = ticks[-1] if ticks else tick_ns
+        waiting.update((o.stamp_ns, o) for o in arrived)
+        bus.feed(controller)
+        if last is not None and (last[1] in ticks or last[1] in waiting):
+            waiting.pop(last[1], None)
+            bus.command(*last)
+        if tick_ns in waiting:
+            last = _step(bus, controller, waiting[tick_ns])
+            waiting = {t: o for t, o in waiting.items() if t > tick_ns}
+            bus.command(*last)
+        while len(waiting) > _RINGS[topics.ODOMETRY]:
+            del waiting[next(iter(waiting))]
+
+
+def _step(bus: Bus, controller: Controller, odometry: messages.Odometry) -> tuple[Command, int]:
+    """Step, send the answers; the command and its stamp are for the caller to send."""
+    pose = se2_of(odometry.T_map_base)
+    command, answers = controller.step(pose, odometry.v_mps, odometry.w_radps, odometry.stamp_ns)
+    bus.answer(answers)
+    return command, odometry.stamp_ns

@@ -1,0 +1,104 @@
+"""Getting a robot free that does not move: out the way it came, else back up, else turn."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from edge.geometry import SE2, wrap_angle
+from edge.trajectory.costmap import CostMap
+from edge.trajectory.pursuit import TURN_GAIN, Command, MotionLimits, turn
+
+BACK_MPS = 0.12
+BACK_M = 0.3
+HELD_M = 0.05
+TURN_RAD = 0.6
+TIME_NS = 5_000_000_000
+FACING_RAD = 0.5  # the trail lies farther to the side: turn to it before driving
+STEP_M, JUMP_M, STEPS = 0.05, 0.5, 40
+
+
+class Trail:
+    """The last metres that the robot drove, without loops.
+
+    Attributes:
+        xy_m: places `STEP_M` apart, oldest first.
+    """
+
+    def __init__(self) -> None:
+        self.xy_m: deque[tuple[float, float]] = deque(maxlen=STEPS)
+
+    def extend(self, pose: SE2) -> None:
+        """Add the pose if the robot moved; start over after a jump.
+
+        Where the robot comes back to the trail, what it drove since then is dropped.
+        """
+        moved_m = pose.distance_to(*self.xy_m[-1]) if self.xy_m else math.inf
+        if moved_m > JUMP_M:
+            self.xy_m.clear()
+        if moved_m < STEP_M:
+            return
+        back_at = next((i for i, at in enumerate(self.xy_m) if pose.distance_to(*at) < STEP_M), -1)
+        if back_at < 0:
+            self.xy_m.append((pose.x_m, pose.y_m))
+        else:
+            while len(self.xy_m) > back_at + 1:
+                self.xy_m.pop()
+
+    def back_from(self, pose: SE2) -> list[tuple[float, float]]:
+        """Return the way back from a pose, nearest first, up to the first place `BACK_M` away."""
+        way: list[tuple[float, float]] = []
+        for at in reversed(self.xy_m):
+            away_m = pose.distance_to(*at)
+            if away_m >= STEP_M:
+                way.append(at)
+            if away_m >= BACK_M:
+                break
+        return way if way and pose.distance_to(*way[-1]) >= BACK_M else []
+
+
+class Recovery:
+    """One attempt, at most `TIME_NS` long.
+
+    The robot goes back along its trail, in reverse where that is nearer to how it stands. Without
+    a trail it backs up straight where the map is open, else it turns.
+
+    Args:
+        pose: where the robot is held up.
+        trail: where it drove before.
+    """
+
+    def __init__(
+        self, pose: SE2, costmap: CostMap | None, trail: Trail, limits: MotionLimits, now_ns: int
+    ) -> None:
+        self._start, self._since_ns, self._limits = pose, now_ns, limits
+        self._way = trail.back_from(pose)
+        behind = pose.ahead(-BACK_M)
+        if not self._way and costmap is not None and costmap.is_free(*behind):
+            self._way = [behind]
+        self._turns = not self._way
+        self._drove_back = False  # in reverse
+
+    def is_held(self, pose: SE2) -> bool:
+        """Return whether it drove in reverse and the robot is where it was."""
+        return self._drove_back and pose.distance_to(self._start.x_m, self._start.y_m) < HELD_M
+
+    def step(self, pose: SE2, now_ns: int) -> Command | None:
+        """Return what to do now; None when the attempt is over."""
+        if not 0 <= now_ns - self._since_ns < TIME_NS:
+            return None
+        if self._turns:
+            left = TURN_RAD - abs(wrap_angle(pose.yaw_rad - self._start.yaw_rad))
+            return None if left <= 0.05 else turn(left, self._limits)
+        while self._way and pose.distance_to(*self._way[0]) < STEP_M:
+            self._way.pop(0)
+        if not self._way or pose.distance_to(self._start.x_m, self._start.y_m) >= BACK_M:
+            return None
+        error = pose.bearing_to(*self._way[0])
+        reverse = abs(error) > 0.5 * math.pi
+        if reverse:
+            error = wrap_angle(error + math.pi)
+        if abs(error) > FACING_RAD:
+            return turn(error, self._limits)
+        self._drove_back = reverse
+        return self._limits.clip(-BACK_MPS if reverse else BACK_MPS, TURN_GAIN * error)

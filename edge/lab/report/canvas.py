@@ -1,0 +1,129 @@
+"""Pages to draw on with matplotlib, and their content as SVG and PNG.
+
+matplotlib is imported where it is used: importing it takes long.
+"""
+
+from __future__ import annotations
+
+import io
+import unicodedata
+import warnings
+from html import escape
+from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import quote
+
+from edge.lab.report import palette
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PAPER = "#ffffff"
+PNG_SCALE = 2.0
+_MOST_SAID = 4000  # characters about a drawing for who cannot see it
+
+
+class Style(NamedTuple):
+    """The look of a line: Okabe and Ito's colours, which colour-blind readers can tell apart, then
+    four more; and a mark and a dash of its own for where colour is missing."""
+
+    colour: str
+    mark: str
+    dash: str | tuple
+
+
+_COLOURS = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8a8a8a",
+    "#882255", "#5d3a9b", "#7f4f1c", "#a6b51e",
+)  # fmt: skip
+_MARKS = "osD^vP*X"
+_DASHES: tuple[str | tuple, ...] = ("-", (0, (5, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
+
+
+def style_of(index: int) -> Style:
+    """Return the look of a line by its place; after twelve, colours come again, dashed."""
+    k, turn = index % len(_COLOURS), index // len(_COLOURS)
+    return Style(_COLOURS[k], _MARKS[(k + turn) % len(_MARKS)], _DASHES[(k + turn) % len(_DASHES)])
+
+
+def page(width_px: float, height_px: float) -> Axes:
+    """Empty axes that fill a figure: x to the right and y downwards, in px of the SVG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    # 72 px an inch: one unit of the axes is a point, in which matplotlib gives sizes.
+    figure = Figure(figsize=(width_px / 72, height_px / 72), dpi=72, facecolor=PAPER)
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0, 0, 1, 1), xlim=(0, width_px), ylim=(height_px, 0))
+    axes.axis("off")
+    return axes
+
+
+def plots(
+    size_in: tuple[float, float], dpi: int, columns: int = 1, rows: int = 1
+) -> tuple[Figure, list[Axes]]:
+    """A figure with empty axes for numbers, row by row: a grid, and no frame around it."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(size_in, dpi, facecolor=PAPER, layout="constrained")
+    FigureCanvasAgg(figure)
+    every = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    for axes in every:
+        axes.grid(color=palette.UNKNOWN, linewidth=0.7)
+        axes.set_axisbelow(True)
+        for side, spine in axes.spines.items():
+            spine.set_visible(side in ("left", "bottom"))
+            spine.set_color(palette.INFLATED)
+        axes.tick_params(colors=palette.MUTED, labelsize=9)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.label.set_color(palette.INK)
+    return figure, every
+
+
+def write(axes: Axes, text: str, x: float, y: float, size: float, **style: Any) -> None:
+    """Plain text, vertically centred at `y`."""
+    axes.text(x, y, text, fontsize=size, va="center_baseline", parse_math=False, **style)
+
+
+def text_width(text: str, size: float) -> float:
+    """About how wide text is in a sans-serif face, on the wide side."""
+    ems = sum(1.0 if unicodedata.east_asian_width(c) in "WF" else 0.6 for c in text)
+    return ems * size
+
+
+def content(figure: Figure, kind: str, **options: Any) -> bytes:
+    """A figure as the content of an "svg" or "png" file; the same for the same drawing."""
+    from matplotlib import rc_context
+
+    out = io.BytesIO()
+    metadata = {"Date": None} if kind == "svg" else None
+    # Text stays text: a browser knows more letters than matplotlib's own face.
+    with rc_context({"svg.hashsalt": "edge", "svg.fonttype": "none"}), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
+        figure.savefig(out, format=kind, metadata=metadata, **options)
+    return out.getvalue()
+
+
+def svg(axes: Axes) -> bytes:
+    """A page as an SVG file's content."""
+    return content(axes.figure, "svg")
+
+
+def png(axes: Axes) -> bytes:
+    """A page as a PNG file's content, `PNG_SCALE` pixels to a px."""
+    return content(axes.figure, "png", dpi=72 * PNG_SCALE)
+
+
+def img(axes: Axes, words: str) -> str:
+    """A page as an `<img>` that holds its SVG: no script can run in it, nothing is fetched.
+
+    Args:
+        words: what it shows.
+    """
+    width_px = 72 * axes.figure.get_figwidth()
+    source = quote(svg(axes).decode("utf-8"), safe=" /:=(),;'")
+    return (
+        f'<img style="display:block;width:100%;max-width:{width_px:.0f}px;height:auto" '
+        f'alt="{escape(words[:_MOST_SAID])}" src="data:image/svg+xml,{source}">'
+    )

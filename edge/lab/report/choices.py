@@ -1,0 +1,112 @@
+"""The few moments of a run in which a model chose a direction, that its report shows."""
+
+from __future__ import annotations
+
+from html import escape
+
+import cv2
+import numpy as np
+
+from edge.geometry import Grid
+from edge.lab.report import raster
+from edge.lab.report.album import MAX_FRAME_PX
+from edge.lab.report.document import data_url
+from edge.lab.report.record import Asked, RunRecord
+from edge.loop.result import TickResult
+from edge.perception.choice.picture import draw, visible_marks
+from edge.perception.choice.question import LETTERS
+from edge.policies.base import FRONTIER
+
+JPEG_QUALITY = 85
+MAX_VALUE_PX = 640
+_FIRST_NS = 2_000_000_000
+
+
+class Choices:
+    """At most `capacity` answers, spread over the run: when it is full every other one goes, and
+    the time between those to come doubles."""
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._kept: list[Asked] = []
+        self._apart_ns, self._last_ns = _FIRST_NS, 0
+
+    def offer(self, result: TickResult) -> None:
+        """Copy the image with the letters of the newest answer, if the last is old enough."""
+        choice, observation = result.choice, result.observation
+        if self._capacity == 0 or choice is None or observation is None or observation.rgb is None:
+            return
+        if choice.stamp_ns == self._last_ns or (
+            self._kept and 0 <= choice.stamp_ns - self._last_ns < self._apart_ns
+        ):
+            return
+        there = result.candidates()
+        mine = np.isin(there.id, choice.ids) & (there.kind == FRONTIER)
+        marks = visible_marks(observation, there.xy_m[mine], there.id[mine])
+        if not marks:  # the robot has turned away meanwhile
+            return
+        image, lettered = draw(observation.rgb, marks, MAX_FRAME_PX)
+        p = dict(zip(choice.ids, choice.p.tolist(), strict=True))
+        said = tuple((a, p[m.id]) for a, m in zip(LETTERS, lettered, strict=False))
+        self._last_ns = choice.stamp_ns
+        self._kept.append(
+            Asked(choice.stamp_ns, image, choice.target, said, choice.elsewhere, choice.scene)
+        )
+        if len(self._kept) > self._capacity:
+            del self._kept[1::2]
+            self._apart_ns *= 2
+
+    def kept(self) -> tuple[Asked, ...]:
+        """In order of time."""
+        return tuple(self._kept)
+
+
+def section(record: RunRecord) -> str:
+    """Letters, answers and the value maps in HTML; empty where no model was asked."""
+    if not record.asked and not record.values:
+        return ""
+    figures = "".join(_figure(one, record) for one in record.asked)
+    figures += "".join(_value(name, grid) for name, grid in record.values.items())
+    return (
+        f"<section><h2>Directions: what was asked, and the value map at the end</h2>"
+        f'<div class="frames">{figures}</div><p class="note">Letters: the frontiers in view; '
+        "V = S · P of ViTL eq. 6. The value map is brighter where more is promised.</p></section>"
+    )
+
+
+def _figure(asked: Asked, record: RunRecord) -> str:
+    h, w = asked.rgb.shape[:2]
+    said = " · ".join(f"{letter} {p:.2f}" for letter, p in asked.letters)
+    words = (
+        f"{record.seconds(asked.stamp_ns):.1f} s, {asked.target}: {said} · elsewhere "
+        f"{asked.elsewhere:.2f}; scene {asked.scene:.2f}"
+    )
+    return _svg(_jpeg(asked.rgb), w, h, words)
+
+
+def _value(name: str, grid: Grid) -> str:
+    """The known part of a value map, the highest of it white."""
+    known = grid.cells > 0
+    if not known.any():
+        return ""
+    rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+    cells = grid.cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    step = -(-max(cells.shape) // MAX_VALUE_PX)
+    cells = cells[::step, ::step][::-1]  # y points up
+    shown = cv2.applyColorMap(np.ascontiguousarray(cells), cv2.COLORMAP_VIRIDIS)[..., ::-1]
+    shown = np.where((cells > 0)[..., None], shown, raster.colour(np.array([-1]))[0])
+    h, w = cells.shape
+    return _svg(_jpeg(np.ascontiguousarray(shown, np.uint8)), w, h, name)
+
+
+def _jpeg(rgb: np.ndarray) -> bytes:
+    bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
+    return cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes()
+
+
+def _svg(jpeg: bytes, w: int, h: int, words: str) -> str:
+    return (
+        f'<figure><svg viewBox="0 0 {w} {h}" role="img">'
+        f'<image width="{w}" height="{h}" href="{data_url("jpeg", jpeg)}"/></svg>'
+        f"<figcaption>{escape(words)}</figcaption></figure>"
+    )

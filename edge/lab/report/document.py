@@ -1,0 +1,43 @@
+"""A self-contained HTML document: nothing is fetched, and no script runs but the one given."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from html import escape
+
+import edge
+from edge.lab.report.style import CSS
+
+
+def document(title: str, body: str, machine: str, style: str = "", script: str = "") -> str:
+    """A whole page in the reports' style, with a footer that names version and machine.
+
+    Args:
+        title, machine: plain text.
+        body: markup, every text in it escaped.
+        style: rules beside the reports' own.
+        script: what may run in it; the page's policy holds its hash, so nothing else can.
+    """
+    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+    if script:
+        digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+        policy += f"; script-src 'sha256-{digest}'"
+    footer = f"<footer>edge {edge.__version__} · {escape(machine)}</footer>"
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{CSS}{style}</style></head>"
+        f"<body><main>{body}{footer}</main>"
+        f"{f'<script>{script}</script>' if script else ''}</body></html>\n"
+    )
+
+
+def data_url(kind: str, content: bytes) -> str:
+    """An image within the page.
+
+    Args:
+        kind: "png" or "jpeg".
+    """
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"

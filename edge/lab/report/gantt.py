@@ -1,0 +1,171 @@
+"""A mission over time: which target was pursued when, and what became of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+from edge.lab.report import canvas, palette
+from edge.lab.report.record import RunRecord
+from edge.text import shorten
+from edge.types import Step
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+WIDTH = 1100.0
+LEFT, RIGHT, TOP, ROW, FOOT = 170.0, 24.0, 14.0, 28.0, 62.0
+BAR = 0.5  # of a row
+TEXT = 11.0
+MAX_ROWS = 40
+LINE, ZEBRA = "#dde2ea", "#f6f8fb"
+# What happened to a target: matplotlib's mark, its fill, its rim, its size in px, what it means.
+MARKS = {
+    "seen": ("o", "#ffffff", palette.INK, 9.0, "seen"),
+    "warning": ("^", palette.WARNING, palette.WARNING, 11.0, "warning"),
+    "failed": ("X", palette.OUTCOME["failed"], "#ffffff", 15.0, "failed"),
+    "reached": ("o", palette.OUTCOME["reached"], "#ffffff", 18.0, "reached, in this order"),
+}
+TICKS_S = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600, 7200, 18000, 36000)
+
+
+class Span(NamedTuple):
+    """A time in which one target was pursued; `settled` when it was reached or failed then."""
+
+    label: str
+    start_s: float
+    end_s: float
+    settled: bool
+    reason: str
+
+
+def spans(record: RunRecord) -> list[Span]:
+    """The targets that were pursued, in order of time."""
+    done: list[Span] = []
+    pursued: Step | None = None
+    settled = False
+    for step in record.steps:
+        if step.kind in ("target", "end"):
+            done += _span(record, pursued, record.seconds(step.stamp_ns), settled)
+            pursued, settled = (step if step.kind == "target" else None), False
+        elif pursued is not None and step.label == pursued.label:
+            settled |= step.kind in ("reached", "failed")
+    return done + _span(record, pursued, _last_s(record), True)
+
+
+def _span(record: RunRecord, step: Step | None, end_s: float, settled: bool) -> list[Span]:
+    if step is None:
+        return []
+    start_s = record.seconds(step.stamp_ns)
+    return [Span(step.label, start_s, max(start_s, end_s), settled, step.text)]
+
+
+def _last_s(record: RunRecord) -> float:
+    """When the newest thing that the record knows of happened."""
+    times = [t_s for t_s, _ in record.events[-1:]]
+    times += record.trajectory_t_s[-1:].tolist()
+    times += [record.seconds(step.stamp_ns) for step in record.steps[-1:]]
+    return max(times, default=0.0)
+
+
+def draw(record: RunRecord) -> Axes | None:
+    """Bars for what was pursued, marks for what happened; None when there is nothing to show."""
+    steps = record.steps
+    labels = list(dict.fromkeys(s.label for s in steps if s.label))
+    if not labels:
+        return None
+    rows = {label: k for k, label in enumerate(labels[:MAX_ROWS])}
+    begin_s = min(0.0, record.seconds(steps[0].stamp_ns))
+    end_s = max(_last_s(record), begin_s + 1.0)
+    height = TOP + ROW * len(rows) + FOOT
+    page = canvas.page(WIDTH, height)
+    box = (LEFT / WIDTH, FOOT / height, (WIDTH - LEFT - RIGHT) / WIDTH, ROW * len(rows) / height)
+    chart = page.figure.add_axes(box, xlim=(begin_s, end_s), ylim=(len(rows) - 0.5, -0.5))
+    _frame(chart, rows, record.targets)
+    _bars(chart, [span for span in spans(record) if span.label in rows], rows, record.targets)
+    _marks(chart, record, rows)
+    handles = _legend(chart)
+    place = ((LEFT - 14) / WIDTH, 0.0)
+    page.figure.legend(handles=handles, loc="lower left", bbox_to_anchor=place, ncols=len(handles),
+                       frameon=False, fontsize=TEXT, labelcolor=palette.MUTED)  # fmt: skip
+    if len(labels) > len(rows):
+        more = f"{len(labels) - len(rows)} more targets are not shown"
+        canvas.write(page, more, WIDTH - RIGHT, height - 16, TEXT, ha="right", color=palette.MUTED)
+    return page
+
+
+def in_words(record: RunRecord) -> str:
+    """What the picture shows, for who cannot see it."""
+    told = (f"{s.start_s:.1f} to {s.end_s:.1f} s: {shorten(s.reason, 300)}" for s in spans(record))
+    return "; ".join(["The mission over time", *told])
+
+
+def _frame(chart: Axes, rows: dict[str, int], targets: Sequence[str]) -> None:
+    """A row for each target, and round numbers along the time."""
+    for k in range(0, len(rows), 2):
+        chart.axhspan(k - 0.5, k + 0.5, color=ZEBRA, zorder=0)
+    names = [shorten(label, 22) for label in rows]
+    chart.set_yticks(list(rows.values()), names, fontsize=TEXT, fontweight="bold")
+    for tick, label in zip(chart.get_yticklabels(), rows, strict=True):
+        tick.set(color=palette.target_colour(label, targets), parse_math=False)
+    begin_s, end_s = chart.get_xlim()
+    step_s = next((t for t in TICKS_S if (end_s - begin_s) / t <= 12), TICKS_S[-1] * 10)
+    ticks_s = [k * step_s for k in range(int(end_s / step_s) + 1)]
+    words = [f"{t:g} s" if t < 300 else f"{t / 60:g} min" for t in ticks_s]
+    chart.set_xticks(ticks_s, words, fontsize=TEXT, color=palette.MUTED)
+    chart.grid(axis="x", color=LINE)
+    chart.set_axisbelow(True)
+    chart.tick_params(length=0, pad=8)
+    chart.spines[:].set_visible(False)
+
+
+def _bars(
+    chart: Axes, pursued: Sequence[Span], rows: dict[str, int], targets: Sequence[str]
+) -> None:
+    """A switch before the target was reached is an arrow from the end of a bar to the next."""
+    least_s = (chart.get_xlim()[1] - chart.get_xlim()[0]) / 400
+    chart.barh(
+        [rows[span.label] for span in pursued],
+        [max(least_s, span.end_s - span.start_s) for span in pursued],
+        left=[span.start_s for span in pursued],
+        height=BAR,
+        color=[palette.target_colour(span.label, targets) for span in pursued],
+    )
+    arrow = {"arrowstyle": "-|>", "color": palette.INK, "shrinkA": 0, "shrinkB": 0}
+    for before, after in pairwise(pursued):
+        if not before.settled:
+            y0, y1 = rows[before.label], rows[after.label]
+            tip = y1 - BAR / 2 if y1 > y0 else y1 + BAR / 2
+            chart.annotate("", (after.start_s, tip), (after.start_s, y0), arrowprops=arrow)
+
+
+def _marks(chart: Axes, record: RunRecord, rows: dict[str, int]) -> None:
+    """The mission's end, and what happened to its targets; the reached ones are numbered."""
+    steps = record.steps
+    for step in steps:
+        if step.kind == "end":
+            colour = palette.outcome_colour(record.mission.phase)
+            chart.axvline(record.seconds(step.stamp_ns), color=colour, lw=2.0, clip_on=False)
+    for order, (kind, look) in enumerate(MARKS.items(), start=5):
+        those = [s for s in steps if s.kind == kind]
+        for number, step in enumerate(those, start=1):
+            if step.label in rows:
+                at = (max(record.seconds(step.stamp_ns), chart.get_xlim()[0]), rows[step.label])
+                chart.plot(*at, **_look(look), zorder=order, clip_on=False)
+                if kind == "reached":
+                    canvas.write(chart, f"{number}", *at, 10.0, ha="center", color="#ffffff",
+                                 zorder=order)  # fmt: skip
+
+
+def _look(mark: tuple[str, str, str, float, str]) -> dict:
+    marker, fill, rim, size, _ = mark
+    return {"marker": marker, "ms": size, "mfc": fill, "mec": rim, "mew": 1.4, "ls": "none"}
+
+
+def _legend(chart: Axes) -> list:
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], **_look(mark), label=mark[-1]) for mark in MARKS.values()]
+    switch = {"marker": r"$\downarrow$", "color": palette.INK, "ls": "none", "ms": 8}
+    return [*handles, Line2D([], [], **switch, label="switched to another before that")]

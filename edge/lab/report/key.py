@@ -1,0 +1,64 @@
+"""The key beside the map."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from edge.lab.report import palette, tasks, way
+from edge.lab.report.marks import dart
+from edge.lab.report.record import RunRecord
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None:
+    """What each mark means, from `corner` downwards, in parts of the figure."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    end = palette.outcome_colour(record.mission.phase)
+
+    def mark(label: str, marker: Any, face: str, edge: str, size: float = 9) -> Line2D:
+        style = {"markerfacecolor": face, "markeredgecolor": edge, "markersize": size}
+        return Line2D([], [], ls="", marker=marker, markeredgewidth=1.6, label=label, **style)
+
+    seen = [
+        mark("target seen here", "o", palette.TARGET, "white", 8),
+        mark("other instance", "o", palette.INSTANCE, "white", 7),
+    ]
+    if way.by_target(record):
+        reached = palette.OUTCOME["reached"]
+        seen = [mark("reached, numbered in order", "o", reached, "white", 12)]
+    handles = [
+        Patch(facecolor=palette.FREE, edgecolor="#b8c0cc", label="free"),
+        Patch(facecolor=palette.OCCUPIED, label="occupied"),
+        Patch(facecolor=palette.INFLATED, label="too close to pass"),
+        Patch(facecolor=palette.UNKNOWN, edgecolor="#b8c0cc", label="unknown"),
+        mark("frontier at the end", "s", palette.FRONTIER, palette.FRONTIER, 6),
+        mark("goal: frontier", "D", "white", palette.FRONTIER),
+        mark("goal: instance", "*", "white", palette.TARGET, 14),
+        mark("turn to look", "o", "white", palette.MUTED, 5),
+        *seen,
+        mark("refuted", "o", palette.MUTED, "white", 7),
+        mark("robot at the start", dart(math.pi / 2), "white", palette.START, 13),
+        mark("robot at the end", dart(math.pi / 2), end, "white", 13),
+    ]
+    if record.task is not None:
+        handles += [
+            Line2D([], [], color=tasks.REFINED, lw=6, alpha=0.45, label="trajectory to drive"),
+            Line2D(
+                [], [], color=tasks.COARSE, lw=1.6, ls=(0, (1.2, 1.6)), label="as it was written"
+            ),
+        ]
+    legend = figure.legend(
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=corner,
+        frameon=False,
+        fontsize=9.5,
+        labelspacing=0.75,
+    )
+    for text in legend.get_texts():
+        text.set_color(palette.INK)

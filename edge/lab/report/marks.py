@@ -1,0 +1,194 @@
+"""What stands on the map: goals, instances with their labels, and the robot."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edge import names
+from edge.lab.report import palette, raster
+from edge.lab.report.record import RunRecord
+from edge.text import shorten
+from edge.types import Instance, Step
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.markers import MarkerStyle
+
+MAX_LABELS = 24
+MAX_PROMINENT = 3
+MAX_LABEL = 60
+GOAL_STYLES = {
+    "frontier": (palette.FRONTIER, "D", 120),
+    "instance": (palette.TARGET, "*", 190),
+    "look": (palette.MUTED, "o", 28),
+}
+
+
+def goals(axes: Axes, record: RunRecord, scale: float) -> None:
+    """Each goal's pose, numbered where there is room, with a thin line to its candidate; those on
+    a task's trajectory lie on its line (`edge.lab.report.tasks`)."""
+    numbered: list[tuple[float, float]] = []
+    for number, goal in enumerate(record.goals, start=1):
+        if goal.kind == "trajectory":
+            continue
+        colour, marker, size = GOAL_STYLES[goal.kind]
+        if goal.kind == "instance":
+            colour = palette.target_colour(goal.target, record.targets)
+        x_m, y_m = goal.pose.x_m, goal.pose.y_m
+        across, along = zip((x_m, y_m), goal.candidate_xy_m, strict=True)
+        axes.plot(across, along, color=colour, lw=0.9, alpha=0.7, zorder=5)
+        style = {"color": "white", "edgecolor": colour, "linewidth": 1.6, "zorder": 6}
+        axes.scatter(x_m, y_m, s=size * scale, marker=marker, **style)
+        crowded = any(math.dist(xy_m, (x_m, y_m)) < 0.25 for xy_m in numbered)
+        if goal.kind == "frontier" and scale > 0.7 and not crowded:
+            numbered.append((x_m, y_m))
+            style = {"ha": "center", "va": "center_baseline", "fontsize": 7}
+            axes.text(x_m, y_m, str(number), color=palette.INK, zorder=6.5, **style)
+
+
+def instances(axes: Axes, record: RunRecord, scale: float) -> None:
+    """Surface points of every instance; labels where there is room, the target's first."""
+    numbers = _order_reached(record)
+    ranked = sorted(record.instances, key=lambda i: _rank(record, i))
+    taken: list[raster.Box] = []
+    for rank, instance in enumerate(ranked):
+        wanted = _rank(record, instance)[0] == 0
+        colour = palette.target_colour(instance.label, record.targets)
+        colour = palette.MUTED if instance.state == "refuted" else colour
+        number = numbers.get(instance.id, "")
+        points = instance.points_m
+        if len(points):
+            style = {"s": 7 * scale, "color": colour, "alpha": 0.55, "lw": 0, "zorder": 5}
+            axes.scatter(points[:, 0], points[:, 1], **style)
+        xy_m = (float(instance.center_m[0]), float(instance.center_m[1]))
+        style = {"color": colour, "edgecolor": "white", "zorder": 8}
+        if number:
+            _number(axes, number, xy_m)
+        else:
+            axes.scatter(*xy_m, s=(46 if wanted else 26) * scale, **style)
+        if rank < MAX_LABELS:
+            state = f" ({instance.state})" if instance.state in ("confirmed", "reached") else ""
+            words = f"{shorten(instance.label, MAX_LABEL)} {instance.score:.2f}{state}"
+            prominent = bool(number) or (wanted and rank < MAX_PROMINENT)
+            _label(axes, words, xy_m, colour, taken, prominent)
+
+
+def _order_reached(record: RunRecord) -> dict[int, str]:
+    """Of a mission with several targets: instance to the places it has in the order of reaching.
+
+    Where several of a name were reached, the one nearest to the robot at that time counts.
+    """
+    numbers: dict[int, str] = {}
+    if record.simple:
+        return numbers
+    for number, step in enumerate(record.reached, start=1):
+        there = [i for i in record.instances if i.state == "reached" and _named(i, step.label)]
+        if there:
+            nearest = min(there, key=lambda i: _distance_m(record, step, i))
+            before = numbers.get(nearest.id)
+            numbers[nearest.id] = f"{before}, {number}" if before else f"{number}"
+    return numbers
+
+
+def _named(instance: Instance, label: str) -> bool:
+    return names.same(instance.label, label)
+
+
+def _distance_m(record: RunRecord, step: Step, instance: Instance) -> float:
+    if not len(record.trajectory):
+        return 0.0
+    last = len(record.trajectory) - 1
+    k = min(last, int(np.searchsorted(record.trajectory_t_s, record.seconds(step.stamp_ns))))
+    return math.dist(record.trajectory[k, :2], instance.center_m[:2])
+
+
+def _number(axes: Axes, number: str, xy_m: tuple[float, float]) -> None:
+    """A disc with the place in the order of reaching."""
+    style = {"color": palette.OUTCOME["reached"], "edgecolor": "white", "lw": 1.4, "zorder": 11}
+    axes.scatter(*xy_m, s=260, **style)
+    size = 10 if len(number) < 3 else 7
+    style = {"ha": "center", "va": "center", "color": "white", "fontweight": "bold"}
+    offset = {"xytext": (0, -0.3), "textcoords": "offset points", "zorder": 11.5}
+    axes.annotate(number, xy_m, fontsize=size, **style, **offset)
+
+
+def _rank(record: RunRecord, instance: Instance) -> tuple[int, bool, float]:
+    """What is labelled first: the target, found before guessed, then the surest."""
+    refuted = instance.state == "refuted"
+    order = 2 if refuted else 0 if record.is_target(instance.label) else 1
+    return order, instance.state != "reached", -instance.score
+
+
+def _label(
+    axes: Axes,
+    words: str,
+    xy_m: tuple[float, float],
+    colour: str,
+    taken: list[raster.Box],
+    prominent: bool,
+) -> None:
+    """Text beside a point, at the first of several places that is inside the map and covers no
+    earlier label; without such a place none, unless it is prominent."""
+    size = 10.5 if prominent else 8.0
+    width, height = 0.57 * size * len(words) + 8, 1.5 * size
+    to_points = 72.0 / axes.figure.dpi
+    x, y = (float(v) * to_points for v in axes.transData.transform(xy_m))
+    places = [(dx, dy) for dy in (9, -9 - height, 22, -22 - height) for dx in (7, -7 - width)]
+    inside = axes.get_window_extent()
+    limits = (inside.x0 * to_points, inside.x1 * to_points)
+    for dx, dy in places:
+        box = (x + dx, x + dx + width, y + dy, y + dy + height)
+        fits = box[0] >= limits[0] and box[1] <= limits[1]
+        if fits and not any(_overlap(box, other) for other in taken):
+            break
+    else:
+        if not prominent:
+            return
+        dx, dy = places[0]
+    taken.append((x + dx, x + dx + width, y + dy, y + dy + height))
+    axes.annotate(
+        plain(words),
+        xy_m,
+        xytext=(dx + width / 2, dy + height / 2),
+        textcoords="offset points",
+        ha="center",
+        va="center",
+        fontsize=size,
+        color="white",
+        fontweight="bold" if prominent else "normal",
+        bbox={"boxstyle": "round,pad=0.22", "facecolor": colour, "edgecolor": "white", "lw": 0.8},
+        zorder=10.5 if prominent else 9,
+    )
+
+
+def _overlap(a: raster.Box, b: raster.Box) -> bool:
+    return a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3]
+
+
+def plain(text: str) -> str:
+    """Text that matplotlib must not read as mathematics."""
+    return text.replace("$", r"\$")
+
+
+def poses(axes: Axes, record: RunRecord) -> None:
+    """The robot at the start (outlined) and at the end (filled), as arrow heads."""
+    if not len(record.trajectory):
+        return
+    end = palette.outcome_colour(record.mission.phase)
+    for pose, face, edge in ((0, "white", palette.START), (-1, end, "white")):
+        x_m, y_m, yaw_rad = record.trajectory[pose]
+        marker = dart(yaw_rad)
+        axes.scatter(x_m, y_m, s=420, marker=marker, color=face, edgecolor=edge, lw=1.8, zorder=10)
+
+
+def dart(yaw_rad: float) -> MarkerStyle:
+    """A marker that points along `yaw_rad`."""
+    from matplotlib.markers import MarkerStyle
+    from matplotlib.path import Path as Outline
+
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    dart = np.array([(1.0, 0.0), (-0.75, 0.7), (-0.35, 0.0), (-0.75, -0.7), (1.0, 0.0)])
+    return MarkerStyle(Outline(dart @ np.array([(c, s), (-s, c)]), closed=True))

@@ -1,0 +1,186 @@
+"""The map of a run as a PNG: where the robot went, what it saw, and what it chose."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from edge.geometry import thin
+from edge.lab.report import key, marks, palette, raster, tasks, way
+from edge.lab.report.canvas import content
+from edge.lab.report.record import RunRecord
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Rect = tuple[float, float, float, float]
+DPI = 110
+MAP_IN = (9.1, 8.3)
+LEFT_IN, TOP_IN, BOTTOM_IN, SIDE_IN, MIN_HEIGHT_IN = 0.4, 1.0, 0.45, 3.0, 6.8
+INCHES_PER_M = 0.55
+
+
+class Layout(NamedTuple):
+    """Sizes in inches; the map's shape decides the picture's.
+
+    Attributes:
+        marks: how large marks are drawn, 1 in a small house and less on larger maps.
+    """
+
+    width: float
+    height: float
+    map_width: float
+    map_height: float
+    marks: float
+
+    def place(self, left: float, top: float, width: float, height: float) -> Rect:
+        """A box given from the upper left corner, as matplotlib wants it."""
+        bottom = self.height - top - height
+        return (left / self.width, bottom / self.height, width / self.width, height / self.height)
+
+
+def png(record: RunRecord) -> bytes:
+    """The picture as a PNG file's content."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    box = _view(record)
+    layout = _layout(box)
+    figure = Figure(figsize=(layout.width, layout.height), dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes(layout.place(LEFT_IN, TOP_IN, layout.map_width, layout.map_height))
+    _frame(axes, box)
+    _map(axes, record)
+    _frontiers(axes, record, layout.marks)
+    tasks.draw(axes, record)
+    right = LEFT_IN + layout.map_width
+    below_in = 3.3 if record.task is None else 3.85  # of the key, which has two lines more
+    way.draw(figure, axes, record, layout.place(right + 0.3, TOP_IN + below_in, 0.17, 1.8))
+    marks.goals(axes, record, layout.marks)
+    marks.instances(axes, record, layout.marks)
+    marks.poses(axes, record)
+    _scale_bar(axes, box)
+    _title(figure, record, layout)
+    key.draw(figure, record, layout.place(right + 0.1, TOP_IN - 0.1, 0.0, 0.0)[:2])
+    return content(figure, "png")
+
+
+def _layout(box: raster.Box) -> Layout:
+    shape = (box[3] - box[2]) / (box[1] - box[0])
+    width, height = MAP_IN
+    if shape * width > height:
+        width = max(height / shape, 5.0)
+    else:
+        height = shape * width
+    whole = max(TOP_IN + height + BOTTOM_IN, MIN_HEIGHT_IN)
+    per_m = min(width / (box[1] - box[0]), height / (box[3] - box[2]))
+    scale = min(1.0, max(0.3, per_m / INCHES_PER_M))
+    return Layout(LEFT_IN + width + SIDE_IN, whole, width, height, scale)
+
+
+def _view(record: RunRecord) -> raster.Box:
+    """What the picture shows, in m: everything there is, with a margin and at least 4 m."""
+    xs, ys = [np.zeros(0)], [np.zeros(0)]
+    shown = (record.trajectory, record.frontiers_m, *_footprints(record), *tasks.points_m(record))
+    for points in shown:
+        xs.append(np.asarray(points, dtype=np.float64)[:, 0])
+        ys.append(np.asarray(points, dtype=np.float64)[:, 1])
+    for goal in record.goals:
+        xs.append(np.array([goal.pose.x_m, goal.candidate_xy_m[0]]))
+        ys.append(np.array([goal.pose.y_m, goal.candidate_xy_m[1]]))
+    known = raster.crop(record.map) if record.map is not None else None
+    if known is not None:
+        x_min, x_max, y_min, y_max = known.extent_m
+        xs.append(np.array([x_min, x_max]))
+        ys.append(np.array([y_min, y_max]))
+    (x_min, x_max), (y_min, y_max) = _span(np.concatenate(xs)), _span(np.concatenate(ys))
+    return (x_min, x_max, y_min, y_max)
+
+
+def _footprints(record: RunRecord) -> list[np.ndarray]:
+    return [instance.points_m for instance in record.instances if len(instance.points_m)]
+
+
+def _span(values: np.ndarray) -> tuple[float, float]:
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
+    margin = max(0.4, 2.0 - (high - low) / 2)
+    return low - margin, high + margin
+
+
+def _frame(axes: Axes, box: raster.Box) -> None:
+    axes.set_xlim(box[0], box[1])
+    axes.set_ylim(box[2], box[3])
+    axes.set_aspect("equal", anchor="N")
+    axes.set_facecolor(palette.UNKNOWN)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_color("#b8c0cc")
+
+
+def _map(axes: Axes, record: RunRecord) -> None:
+    known = raster.crop(record.map) if record.map is not None else None
+    if known is None:
+        axes.text(
+            0.5, 0.5, "nothing mapped", transform=axes.transAxes, ha="center", color=palette.MUTED
+        )
+        return
+    thinned = thin(known, raster.MAX_SIDE_PX)
+    image, extent = raster.colour(thinned.cells), thinned.extent_m
+    axes.imshow(image, origin="lower", extent=extent, interpolation="nearest", zorder=0)
+
+
+def _frontiers(axes: Axes, record: RunRecord, scale: float) -> None:
+    style = {"s": 22 * scale, "marker": "s", "color": palette.FRONTIER, "zorder": 2}
+    axes.scatter(record.frontiers_m[:, 0], record.frontiers_m[:, 1], **style)
+
+
+def _scale_bar(axes: Axes, box: raster.Box) -> None:
+    """A round length below the map, where it covers nothing."""
+    from matplotlib.transforms import ScaledTranslation
+
+    span_m = box[1] - box[0]
+    length_m = max(s for s in (0.5, 1, 2, 5, 10, 20, 50, 100) if s <= max(0.5, span_m / 5))
+    ends, y_m = (box[0], box[0] + length_m), box[2]
+    below = axes.transData + ScaledTranslation(0.0, -0.15, axes.figure.dpi_scale_trans)
+    style = {"color": palette.INK, "lw": 3, "solid_capstyle": "butt", "transform": below}
+    axes.plot(ends, (y_m, y_m), clip_on=False, **style)
+    style = {"va": "center", "fontsize": 9, "color": palette.INK, "annotation_clip": False}
+    offset = (6.0, -0.15 * 72)
+    axes.annotate(f"{length_m:g} m", (ends[1], y_m), offset, textcoords="offset points", **style)
+
+
+def _title(figure: Figure, record: RunRecord, layout: Layout) -> None:
+    def y(from_top: float) -> float:
+        return 1.0 - from_top / layout.height
+
+    phase = record.mission.phase
+    box = {"boxstyle": "round,pad=0.4", "facecolor": palette.outcome_colour(phase), "lw": 0}
+    style = {"color": "white", "fontsize": 13, "fontweight": "bold", "va": "center", "bbox": box}
+    badge = figure.text((LEFT_IN + 0.1) / layout.width, y(0.5), phase.upper(), **style)
+    right_px = badge.get_window_extent(figure.canvas.get_renderer()).x1
+    x = (right_px / DPI + 0.25) / layout.width
+    style = {"fontsize": 16, "fontweight": "bold", "va": "center", "color": palette.INK}
+    room_in = layout.width * (1.0 - x) - 0.1
+    figure.text(x, y(0.38), marks.plain(_cut(record.title, room_in / 0.148)), **style)
+    style = {"fontsize": 10, "va": "center", "color": palette.MUTED}
+    figure.text(x, y(0.67), marks.plain(_cut(subtitle(record), room_in / 0.082)), **style)
+
+
+def _cut(text: str, length: float) -> str:
+    return text if len(text) <= length else f"{text[: int(length) - 1]}…"
+
+
+def subtitle(record: RunRecord) -> str:
+    """Time, path, map and, where it failed, why: in one line."""
+    mission = record.mission
+    parts = [f"{mission.elapsed_s:.1f} s", f"{mission.path_m:.1f} m driven"]
+    if record.map is not None:
+        parts.append(f"{record.map.known_m2:.0f} m² mapped")
+    parts.append(f"{len(record.goals)} goals")
+    if mission.reason:
+        parts.append(mission.reason)
+    return " · ".join(parts)

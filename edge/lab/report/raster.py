@@ -1,0 +1,34 @@
+"""Occupancy cells to the pixels of a picture: crop to what is known, colour."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edge.geometry import Grid
+from edge.lab.report import palette
+
+MAX_SIDE_PX = 1600
+Box = tuple[float, float, float, float]
+"""(x_min, x_max, y_min, y_max) in metres of `map`, as matplotlib's `extent`."""
+
+
+def crop(grid: Grid) -> Grid | None:
+    """The smallest part of the map that holds every known cell; None when nothing is known."""
+    known = grid.cells >= 0
+    rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+    if not len(rows):
+        return None
+    y, x = int(rows[0]), int(columns[0])
+    cells = grid.cells[y : rows[-1] + 1, x : columns[-1] + 1]
+    return Grid(cells, tuple(grid.to_metres((x, y)).tolist()), grid.resolution_m)
+
+
+def colour(cells: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8 of the palette's unknown (< 0), free (0), inflated (1-99) and occupied."""
+    kinds = (palette.UNKNOWN, palette.FREE, palette.INFLATED, palette.OCCUPIED)
+    table = np.array([_rgb(kind) for kind in kinds])
+    return table[np.searchsorted((-1, 0, 99), cells)]
+
+
+def _rgb(hex_colour: str) -> np.ndarray:
+    return np.frombuffer(bytes.fromhex(hex_colour[1:]), dtype=np.uint8)

@@ -1,0 +1,149 @@
+"""What a run's report shows, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from edge import names
+from edge.geometry import Grid
+from edge.loop.latency import LatencyReport
+from edge.loop.result import MissionFacts
+from edge.tasks.facts import TaskFacts
+from edge.types import Goal, Instance, MissionStatus, Step
+
+_NS = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframe:
+    """A camera image with its boxes.
+
+    Attributes:
+        rgb: (h, w, 3) uint8, a copy, thinned where it was large.
+        xyxy_px: (n, 4) float32 in pixels of `rgb`.
+        score: (n,) float32.
+        labels: n prompts.
+        is_target: (n,) bool.
+    """
+
+    stamp_ns: int
+    rgb: np.ndarray
+    xyxy_px: np.ndarray
+    score: np.ndarray
+    labels: tuple[str, ...]
+    is_target: np.ndarray
+
+    @property
+    def best(self) -> dict[str, float]:
+        """Target to the score of its best box, best first."""
+        pairs = zip(self.labels, self.score, self.is_target, strict=True)
+        scores: dict[str, float] = {}
+        for label, score, wanted in sorted(pairs, key=lambda pair: -pair[1]):
+            if wanted:
+                scores.setdefault(label, float(score))
+        return scores
+
+    @property
+    def target_score(self) -> float:
+        """Score of the best box of a target; 0 when there is none."""
+        return max(self.best.values(), default=0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """A model's answer about directions.
+
+    Attributes:
+        rgb: (h, w, 3) uint8, with letters.
+        letters: (letter, P of ViTL eq. 4) of the marks that are still there.
+        elsewhere, scene: see `Choice`.
+    """
+
+    stamp_ns: int
+    rgb: np.ndarray
+    target: str
+    letters: tuple[tuple[str, float], ...]
+    elsewhere: float
+    scene: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunRecord:
+    """Everything a report shows.
+
+    Attributes:
+        targets: boxes and instances of these names, or others for the same, are targets'.
+        story: the mission, what was understood, what became of it; None when it is not known.
+        task: that the mission was, as it stood at the end; None: it was none.
+        driven: the task as it stood when each of its trajectories was begun, in order of time.
+        start_ns: stamp that `trajectory_t_s` and `events` count from.
+        trajectory: (n, 3) float64: x_m, y_m, yaw_rad in `map`.
+        trajectory_t_s: (n,) float64.
+        frontiers_m: (n, 2) float32 cells or centroids in `map`, as they are at the end.
+        values: value maps by name, uint8, 0 where nothing was said.
+        events: (t_s, text) in order of time.
+        config: the whole configuration, as JSON types, without the secrets of its URLs.
+    """
+
+    title: str
+    config_path: str
+    robot: str
+    detector: str
+    targets: tuple[str, ...]
+    mission: MissionStatus
+    latency: LatencyReport
+    start_ns: int = 0
+    map: Grid | None = None
+    trajectory: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    trajectory_t_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    frontiers_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))
+    goals: tuple[Goal, ...] = ()
+    instances: tuple[Instance, ...] = ()
+    frames: tuple[Keyframe, ...] = ()
+    asked: tuple[Asked, ...] = ()
+    values: Mapping[str, Grid] = field(default_factory=dict)
+    events: tuple[tuple[float, str], ...] = ()
+    counters: Mapping[str, float] = field(default_factory=dict)
+    config: Mapping[str, Any] = field(default_factory=dict)
+    machine: str = ""
+    story: MissionFacts | None = None
+    task: TaskFacts | None = None
+    driven: tuple[TaskFacts, ...] = ()
+
+    @property
+    def simple(self) -> bool:
+        """Whether the mission was about reaching one thing and no more, as far as is known."""
+        if self.story is None:
+            return True
+        automaton = self.story.brief.automaton
+        return len(automaton.letters) <= 1 and automaton.n_states <= 2
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """What happened to the mission, in order of time."""
+        return () if self.story is None else self.story.steps
+
+    @property
+    def trajectories(self) -> tuple[TaskFacts, ...]:
+        """A task's trajectories as each was begun; the last as it stood in the end."""
+        last = self.task
+        if last is None or last.refined is None:
+            return self.driven
+        return (*(one for one in self.driven if one.refined is not last.refined), last)
+
+    @property
+    def reached(self) -> tuple[Step, ...]:
+        """The steps in which something was reached."""
+        return tuple(step for step in self.steps if step.kind == "reached")
+
+    def is_target(self, label: str) -> bool:
+        """Whether a prompt or an instance's label is another word for a target."""
+        return names.same_as_any(label, self.targets)
+
+    def seconds(self, stamp_ns: int) -> float:
+        """A stamp as seconds since the run began."""
+        return (stamp_ns - self.start_ns) * _NS

@@ -1,0 +1,165 @@
+"""Collects what a run's report needs, in bounded memory and without holding the loop up."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections import deque
+from collections.abc import Mapping
+from typing import Generic, TypeVar
+
+from edge.config import Config
+from edge.host.machine import this_cpu
+from edge.lab.report.album import Album
+from edge.lab.report.choices import Choices
+from edge.lab.report.record import RunRecord
+from edge.live.trail import Trail
+from edge.loop.result import VALUE_LAYER, Event, TickResult
+from edge.mission.translate import Translation
+from edge.tasks.facts import TaskFacts
+from edge.tasks.refine import Refined
+from edge.text import shorten, without_secrets
+from edge.types import Goal, MissionStatus
+
+MAX_TITLE = 160
+_TOO_CLOSE = 50  # the map's value of cells near what is occupied, which reports draw apart
+_NS = 1e-9
+
+T = TypeVar("T")
+
+
+class Ends(Generic[T]):
+    """The first and the last items of a sequence that may grow without limit."""
+
+    def __init__(self, first: int = 100, last: int = 400) -> None:
+        self._first: list[T] = []
+        self._room = first
+        self._last: deque[T] = deque(maxlen=last)
+        self.count = 0
+
+    def append(self, item: T) -> None:
+        self.count += 1
+        if len(self._first) < self._room:
+            self._first.append(item)
+        else:
+            self._last.append(item)
+
+    @property
+    def left_out(self) -> int:
+        return self.count - len(self._first) - len(self._last)
+
+    def items(self) -> tuple[T, ...]:
+        return (*self._first, *self._last)
+
+
+class Recorder:
+    """A sink that keeps what the report of a run needs; every call is cheap."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._trail = Trail()
+        self._album = Album(config.report.frames)
+        self._choices = Choices(config.report.frames)
+        self._goals: Ends[Goal] = Ends()
+        self._events: Ends[Event] = Ends()
+        self._driven: Ends[TaskFacts] = Ends(20, 80)
+        self._refined: Refined | None = None
+        self._start_ns: int | None = None
+
+    def tick(self, result: TickResult) -> None:
+        """See `edge.loop.result.Sink`."""
+        seen, observation = result.detections, result.observation
+        if self._start_ns is None:
+            self._start_ns = _first_ns(result)
+        if seen is not None:
+            self._album.offer(seen, result.targets)
+        self._choices.offer(result)
+        for event in result.events:
+            self._events.append(event)
+        if result.events:  # each trajectory is told of
+            self._note(result.task())
+        for goal in result.goals:
+            self._goals.append(goal)
+        if observation is not None:
+            self._trail.append(observation.stamp_ns, observation.pose)
+
+    def _note(self, task: TaskFacts | None) -> None:
+        """Keep a task's trajectory when it is another one than before."""
+        refined = None if task is None else task.refined
+        if task is not None and refined is not None and refined is not self._refined:
+            self._driven.append(task)
+        self._refined = refined
+
+    def close(self) -> None:
+        """See `edge.loop.result.Sink`."""
+
+    def record(self, end: TickResult, counters: Mapping[str, float]) -> RunRecord:
+        """The run so far, and how it ended.
+
+        Args:
+            counters: of the source.
+        """
+        self.tick(end)
+        start_ns = self._start_ns or 0
+        poses, stamps_ns = self._trail.arrays()
+        events = [((stamp - start_ns) * _NS, text) for stamp, text in self._events.items()]
+        more = {"goals": self._goals.count}
+        if self._events.left_out:
+            more["events not shown"] = self._events.left_out
+        story = end.mission()
+        return RunRecord(
+            title=_title(story.brief.translation, end.status),
+            config_path=self._config.path,
+            robot=self._config.robot_name,
+            detector=detector_name(self._config),
+            targets=end.targets,
+            mission=end.status,
+            latency=end.latency(),
+            start_ns=start_ns,
+            map=end.snapshot(inflated=_TOO_CLOSE),
+            trajectory=poses,
+            trajectory_t_s=(stamps_ns - start_ns) * _NS,
+            frontiers_m=end.frontiers(),
+            goals=self._goals.items(),
+            instances=tuple(end.instances()),
+            frames=self._album.frames(),
+            asked=self._choices.kept(),
+            values={n: make() for n, make in end.layers().items() if n.startswith(VALUE_LAYER)},
+            events=tuple(sorted(events, key=lambda event: event[0])),
+            counters={**more, **counters},
+            config=without_secrets(self._config.model_dump(mode="json")),
+            machine=machine(),
+            story=story,
+            task=end.task(),
+            driven=self._driven.items(),
+        )
+
+
+def _first_ns(result: TickResult) -> int | None:
+    """The stamp of the first thing that is told of a run, where this result tells of one."""
+    if result.observation is not None:
+        return result.observation.stamp_ns
+    return result.events[0].now_ns if result.events else None
+
+
+def _title(asked: Translation, mission: MissionStatus) -> str:
+    if asked.backend == "target":
+        return f"Find the {mission.target}"
+    return shorten(asked.instruction, MAX_TITLE)
+
+
+def detector_name(config: Config) -> str:
+    """The detector in words; one that is no neural network is called what it is."""
+    detector = config.perception.detector
+    if detector.kind == "sim":
+        return "simulated (object ids of the ray caster with a noise model, no neural network)"
+    return f"{detector.model} on {', '.join(detector.providers)}"
+
+
+def machine() -> str:
+    """This machine in a few words: processor, cores that may be used, system, Python."""
+    cores, system = len(os.sched_getaffinity(0)), f"{platform.system()} {platform.release()}"
+    return (
+        f"{this_cpu()} ({platform.machine()}), {cores} cores, {system}, "
+        f"Python {platform.python_version()}"
+    )

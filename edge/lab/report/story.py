@@ -1,0 +1,65 @@
+"""The part of the page that is about the mission: what was asked, understood and done."""
+
+from __future__ import annotations
+
+from html import escape
+
+from edge.lab.report import canvas, drawing, gantt
+from edge.lab.report.record import RunRecord
+from edge.live.scene import make_scene
+from edge.loop.result import MissionFacts
+from edge.text import shorten
+
+MAX_TEXT = 4000
+
+
+def section(record: RunRecord) -> str:
+    """Nothing for a run that was told just to find one thing."""
+    story = record.story
+    if story is None:
+        return ""
+    translation, automaton = story.brief.translation, story.brief.automaton
+    if record.simple and translation.backend == "target":
+        return ""
+    pairs = [
+        ("asked", translation.instruction),
+        ("understood as", f"{translation.english} ({translation.backend})"),
+        ("formula", str(automaton.formula)),
+        ("reached", ", then ".join(step.label for step in record.reached) or "nothing"),
+    ]
+    if to_come := _to_come(story):
+        pairs.append(("left to reach", ", then ".join(a or "nothing" for a in to_come)))
+    rows = "".join(
+        f"<dt>{escape(k)}</dt><dd{_class(k)}>{escape(shorten(v, MAX_TEXT))}</dd>" for k, v in pairs
+    )
+    drawings = "" if record.simple else _timeline(record) + _automaton(story)
+    return f'<section><h2>Mission</h2><dl class="story">{rows}</dl>{drawings}</section>'
+
+
+def _to_come(story: MissionFacts) -> tuple[str, ...]:
+    """The letters of the plan, of which the last stays when the mission is fulfilled."""
+    return () if story.brief.automaton.accepting[story.state] else story.plan.steps
+
+
+def _class(key: str) -> str:
+    return ' class="formula"' if key == "formula" else ""
+
+
+def _timeline(record: RunRecord) -> str:
+    axes = gantt.draw(record)
+    if axes is None:
+        return ""
+    return f'<div class="drawing">{canvas.img(axes, gantt.in_words(record))}</div>'
+
+
+def _automaton(story: MissionFacts) -> str:
+    automaton = story.brief.automaton
+    scene = make_scene(automaton, story.state, _to_come(story), story.word)
+    title = f"Automaton with {automaton.n_states} states, now in state {story.state}"
+    words = "; ".join([title, *(part.title for part in (*scene.arrows, *scene.nodes))])
+    return (
+        f'<h2>Automaton</h2><div class="drawing">{canvas.img(drawing.draw(scene), words)}</div>'
+        '<p class="note">Blue disc: the '
+        "state at the end. Green: the way there. Blue arrows: the plan from there. Double ring: "
+        "the mission is fulfilled. An arrow is taken by reaching one of the things beside it.</p>"
+    )

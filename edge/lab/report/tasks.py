@@ -1,0 +1,193 @@
+"""The part of the page that is about a task: what was asked, written and driven (OpenNav III-A)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edge.geometry import SE2, Grid
+from edge.lab.report import palette, raster
+from edge.lab.report.record import RunRecord
+from edge.lab.report.view3d import Line, coarse_and_refined, scene_page
+from edge.tasks.facts import TaskFacts, lengths_m
+from edge.tasks.objects import box_around
+from edge.tasks.scene import Region, Scene, SceneObject
+from edge.tasks.write import Round
+from edge.text import one_line, shorten, some_lines
+from edge.types import Instance
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SCENE_NAME = "trajectory.html"
+COARSE, REFINED = "#b35309", "#7048e8"
+MAX_TEXT, MAX_CODE, MAX_PROMPT = 4000, 20_000, 100_000  # characters
+_TOO_CLOSE = (1, 99)  # of the map's values
+
+
+def section(record: RunRecord, linked: bool) -> str:
+    """What was asked, by whom and how it was written; empty without a task.
+
+    Args:
+        linked: `SCENE_NAME` lies beside the page.
+    """
+    task = record.task
+    if task is None:
+        return ""
+    pairs = [("asked", task.instruction), ("written by", task.writer), ("came to", task.phase)]
+    trajectories = _written(record)
+    if task.understood and len(trajectories) < 2:
+        pairs.append(("understood as", task.understood))
+    if len(task.steps) > 1:
+        pairs += [(step.state, step.said) for step in task.steps]
+    if task.missing:
+        pairs.append(("not seen", ", ".join(task.missing)))
+    pairs += _told(trajectories)
+    rows = "".join(
+        f"<dt>{escape(k)}</dt><dd>{escape(one_line(v, MAX_TEXT))}</dd>" for k, v in pairs
+    )
+    link = f'<p><a href="{SCENE_NAME}">The trajectory in three dimensions</a></p>' if linked else ""
+    rounds = "".join(_round(number, said) for number, said in enumerate(task.rounds, start=1))
+    prompt = ""
+    if task.prompt:
+        prompt = _folded("Prompt", f"<pre>{escape(some_lines(task.prompt, MAX_PROMPT))}</pre>")
+    return (
+        f'<section><h2>Task</h2><dl class="story">{rows}</dl>{link}{rounds}{prompt}</section>'
+    )  # fmt: skip
+
+
+def _written(record: RunRecord) -> list[list[TaskFacts]]:
+    """The trajectories that were written, in order of time: each as it was refined at first, and
+    each time again."""
+    found: list[list[TaskFacts]] = []
+    for one in record.trajectories:
+        if found and found[-1][-1].coarse_m is one.coarse_m:
+            found[-1].append(one)
+        else:
+            found.append([one])
+    return found
+
+
+def _told(written: Sequence[Sequence[TaskFacts]]) -> list[tuple[str, str]]:
+    """Each trajectory in words, and its notes, by a name."""
+    pairs = []
+    for number, refined in enumerate(written, start=1):
+        name, words = "trajectory", _in_words(refined)
+        if len(written) > 1:
+            name, words = f"trajectory {number}", f"{refined[0].understood}: {words}"
+        notes = dict.fromkeys(note for one in refined for note in one.notes)
+        pairs += [(name, words), *(("note", note) for note in notes)]
+    return pairs
+
+
+def _in_words(written: Sequence[TaskFacts]) -> str:
+    """How long a trajectory was at first, and how often the rest of it was refined again."""
+    first, last = written[0], written[-1]
+    assert first.refined is not None
+    assert last.refined is not None
+    length_m, driven_m = lengths_m(first.refined, first.index)
+    words = f"{length_m:.1f} m in {first.refined.times_s[-1]:.1f} s"
+    if first is last and driven_m:
+        words += f", {driven_m:.1f} m of it driven"
+    if (times := len(written) - 1) or (times := last.refinements - 1):
+        length_m, driven_m = lengths_m(last.refined, last.index)
+        words += f"; the rest refined again {times} times"
+        words += f", {driven_m:.1f} of the last {length_m:.1f} m driven"
+    return words
+
+
+def _round(number: int, said: Round) -> str:
+    """One answer of a model; its words where it holds no code."""
+    outcome = '<span class="over">refused</span>' if said.error else '<span class="ok">taken</span>'
+    parts = []
+    if said.error:
+        parts.append(f'<p class="over">{escape(one_line(said.error, MAX_TEXT))}</p>')
+    text = said.code or said.answer
+    parts.append(f"<pre>{escape(some_lines(text, MAX_CODE if said.code else MAX_TEXT))}</pre>")
+    if said.printed:
+        printed = escape(some_lines(said.printed, MAX_TEXT))
+        parts.append(f'<p class="note">printed</p><pre>{printed}</pre>')
+    return _folded(f"Answer {number}: {outcome}", "".join(parts))
+
+
+def _folded(summary: str, body: str) -> str:
+    return f"<details><summary>{summary}</summary>{body}</details>"
+
+
+def points_m(record: RunRecord) -> list[np.ndarray]:
+    """(n, 2 or more) each, in `map`: what `draw` draws."""
+    lines = [
+        line
+        for one in record.trajectories
+        for line in (one.coarse_m, one.refined and one.refined.poses)
+    ]
+    return [line for line in lines if line is not None]
+
+
+def draw(axes: Axes, record: RunRecord) -> None:
+    """The trajectories on the map, under the way: as they were written, and refined."""
+    for one in record.trajectories:
+        if one.refined is not None:
+            x_m, y_m = one.refined.poses[:, :2].T
+            style = {"solid_capstyle": "round", "solid_joinstyle": "round"}
+            axes.plot(x_m, y_m, color=REFINED, lw=7.5, alpha=0.45, zorder=2.6, **style)
+    for one, *_ in _written(record):
+        if one.coarse_m is not None:
+            axes.plot(*one.coarse_m.T, color=COARSE, lw=1.6, ls=(0, (1.2, 1.6)), zorder=4.5)
+
+
+def page(record: RunRecord) -> str | None:
+    """The map, the things and the trajectories in three dimensions, a page of its own; None where
+    nothing was to be driven, or nothing was mapped."""
+    task, known = record.task, None if record.map is None else raster.crop(record.map)
+    trajectories = [again for again in _written(record) if again[0].coarse_m is not None]
+    if task is None or not trajectories or known is None:
+        return None
+    lines: list[Line] = []
+    for number, (one, *_) in enumerate(trajectories, start=1):
+        two = coarse_and_refined(one.coarse_m, one.refined)
+        many = len(trajectories) > 1
+        lines += [replace(line, name=f"{line.name} {number}") if many else line for line in two]
+    driven = Line("driven", record.trajectory[:, :2], palette.START, 3.0)
+    facts = [
+        (name, one_line(text, MAX_TEXT))
+        for name, text in (
+            ("asked", task.instruction), ("understood", task.understood), ("by", task.writer),
+            *_told(trajectories),
+        )
+        if text
+    ]  # fmt: skip
+    return scene_page(
+        record.title, _scene(record, known), (*lines, driven), record.machine,
+        refined=trajectories[-1][0].refined, facts=facts,
+    )  # fmt: skip
+
+
+def _scene(record: RunRecord, known: Grid) -> Scene:
+    """What is known at the end of the run; the robot stands where it began."""
+    cells = known.cells
+    near = (cells >= _TOO_CLOSE[0]) & (cells <= _TOO_CLOSE[1])
+    occupancy = Grid(
+        np.where(near, 0, cells).astype(np.int8), known.origin_xy_m, known.resolution_m
+    )
+    floor = Grid((occupancy.cells == 0).astype(np.uint8), known.origin_xy_m, known.resolution_m)
+    area_m2 = float(np.count_nonzero(floor.cells)) * known.resolution_m**2
+    start = SE2(*record.trajectory[0].tolist()) if len(record.trajectory) else SE2(0.0, 0.0, 0.0)
+    things = [one for one in record.instances if len(one.points_m) and one.state != "refuted"]
+    return Scene(
+        record.start_ns, start, {one.id: _thing(one) for one in things},
+        {1: Region(1, "floor", area_m2)}, occupancy, floor, None, None, None, {},
+    )  # fmt: skip
+
+
+def _thing(found: Instance) -> SceneObject:
+    position_m, size_m, heading_rad = box_around(found.points_m)
+    label = shorten(found.label, 60)
+    said = f"{found.state}, score {found.score:.2f}"
+    return SceneObject(
+        found.id, label, said, position_m, size_m, heading_rad, found.points_m, {}
+    )  # fmt: skip

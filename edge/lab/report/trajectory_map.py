@@ -1,0 +1,199 @@
+"""A trajectory from above, as in OpenNav's figure 4: what is there, and what each cell costs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edge.geometry import Grid
+from edge.lab.report import canvas, palette
+from edge.lab.report.view3d import UNKNOWN_RGB, ground_colours
+from edge.tasks.picture import colour
+from edge.tasks.refine import Refined
+from edge.tasks.scene import Scene, SceneObject
+from edge.tasks.value_map import DRIVABLE, HIGH, TUBE
+from edge.trajectory.costmap import CostMap
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+
+COARSE, REFINED = "#e67700", palette.TARGET
+MARGIN_M, LEAST_M = 5.0, 24.0
+"""Around the trajectory so much is shown, and in all no less."""
+WIDTH_IN, MOST_HIGH_IN, DPI = 8.4, 6.0, 120
+_KEY_IN = 0.27
+"""How far the key lies below a panel."""
+_KEY_COLUMNS = {1: 7, 2: 2}
+"""Of the key, by how many panels stand side by side: a key that is wider than its panel takes the
+room from it."""
+_KEY_ROW_IN = 0.17
+_VALUES = {
+    TUBE: ("around what was written", "#8ce99a"),
+    DRIVABLE: ("ground that was chosen", "#d3f9d8"),
+    HIGH: ("other ground", "#ffe8cc"),
+    0: ("closed: too near, or not seen", "#4a5361"),
+}
+_Box = tuple[float, float, float, float]
+
+
+def png(
+    scene: Scene, coarse_m: np.ndarray | None, refined: Refined | None, costmap: CostMap | None
+) -> bytes:
+    """The scene with its regions, objects and numbers, and beside it the value map, both with the
+    trajectory as it was written and as it was refined, as a PNG file's content.
+
+    Args:
+        coarse_m: (n, 2) float64 in `map`; None: nothing was written.
+        costmap: that it was refined on; None: only the scene.
+    """
+    box = _shown(scene, coarse_m, refined)
+    wide, high = box[1] - box[0], box[3] - box[2]
+    panels = 1 if costmap is None else 2
+    rows, columns = (panels, 1) if wide >= high else (1, panels)
+    width_in = WIDTH_IN / columns
+    high_in = min(MOST_HIGH_IN, width_in * high / wide)
+    keys = _keys(scene, coarse_m, refined, box)
+    key_rows = math.ceil(max(map(len, keys[:panels])) / _KEY_COLUMNS[columns])
+    high_in += 0.41 + _KEY_ROW_IN * max(key_rows, 2)
+    figure, axes = canvas.plots((WIDTH_IN, rows * high_in), DPI, columns, rows)
+    for one in axes:
+        one.set_xlim(box[:2])
+        one.set_ylim(box[2:])
+        one.set_aspect("equal")
+        one.grid(False)
+        one.xaxis.set_major_formatter("{x:g} m")
+        one.yaxis.set_major_formatter("{x:g} m")
+    _scene(axes[0], scene)
+    if costmap is not None:
+        _values(axes[1], costmap)
+    for one in axes:
+        _lines(one, scene, coarse_m, refined)
+    for thing in scene.objects.values():
+        _thing(axes[0], thing, box)
+    for one, handles in zip(axes, keys, strict=False):
+        _key(one, handles, _KEY_COLUMNS[columns])
+    return canvas.content(figure, "png")
+
+
+def _shown(scene: Scene, coarse_m: np.ndarray | None, refined: Refined | None) -> _Box:
+    """(x_min, x_max, y_min, y_max): the trajectory and its surroundings; without one, all that
+    there is around the robot."""
+    points = [np.array([[scene.pose.x_m, scene.pose.y_m]])]
+    points += [] if coarse_m is None else [coarse_m]
+    points += [] if refined is None else [refined.poses[:, :2]]
+    if coarse_m is None:
+        points += [thing.position_m[None, :2] for thing in scene.objects.values()]
+    every = np.concatenate(points)
+    low, high = every.min(axis=0) - MARGIN_M, every.max(axis=0) + MARGIN_M
+    # Neither a strip nor a stamp: what is beside the way counts too.
+    short = np.maximum(np.maximum(LEAST_M, 0.5 * (high - low).max()) - (high - low), 0.0)
+    (x0, y0), (x1, y1) = low - 0.5 * short, high + 0.5 * short
+    return float(x0), float(x1), float(y0), float(y1)
+
+
+def _scene(axes: Axes, scene: Scene) -> None:
+    cells, colours = ground_colours(scene)
+    axes.set_facecolor(tuple(v / 255 for v in UNKNOWN_RGB))
+    _image(axes, scene.occupancy, colours[cells])
+    axes.set_title("What is there", loc="left", color=palette.INK, fontsize=10)
+
+
+def _values(axes: Axes, costmap: CostMap) -> None:
+    table = np.zeros((256, 3), np.uint8)
+    for weight, (_, hexed) in _VALUES.items():
+        table[weight] = np.frombuffer(bytes.fromhex(hexed[1:]), np.uint8)
+    axes.set_facecolor(_VALUES[0][1])  # nobody has seen what is outside of the map
+    _image(axes, costmap.grid, table[costmap.weight])
+    axes.set_title("What each cell costs", loc="left", color=palette.INK, fontsize=10)
+
+
+def _image(axes: Axes, grid: Grid, rgb: np.ndarray) -> None:
+    if grid.cells.size:
+        axes.imshow(
+            rgb, origin="lower", extent=grid.extent_m, interpolation="nearest", aspect="equal",
+            zorder=0,
+        )  # fmt: skip
+
+
+def _lines(axes: Axes, scene: Scene, coarse_m: np.ndarray | None, refined: Refined | None) -> None:
+    if coarse_m is not None:
+        axes.plot(*coarse_m.T, color=COARSE, lw=1.4, ls=(0, (3, 1.5)), marker=".", ms=3.5, zorder=4)
+    if refined is not None:
+        x, y, _, heading = refined.poses.T
+        axes.plot(x, y, color="white", lw=4.4, solid_capstyle="round", zorder=5)
+        axes.plot(x, y, color=REFINED, lw=2.4, solid_capstyle="round", zorder=6)
+        _arrow(axes, (x[-1], y[-1]), heading[-1], REFINED)
+    _arrow(axes, (scene.pose.x_m, scene.pose.y_m), scene.pose.yaw_rad, palette.START)
+
+
+def _arrow(axes: Axes, at: tuple[float, float], heading_rad: float, face: str) -> None:
+    """A dart that points along a heading."""
+    marker = (3, 0, math.degrees(heading_rad) - 90.0)
+    style = {"markeredgecolor": "white", "markeredgewidth": 1.2, "zorder": 8, "ls": ""}
+    axes.plot(*at, marker=marker, markersize=12, markerfacecolor=face, **style)
+
+
+def _thing(axes: Axes, thing: SceneObject, box: _Box) -> None:
+    """Its outline on the ground and its number, in the colour that it has in the picture."""
+    own = tuple(0.8 * v / 255 for v in colour(thing.id))
+    along, across = 0.5 * np.maximum(thing.size_m[:2], 0.15)
+    c, s = math.cos(thing.heading_rad), math.sin(thing.heading_rad)
+    corners = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1), (1, 1)]) * (along, across)
+    xy = corners @ np.array([[c, s], [-s, c]]) + thing.position_m[:2]
+    axes.plot(*xy.T, color=own, lw=1.3, zorder=3)
+    x, y = thing.position_m[:2].tolist()
+    if box[0] < x < box[1] and box[2] < y < box[3]:
+        face = {"boxstyle": "circle,pad=0.22", "facecolor": "#12161c", "edgecolor": own, "lw": 1.0}
+        axes.text(
+            x, y, str(thing.id), color="white", fontsize=6.5, ha="center", va="center", bbox=face,
+            zorder=7, clip_on=True,
+        )  # fmt: skip
+
+
+def _keys(
+    scene: Scene, coarse_m: np.ndarray | None, refined: Refined | None, box: _Box
+) -> tuple[list[Artist], list[Artist]]:
+    """What is there, of each panel."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    cells, colours = ground_colours(scene)
+    rows, columns = np.indices(cells.shape)
+    centres = scene.occupancy.centres_m(rows, columns)
+    inside = (centres[..., 0] > box[0]) & (centres[..., 0] < box[1])
+    inside &= (centres[..., 1] > box[2]) & (centres[..., 1] < box[3])
+    there = np.unique(cells[inside])
+    named = {region.label: region.id for region in scene.regions.values() if region.id in there}
+    known = {**named, "other ground": 0, "not seen": 254, "occupied": 255}
+    patches = [
+        Patch(facecolor=colours[value] / 255, label=label, edgecolor="#b8c0cc", lw=0.6)
+        for label, value in known.items()
+        if value in there
+    ]
+    lines = [Line2D([], [], color=COARSE, lw=1.4, ls=(0, (3, 1.5)), label="as it was written")]
+    lines += [Line2D([], [], color=REFINED, lw=2.4, label="refined")]
+    drawn = [
+        line for line, what in zip(lines, (coarse_m, refined), strict=True) if what is not None
+    ]
+    values = [
+        Patch(facecolor=shade, label=label, edgecolor="#b8c0cc", lw=0.6)
+        for label, shade in _VALUES.values()
+    ]
+    return [*patches, *drawn], values
+
+
+def _key(axes: Axes, handles: Sequence[Artist], columns: int) -> None:
+    """Below a panel."""
+    from matplotlib.transforms import ScaledTranslation
+
+    below = ScaledTranslation(0.0, -_KEY_IN, axes.figure.dpi_scale_trans)
+    axes.legend(
+        handles=handles, loc="upper left", bbox_to_anchor=(0.0, 0.0),
+        bbox_transform=axes.transAxes + below, ncols=columns,
+        frameon=False, fontsize=7.5, labelcolor=palette.INK, handlelength=1.4,
+        columnspacing=1.1, borderaxespad=0.0,
+    )  # fmt: skip

@@ -1,0 +1,94 @@
+"""The robot's way on the map: coloured by the target that was pursued, or by time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edge.lab.report import gantt, palette
+from edge.lab.report.record import RunRecord
+from edge.text import shorten
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
+
+Rect = tuple[float, float, float, float]
+
+
+def by_target(record: RunRecord) -> bool:
+    """Whether the way is coloured by target: several were pursued, and each has a colour. The
+    things that a task names are no ends of its way."""
+    if record.task is not None:
+        return False
+    pursued = {span.label for span in gantt.spans(record)}
+    return len(pursued) > 1 and len(record.targets) <= len(palette.TARGETS)
+
+
+def draw(figure: Figure, axes: Axes, record: RunRecord, place: Rect) -> None:
+    """The way on a white casing that keeps it off the map, and its key.
+
+    Args:
+        place: of the key, in parts of the figure.
+    """
+    from matplotlib.collections import LineCollection
+
+    if len(record.trajectory) < 2:
+        return
+    points = record.trajectory[:, :2]
+    axes.plot(points[:, 0], points[:, 1], color="white", lw=5.0, zorder=3, solid_capstyle="round")
+    segments = np.stack([points[:-1], points[1:]], axis=1)
+    lines = LineCollection(list(segments), cmap="viridis", lw=2.6, zorder=4, capstyle="round")
+    if by_target(record):
+        lines.set_color(_colours(record))
+        _targets(figure, record, place)
+    else:
+        lines.set_array(record.trajectory_t_s[1:])
+        lines.set_clim(0.0, max(float(record.trajectory_t_s[-1]), 1e-3))
+        _time(figure, lines, place)
+    axes.add_collection(lines)
+
+
+def _colours(record: RunRecord) -> list[str]:
+    """One for each piece of the way, by when it ended."""
+    spans = gantt.spans(record)
+    starts_s = np.array([span.start_s for span in spans])
+    at = np.searchsorted(starts_s, record.trajectory_t_s[1:], side="right") - 1
+    colours = [palette.target_colour(span.label, record.targets) for span in spans]
+    ends_s = [span.end_s for span in spans]
+    return [
+        colours[k] if k >= 0 and t_s <= ends_s[k] else palette.MUTED
+        for k, t_s in zip(at.tolist(), record.trajectory_t_s[1:].tolist(), strict=True)
+    ]
+
+
+def _targets(figure: Figure, record: RunRecord, place: Rect) -> None:
+    from matplotlib.lines import Line2D
+
+    handles = []
+    for label in record.targets:
+        colour = palette.target_colour(label, record.targets)
+        line = Line2D([], [], color=colour, lw=2.6, marker="o", markeredgecolor="white")
+        line.set_label(shorten(label, 22).replace("$", r"\$"))
+        handles.append(line)
+    legend = figure.legend(
+        handles=handles,
+        title="targets, and the ways to them",
+        loc="upper left",
+        bbox_to_anchor=(place[0] - 0.015, place[1] + place[3]),
+        frameon=False,
+        fontsize=9.5,
+        title_fontsize=9.5,
+        alignment="left",
+    )
+    for text in (legend.get_title(), *legend.get_texts()):
+        text.set_color(palette.INK)
+
+
+def _time(figure: Figure, lines: LineCollection, place: Rect) -> None:
+    bar = figure.colorbar(lines, cax=figure.add_axes(place))
+    bar.set_label("time of the path, s", color=palette.MUTED, fontsize=9)
+    bar.ax.tick_params(labelsize=8, colors=palette.MUTED)
+    bar.outline.set_visible(False)

@@ -1,0 +1,56 @@
+"""What things look like: each category as an assembly of shapes, of any size and colour.
+
+A row is (shape, centre, size, material[, texture]). Centres and sizes are fractions of the
+object's depth, width and height: x forward (the side one uses it from), y left, z up from the
+floor, so (0, 0, 0.5) is the middle. `main` takes the object's colour, `dark` and `light` are
+made from it, the rest are fixed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edge.lab.sim.boxworld import Part
+from edge.lab.sim.category import RGB, Category
+from edge.lab.sim.furniture import FURNITURE
+from edge.lab.sim.household import HOUSEHOLD
+
+CATEGORIES: dict[str, Category] = {**FURNITURE, **HOUSEHOLD}
+
+FIXED: dict[str, RGB] = {
+    "black": (28, 28, 32),
+    "steel": (176, 180, 186),
+    "chrome": (208, 212, 218),
+    "white": (238, 238, 236),
+    "wood": (150, 104, 62),
+    "pine": (196, 156, 104),
+    "leaf": (62, 128, 56),
+    "soil": (72, 52, 40),
+    "glow": (255, 244, 214),
+    "screen": (24, 32, 52),
+    "glass": (58, 70, 82),
+    "sheet": (240, 240, 244),
+    "water": (196, 220, 232),
+    "brass": (196, 160, 82),
+}
+
+
+def build(category: str, size_m: RGB, color: RGB) -> list[Part]:
+    """The parts of a thing that stands at the origin, facing +x.
+
+    Raises:
+        KeyError: no such category.
+    """
+    materials = {
+        **FIXED,
+        "main": color,
+        "dark": tuple(0.62 * c for c in color),
+        "light": tuple(c + 0.18 * (255.0 - c) for c in color),
+    }
+    scale = np.asarray(size_m)
+    parts = []
+    for shape, center, size, material, *texture in CATEGORIES[category].rows:
+        x, y, z = (float(v) for v in scale * center)
+        a, b, c = (float(v) for v in scale * size)
+        parts.append(Part(shape, (x, y, z), (a, b, c), materials[material], *texture))
+    return parts

@@ -1,0 +1,176 @@
+"""What every simulated world offers: objects, floor plan, camera and LiDAR."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from edge.config import Lidar
+from edge.errors import UserError
+from edge.geometry import SE2, CameraModel, Grid
+
+# Thresholds, sills and carpets below this are driven over.
+FLOOR_CLEARANCE_M = 0.05
+
+
+Room = tuple[tuple[float, float, float, float], ...]
+"""Rectangles (x0, y0, x1, y1) [m] that make up its floor."""
+
+
+class WorldError(UserError):
+    """A world that cannot be used; the message names file, place and what to do."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorldObject:
+    """A thing in a world.
+
+    Attributes:
+        id: its value in the images of object ids, from 1.
+        label: what people call it (`edge.names`).
+        category: what the world's file calls it.
+        center_m: middle of its box, in `map`.
+        size_m: extents of the box along its own x, y, z.
+        yaw_rad: of the box.
+        footprint_m: (k, 2) float32 samples of what it covers on the floor; None: the whole box.
+    """
+
+    id: int
+    name: str
+    label: str
+    category: str
+    center_m: tuple[float, float, float]
+    size_m: tuple[float, float, float]
+    yaw_rad: float
+    footprint_m: np.ndarray | None = None
+
+    def distance_m(self, x_m: float, y_m: float) -> float:
+        """Planar distance from a point to the nearest point of the footprint; 0 inside a box."""
+        if self.footprint_m is not None:
+            d = self.footprint_m - np.array([x_m, y_m], dtype=np.float32)
+            return float(np.sqrt((d * d).sum(axis=1).min()))
+        dx, dy = x_m - self.center_m[0], y_m - self.center_m[1]
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        a = max(0.0, abs(c * dx + s * dy) - 0.5 * self.size_m[0])
+        b = max(0.0, abs(c * dy - s * dx) - 0.5 * self.size_m[1])
+        return math.hypot(a, b)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fan:
+    """The rays of a rotating LiDAR in its own frame.
+
+    Attributes:
+        directions: (rings, columns, 3) float64 unit vectors; ring r at elevation
+            `el_min_rad + r el_step_rad`, column c at azimuth `-pi + c 2 pi / columns`.
+        range_m: nothing beyond returns.
+    """
+
+    directions: np.ndarray
+    el_min_rad: float
+    el_step_rad: float
+    range_m: float
+
+    @classmethod
+    def of(cls, lidar: Lidar) -> Fan:
+        """The fan of a configured LiDAR; a single ring lies at elevation 0."""
+        vfov = math.radians(lidar.vfov_deg)
+        single = lidar.rings == 1
+        el_min, step = (0.0, 1.0) if single else (-0.5 * vfov, vfov / (lidar.rings - 1))
+        el = (el_min + step * np.arange(lidar.rings))[:, None]
+        az = (-math.pi + 2 * math.pi / lidar.columns * np.arange(lidar.columns))[None]
+        parts = (np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el) + 0 * az)
+        return cls(np.stack(parts, axis=-1), el_min, step, lidar.range_m)
+
+
+class FloorPlan:
+    """Where a robot can stand, as a raster of the geometry from 0.05 m up to its height.
+
+    Attributes:
+        grid: uint8, 1 = something is there.
+        clearance_m: (rows, columns) float32, distance to the nearest occupied cell's edge.
+    """
+
+    def __init__(self, grid: Grid) -> None:
+        self.grid = grid
+        self.clearance_m = np.empty(grid.cells.shape, np.float32)
+        self.update()
+
+    def update(self) -> None:
+        """Measure the clearance again after the grid's cells have changed."""
+        free, cell_m = np.uint8(1) - self.grid.cells, self.grid.resolution_m
+        distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        np.multiply(distance, cell_m, out=self.clearance_m)
+        np.maximum(self.clearance_m - 0.5 * cell_m, 0.0, out=self.clearance_m)
+
+    def clearance_at(self, x_m: float, y_m: float) -> float:
+        """Distance to the nearest obstacle, within a cell; 0 inside one or off the plan."""
+        cell = self.grid.cell_of(x_m, y_m)
+        return 0.0 if cell is None else float(self.clearance_m[cell])
+
+    def reachable(self, x_m: float, y_m: float, clearance_m: float) -> np.ndarray:
+        """(rows, columns) bool: where a robot of radius `clearance_m` gets to from a point."""
+        free = (self.clearance_m > clearance_m).astype(np.uint8)
+        cell = self.grid.cell_of(x_m, y_m)
+        if cell is None or not free[cell]:
+            return np.zeros(free.shape, bool)
+        _, component = cv2.connectedComponents(free, connectivity=4)
+        return component == component[cell]
+
+
+class World(Protocol):
+    """A place for the simulated robot; see `edge.lab.sim.worlds.load_world`.
+
+    Attributes:
+        rooms: each as rectangles of its floor (x0, y0, x1, y1) [m]; none where nobody knows.
+    """
+
+    name: str
+    rooms: tuple[Room, ...]
+    objects: list[WorldObject]
+    start: SE2
+    plan: FloorPlan
+
+    def render(
+        self,
+        camera: CameraModel,
+        T_map_camera: np.ndarray,
+        out_rgb: np.ndarray | None,
+        out_depth_m: np.ndarray,
+        out_ids: np.ndarray,
+    ) -> None:
+        """Take a picture: rgb (h, w, 3) uint8, z-depth (h, w) float32 with NaN where there is
+        nothing, object ids (h, w) uint16 with 0 for structure.
+
+        Without `out_rgb` nothing is shaded, which costs half as much; depth and ids are the same.
+        """
+
+    def cast(self, fan: Fan, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
+        """Fill (rings, columns) float32 with ranges, NaN where nothing returns."""
+
+
+def free_poses(
+    world: World, count: int, seed: int, radius_m: float, margin_m: float = 0.1
+) -> list[SE2]:
+    """Poses that a robot could have reached from the world's start, the same for a seed.
+
+    Raises:
+        WorldError: the start itself is not free for this radius.
+    """
+    rng = np.random.default_rng(seed)
+    plan = world.plan
+    reachable = plan.reachable(world.start.x_m, world.start.y_m, radius_m)
+    rows, cols = np.nonzero(reachable & (plan.clearance_m > radius_m + margin_m))
+    if len(rows) == 0:
+        raise WorldError(
+            f"{world.name}: no free space of radius {radius_m} m around the start "
+            f"({world.start.x_m:.2f}, {world.start.y_m:.2f}): choose another, in sim.start"
+        )
+    picks = rng.integers(0, len(rows), count)
+    yaws = rng.uniform(-math.pi, math.pi, count)
+    places = plan.grid.centres_m(rows[picks], cols[picks])
+    return [SE2(*xy, a) for xy, a in zip(places.tolist(), yaws.tolist(), strict=True)]

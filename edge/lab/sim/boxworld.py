@@ -1,0 +1,134 @@
+"""A world of primitive shapes, rendered by the numba ray caster (`edge.lab.sim.kernels`)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edge.geometry import SE2, CameraModel, Grid
+from edge.lab.sim import kernels, shading
+from edge.lab.sim.base import FLOOR_CLEARANCE_M, Fan, FloorPlan, Room, WorldError, WorldObject
+
+CELL_M = 0.025
+_MARGIN_M = 0.5
+_SKY = np.array([205, 222, 238], np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One primitive solid.
+
+    Attributes:
+        shape: `kernels.BOX`, `CYLINDER` or `ELLIPSOID`.
+        center_m, size_m: full extents along its own axes.
+        color: r, g, b in 0..255.
+        texture: one of `shading.PLAIN` … `PICTURE`.
+    """
+
+    shape: int
+    center_m: tuple[float, float, float]
+    size_m: tuple[float, float, float]
+    color: tuple[float, float, float]
+    texture: int = shading.PLAIN
+    yaw_rad: float = 0.0
+
+    def placed(self, x_m: float, y_m: float, z_m: float, yaw_rad: float) -> Part:
+        """This part of an object that stands at a pose."""
+        c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+        x, y, z = self.center_m
+        center = (x_m + c * x - s * y, y_m + s * x + c * y, z_m + z)
+        return replace(self, center_m=center, yaw_rad=self.yaw_rad + yaw_rad)
+
+
+class BoxWorld:
+    """See `edge.lab.sim.base.World`; `move` shifts an object while the world runs."""
+
+    def __init__(
+        self,
+        name: str,
+        structure: list[Part],
+        furniture: list[tuple[WorldObject, list[Part]]],
+        start: SE2,
+        robot_height_m: float,
+        depth_range_m: tuple[float, float],
+        rooms: tuple[Room, ...] = (),
+    ) -> None:
+        self.name = name
+        self.rooms = rooms
+        self.objects = [item for item, _ in furniture]
+        self.start = start
+        self._robot_height_m = robot_height_m
+        self._depth_range_m = depth_range_m
+        owned = [(0, part) for part in structure]
+        owned += [(item.id, part) for item, parts in furniture for part in parts]
+        if not owned:
+            raise WorldError(f"{name}: nothing in it: give it walls or objects")
+        parts = [part for _, part in owned]
+        self.owner = np.array([owner for owner, _ in owned], np.uint16)
+        self.shape = np.array([part.shape for part in parts], np.uint8)
+        self.texture = np.array([part.texture for part in parts], np.uint8)
+        self.color = np.array([part.color for part in parts], np.float32)
+        self.pose = np.array([_pose_row(part) for part in parts])
+        self.plan = self._floor_plan()
+        self._prim = np.empty((0, 0), np.int32)
+
+    def render(
+        self,
+        camera: CameraModel,
+        T_map_camera: np.ndarray,
+        out_rgb: np.ndarray | None,
+        out_depth_m: np.ndarray,
+        out_ids: np.ndarray,
+    ) -> None:
+        if self._prim.shape != out_depth_m.shape:
+            self._prim = np.empty(out_depth_m.shape, np.int32)
+        lens = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
+        kernels.render_depth(self.shape, self.pose, T_map_camera, *lens, out_depth_m, self._prim)
+        if out_rgb is not None:
+            shading.shade(
+                self.shape, self.pose, self.color, self.texture, T_map_camera, *lens, out_depth_m,
+                self._prim, self.plan.clearance_m, np.array(self.plan.grid.origin_xy_m), CELL_M,
+                _SKY, out_rgb,
+            )  # fmt: skip
+        kernels.name_hits(self._prim, self.owner, *self._depth_range_m, out_depth_m, out_ids)
+
+    def cast(self, fan: Fan, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
+        rays = (fan.directions, fan.el_min_rad, fan.el_step_rad)
+        kernels.cast_fan(self.shape, self.pose, T_map_lidar, *rays, out_ranges_m)
+        out_ranges_m[out_ranges_m > fan.range_m] = np.nan
+
+    def move(self, object_id: int, x_m: float, y_m: float) -> None:
+        """Put an object's centre somewhere else on the floor."""
+        k = next((k for k, item in enumerate(self.objects) if item.id == object_id), None)
+        if k is None:
+            raise KeyError(f"no object {object_id} in {self.name}")
+        item = self.objects[k]
+        mine = self.owner == object_id
+        self.pose[mine, 0] += x_m - item.center_m[0]
+        self.pose[mine, 1] += y_m - item.center_m[1]
+        self.objects[k] = replace(item, center_m=(x_m, y_m, item.center_m[2]))
+        grid = self.plan.grid
+        grid.cells[:] = 0
+        self._rasterise(grid.cells, np.array(grid.origin_xy_m))
+        self.plan.update()
+
+    def _floor_plan(self) -> FloorPlan:
+        turn = np.abs(self.pose[:, 6:8])
+        reach = turn[:, :1] * self.pose[:, 3:5] + turn[:, 1:] * self.pose[:, 4:2:-1]
+        low = (self.pose[:, :2] - reach).min(axis=0) - _MARGIN_M
+        high = (self.pose[:, :2] + reach).max(axis=0) + _MARGIN_M
+        cols, rows = np.ceil((high - low) / CELL_M).astype(int)
+        occupied = np.zeros((rows, cols), np.uint8)
+        self._rasterise(occupied, low)
+        return FloorPlan(Grid(occupied, (float(low[0]), float(low[1])), CELL_M))
+
+    def _rasterise(self, occupied: np.ndarray, origin_m: np.ndarray) -> None:
+        heights = (FLOOR_CLEARANCE_M, self._robot_height_m)
+        kernels.rasterise(self.shape, self.pose, *heights, origin_m, CELL_M, occupied)
+
+
+def _pose_row(part: Part) -> list[float]:
+    half = [0.5 * extent for extent in part.size_m]
+    return [*part.center_m, *half, math.cos(part.yaw_rad), math.sin(part.yaw_rad)]

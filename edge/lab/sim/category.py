@@ -1,0 +1,40 @@
+"""The vocabulary of assemblies; see `edge.lab.sim.assemblies`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from edge.lab.sim import kernels as k
+
+B, C, E = k.BOX, k.CYLINDER, k.ELLIPSOID
+RGB = tuple[float, float, float]
+
+WOODS: tuple[RGB, ...] = ((150, 104, 62), (112, 74, 46), (196, 156, 104), (90, 60, 42))
+CLOTHS: tuple[RGB, ...] = ((86, 108, 142), (150, 66, 58), (122, 132, 98), (168, 150, 126))
+WHITES: tuple[RGB, ...] = ((236, 236, 234), (222, 226, 228))
+METALS: tuple[RGB, ...] = ((182, 186, 192), (228, 230, 230), (64, 68, 76))
+VIVID: tuple[RGB, ...] = ((206, 62, 48), (46, 104, 186), (236, 150, 34), (58, 150, 90))
+
+
+@dataclass(frozen=True, slots=True)
+class Category:
+    """How one kind of thing is built.
+
+    Attributes:
+        size_m: usual depth, width, height.
+        colors: usual colours.
+        rows: the assembly, see the module.
+    """
+
+    size_m: RGB
+    colors: tuple[RGB, ...]
+    rows: tuple[tuple, ...]
+
+
+def legs(height: float, size: float, material: str, inset: float = 0.08) -> tuple[tuple, ...]:
+    """Four legs under a top at `height` (fractions)."""
+    d = 0.5 - inset
+    return tuple(
+        (B, (x, y, height / 2), (size, size, height), material)
+        for x, y in ((d, d), (d, -d), (-d, d), (-d, -d))
+    )

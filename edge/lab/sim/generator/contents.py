@@ -1,0 +1,151 @@
+"""What rooms of a kind hold, how likely and where: the knowledge of homes, as tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from edge.lab.sim.generator.layout import BATHROOM, BEDROOM, HALLWAY, KITCHEN, LIVING, OFFICE
+
+SUPPORTS = ("desk", "table", "tv stand", "cabinet", "dresser", "nightstand", "coffee table")
+"""What other things are put on."""
+ON_TOP = ("laptop", "vase", "microwave", "television", "ball", "box", "plant")
+USUAL_ON = {"tv stand": "television", "desk": "laptop"}
+
+FLOOR_COLORS = ((176, 132, 88), (150, 108, 72), (206, 202, 194), (168, 158, 150), (188, 206, 214),
+                (196, 156, 108), (120, 92, 70), (140, 142, 146))  # fmt: skip
+WALL_COLORS = ((226, 222, 212), (214, 220, 210), (208, 214, 222), (222, 214, 198), (228, 220, 200),
+               (222, 204, 204), (196, 206, 196), (178, 190, 206), (238, 238, 236))  # fmt: skip
+FLOORS = {
+    LIVING: ("wood", "wood", "carpet"), KITCHEN: ("tiles", "tiles", "plain"),
+    BEDROOM: ("carpet", "wood"), BATHROOM: ("tiles",), OFFICE: ("wood", "carpet", "plain"),
+    HALLWAY: ("wood", "tiles"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """A thing that rooms of a kind may hold.
+
+    Attributes:
+        p: probability that one is wanted; after each that found its place, `more` that another is,
+            up to `most`.
+        where: a key of `furnish.PLACES`.
+        by: what it belongs to, for places beside, before, around, across from or on something;
+            where there is none of these the thing is left out.
+        gap_m: floor between it and what it belongs to.
+        from_m2: only in rooms of so much floor.
+    """
+
+    category: str
+    p: float
+    where: str = "wall"
+    by: tuple[str, ...] = ()
+    most: int = 1
+    more: float = 0.5
+    gap_m: float = 0.04
+    from_m2: float = 0.0
+
+
+_DINING = (
+    Item("table", 0.85, "middle", from_m2=9.5),
+    Item("chair", 1.0, "around", ("table",), most=4, more=0.85),
+)
+_TELEVISION_SET = (
+    Item("tv stand", 0.9, "across", ("sofa",)),
+    Item("television", 0.95, "on", ("tv stand",)),
+)
+
+CONTENTS: dict[str, tuple[Item, ...]] = {
+    LIVING: (
+        Item("sofa", 1.0, most=2, more=0.25),
+        *_TELEVISION_SET,
+        Item("coffee table", 0.8, "before", ("sofa",), gap_m=0.4),
+        Item("armchair", 0.65, most=2, more=0.45),
+        Item("table", 0.6, "middle", from_m2=18.0),
+        Item("chair", 0.9, "around", ("table",), most=4, more=0.85),
+        Item("bookshelf", 0.6, most=2, more=0.35),
+        Item("cabinet", 0.35),
+        Item("plant", 0.7, "corner", most=2, more=0.35),
+        Item("lamp", 0.65, "corner"),
+        Item("rug", 0.55, "floor", ("coffee table", "sofa")),
+        Item("vase", 0.4, "on", ("coffee table", "cabinet", "table")),
+        Item("picture", 0.75, "hung", most=3, more=0.5),
+        Item("ball", 0.12, "anywhere"),
+    ),
+    KITCHEN: (
+        Item("refrigerator", 1.0),
+        Item("oven", 1.0),
+        Item("sink", 1.0),
+        Item("cabinet", 0.9, most=3, more=0.6),
+        *_DINING,
+        Item("stool", 0.25, most=2, more=0.6),
+        Item("washing machine", 0.2),
+        Item("microwave", 0.85, "on", ("cabinet",)),
+        Item("trash can", 0.8),
+        Item("vase", 0.3, "on", ("table",)),
+        Item("plant", 0.2, "corner"),
+        Item("picture", 0.25, "hung"),
+    ),
+    BEDROOM: (
+        Item("bed", 1.0),
+        Item("nightstand", 0.9, "beside", ("bed",), most=2, more=0.55),
+        Item("wardrobe", 0.85),
+        Item("dresser", 0.55),
+        Item("desk", 0.25, from_m2=12.0),
+        Item("chair", 0.9, "before", ("desk",)),
+        Item("armchair", 0.2),
+        Item("lamp", 0.5, "corner"),
+        Item("laptop", 0.6, "on", ("desk",)),
+        Item("television", 0.2, "on", ("dresser",)),
+        Item("vase", 0.1, "on", ("dresser", "nightstand")),
+        Item("rug", 0.4, "floor", ("bed",)),
+        Item("picture", 0.6, "hung", most=2, more=0.4),
+        Item("plant", 0.2, "corner"),
+        Item("backpack", 0.2),
+        Item("suitcase", 0.15),
+        Item("box", 0.1),
+        Item("ball", 0.1, "anywhere"),
+    ),
+    BATHROOM: (
+        Item("bathtub", 0.8),
+        Item("toilet", 1.0),
+        Item("sink", 1.0),
+        Item("washing machine", 0.4),
+        Item("cabinet", 0.35),
+        Item("trash can", 0.35),
+        Item("stool", 0.1),
+        Item("plant", 0.1, "corner"),
+    ),
+    OFFICE: (
+        Item("desk", 1.0, most=2, more=0.15),
+        Item("chair", 1.0, "before", ("desk",)),
+        Item("bookshelf", 0.85, most=3, more=0.45),
+        Item("laptop", 0.85, "on", ("desk",)),
+        Item("cabinet", 0.4),
+        Item("armchair", 0.2),
+        Item("lamp", 0.5, "corner"),
+        Item("trash can", 0.6),
+        Item("plant", 0.35, "corner"),
+        Item("rug", 0.2, "floor", ("desk",)),
+        Item("picture", 0.5, "hung", most=2, more=0.4),
+        Item("box", 0.3, most=2, more=0.4),
+    ),
+    HALLWAY: (
+        Item("cabinet", 0.3),
+        Item("stool", 0.12),
+        Item("plant", 0.25, "corner"),
+        Item("lamp", 0.15, "corner"),
+        Item("picture", 0.6, "hung", most=3, more=0.5),
+        Item("backpack", 0.15),
+        Item("suitcase", 0.12),
+        Item("box", 0.12),
+    ),
+}
+"""In the order of placing: what a room needs and what is large comes first."""
+
+STRAY_P = 0.2
+STRAYS = (
+    Item("ball", 1.0, "anywhere"), Item("box", 1.0), Item("backpack", 1.0), Item("suitcase", 1.0),
+    Item("stool", 1.0), Item("chair", 1.0), Item("plant", 1.0), Item("lamp", 1.0, "corner"),
+)  # fmt: skip
+"""Of these any room may hold one, whatever its kind."""

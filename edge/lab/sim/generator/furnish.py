@@ -1,0 +1,317 @@
+"""Furnishing: things of a room's kind where they belong, with a way left to each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from edge.lab.sim import assemblies
+from edge.lab.sim.generator.contents import CONTENTS, STRAY_P, STRAYS, Item
+from edge.lab.sim.generator.draws import QUARTERS, Dice, Rect, at_wall, wall_span_m
+from edge.lab.sim.generator.layout import WALL_M, Door
+
+PASSAGE_M = 0.3
+"""Half the width of the way that is left to every door and thing."""
+NEAR_M, NEAR_RAISED_M = 0.6, 0.65
+"""A thing can be got at where that way comes so near to it, on the floor or above it."""
+_GAP_M = 0.03
+_OFF_WALL_M = 0.5 * WALL_M + 0.02
+_BEFORE_DOOR_M = 0.7
+_CELL_M = 0.05
+_TRIES, _ROOM_TRIES = 10, 50
+_LOW_M = 1.15
+"""What is lower may stand below a picture."""
+
+Pose = tuple[float, float, int]
+"""Middle x and y, and quarter turns from +x."""
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A thing in a room; `size_m` is depth, width, height, faced from the front."""
+
+    category: str
+    x_m: float
+    y_m: float
+    quarter: int
+    size_m: tuple[float, float, float]
+    color: tuple[float, float, float]
+    z_m: float = 0.0
+
+    @property
+    def box(self) -> Rect:
+        return _box((self.x_m, self.y_m, self.quarter), self.size_m)
+
+    def local(self, ahead_m: float, left_m: float) -> tuple[float, float]:
+        """x and y of a place in front of its middle, and to its left."""
+        a, b = QUARTERS[self.quarter]
+        return self.x_m + a * ahead_m - b * left_m, self.y_m + b * ahead_m + a * left_m
+
+
+def _box(pose: Pose, size_m: tuple[float, float, float]) -> Rect:
+    x, y, quarter = pose
+    a, b = (size_m[1], size_m[0]) if quarter % 2 else size_m[:2]
+    return Rect(x - 0.5 * a, y - 0.5 * b, x + 0.5 * a, y + 0.5 * b)
+
+
+class Ways:
+    """Where the middle of a robot can be in a room, as a raster."""
+
+    def __init__(self, rect: Rect, doors: list[Door]) -> None:
+        self._area = rect.grown(-0.5 * WALL_M - PASSAGE_M)
+        width, depth = self._area.width_m, self._area.depth_m
+        self._shape = max(1, int(depth / _CELL_M)), max(1, int(width / _CELL_M))
+        self._doors = [self._cell(door.x_m, door.y_m) for door in doors]
+
+    def left_by(self, things: list[Placed]) -> np.ndarray | None:
+        """(rows, columns) bool: where one gets to from the doors; None if not from each of them to
+        each other and to all of the things."""
+        free = np.ones(self._shape, np.uint8)
+        boxes = [(t.box, t.z_m > 0) for t in things if t.category != "rug"]
+        for box in (box for box, raised in boxes if not raised):
+            free[self._cells(box.grown(PASSAGE_M))] = 0
+        _, component = cv2.connectedComponents(free, connectivity=4)
+        way = component[self._doors[0]]
+        if way == 0 or any(component[door] != way for door in self._doors):
+            return None
+        reached = component == way
+        for box, raised in boxes:
+            if not reached[self._cells(box.grown(NEAR_RAISED_M if raised else NEAR_M))].any():
+                return None
+        return reached
+
+    def xy_m(self, row: int, col: int) -> tuple[float, float]:
+        return self._area.x0 + (col + 0.5) * _CELL_M, self._area.y0 + (row + 0.5) * _CELL_M
+
+    def _cell(self, x_m: float, y_m: float) -> tuple[int, int]:
+        """The nearest cell."""
+        rows, cols = self._shape
+        row, col = int((y_m - self._area.y0) / _CELL_M), int((x_m - self._area.x0) / _CELL_M)
+        return min(max(row, 0), rows - 1), min(max(col, 0), cols - 1)
+
+    def _cells(self, box: Rect) -> tuple[slice, slice]:
+        """Those that a box touches."""
+        rows, cols = self._shape
+        x0, x1 = ((x - self._area.x0) / _CELL_M for x in (box.x0, box.x1))
+        y0, y1 = ((y - self._area.y0) / _CELL_M for y in (box.y0, box.y1))
+        return (
+            slice(min(max(int(y0), 0), rows), min(max(int(y1) + 1, 0), rows)),
+            slice(min(max(int(x0), 0), cols), min(max(int(x1) + 1, 0), cols)),
+        )
+
+
+class RoomFurnisher:
+    """Puts things into one room.
+
+    Attributes:
+        things: what found its place.
+        inside: the floor between the walls.
+        ways: where one gets to.
+    """
+
+    def __init__(self, dice: Dice, kind: str, rect: Rect, doors: list[Door]) -> None:
+        self.dice, self.kind = dice, kind
+        self.things: list[Placed] = []
+        self.inside = rect.grown(-_OFF_WALL_M)
+        self.ways = Ways(rect, doors)
+        self._doorways = [door.kept_free(_BEFORE_DOOR_M) for door in doors]
+
+    def furnish(self) -> list[Placed]:
+        """Put in what a room of this kind holds; anew where something that it must have finds no
+        place."""
+        needed = {item.category for item in CONTENTS[self.kind] if item.p == 1.0 and not item.by}
+        for _ in range(_ROOM_TRIES):
+            self.things = []
+            self._fill()
+            if needed.issubset(thing.category for thing in self.things):
+                break
+        return self.things
+
+    def _fill(self) -> None:
+        floor_m2 = self.inside.width_m * self.inside.depth_m
+        for item in CONTENTS[self.kind]:
+            wanted = self.dice.chance(item.p) and floor_m2 >= item.from_m2
+            for _ in range(item.most):
+                wanted = wanted and self.put(item) and self.dice.chance(item.more)
+        if self.dice.chance(STRAY_P):
+            self.put(self.dice.pick(STRAYS))
+
+    def put(self, item: Item) -> bool:
+        """Whether there was a place for it."""
+        dice, kind = self.dice, assemblies.CATEGORIES[item.category]
+        size = tuple(round(v * dice.between(0.93, 1.07), 3) for v in kind.size_m)
+        shade = dice.between(0.88, 1.1)
+        color = tuple(round(min(max(v * shade, 4.0), 250.0), 1) for v in dice.pick(kind.colors))
+        for pose, z_m in PLACES[item.where](self, item, size):
+            x, y, quarter = pose
+            thing = Placed(item.category, round(x, 3), round(y, 3), quarter, size, color, z_m)
+            if self._fits(thing):
+                self.things.append(thing)
+                return True
+        return False
+
+    def draw_start(self) -> tuple[float, float, float]:
+        """x, y and yaw in degrees of a place that a robot can start from."""
+        rows, cols = np.nonzero(self.ways.left_by(self.things))
+        k = self.dice.count(0, len(rows) - 1)
+        x, y = self.ways.xy_m(int(rows[k]), int(cols[k]))
+        return round(x, 3), round(y, 3), float(self.dice.count(-179, 180))
+
+    def last(self, categories: tuple[str, ...]) -> Placed | None:
+        """The newest thing of the first of these kinds that the room has."""
+        for category in categories:
+            for thing in reversed(self.things):
+                if thing.category == category:
+                    return thing
+        return None
+
+    def _fits(self, new: Placed) -> bool:
+        return self._has_room(new) and self.ways.left_by([*self.things, new]) is not None
+
+    def _has_room(self, new: Placed) -> bool:
+        """Whether it is within the walls and in nothing's way."""
+        box = new.box
+        if not self.inside.grown(0.011).holds(box):
+            return False
+        if new.category == "rug":
+            return not any(t.category == "rug" and t.box.meets(box) for t in self.things)
+        if new.category == "picture":
+            high = [t.box for t in self.things if t.z_m + t.size_m[2] > _LOW_M]
+            return not _any_meets([*high, *self._doorways], box.grown(0.15))
+        if new.z_m > 0:
+            on_top = [t.box for t in self.things if t.z_m > 0 and t.category != "picture"]
+            return not _any_meets(on_top, box)
+        standing = [t.box for t in self.things if t.z_m == 0 and t.category != "rug"]
+        return not _any_meets([*standing, *self._doorways], box.grown(_GAP_M))
+
+
+def _any_meets(boxes: list[Rect], box: Rect) -> bool:
+    return any(other.meets(box) for other in boxes)
+
+
+Candidates = Iterator[tuple[Pose, float]]
+Size = tuple[float, float, float]
+
+
+def _by_wall(room: RoomFurnisher, item: Item, size: Size, in_corner: bool = False) -> Candidates:
+    """With its back to a wall; as often as not, or always, at the wall's end."""
+    dice = room.dice
+    for _ in range(_TRIES):
+        side = dice.count(0, 3)
+        span = wall_span_m(room.inside, side)
+        least, most = 0.5 * size[1] + 0.01, span - 0.5 * size[1] - 0.01
+        if least > most:
+            continue
+        at_end = in_corner or dice.chance(0.5)
+        along = dice.pick((least, most)) if at_end else dice.between(least, most)
+        yield (*at_wall(room.inside, side, along, 0.5 * size[0]), side), 0.0
+
+
+def _in_corner(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+    """In a corner if there is one, else by a wall."""
+    yield from _by_wall(room, item, size, in_corner=True)
+    yield from _by_wall(room, item, size)
+
+
+def _hung(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+    """On a wall, higher than the furniture and the robot."""
+    z_m = round(room.dice.between(1.3, 1.6), 3)
+    return ((pose, z_m) for pose, _ in _by_wall(room, item, size))
+
+
+def _in_middle(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+    r, dice = room.inside, room.dice
+    for _ in range(_TRIES):
+        x = 0.5 * (r.x0 + r.x1) + r.width_m * dice.between(-0.15, 0.15)
+        y = 0.5 * (r.y0 + r.y1) + r.depth_m * dice.between(-0.15, 0.15)
+        yield (x, y, dice.count(0, 3)), 0.0
+
+
+def _anywhere(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+    r, dice = room.inside, room.dice
+    for _ in range(_TRIES):
+        yield (dice.between(r.x0, r.x1), dice.between(r.y0, r.y1), dice.count(0, 3)), 0.0
+
+
+def _beside(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+    """To the left or right of what it belongs to, their backs in line."""
+    other = room.last(item.by)
+    if other is not None:
+        aside = 0.5 * (other.size_m[1] + size[1]) + item.gap_m
+        for left in room.dice.shuffled((aside, -aside)):
+            back = 0.5 * (size[0] - other.size_m[0])
+            yield (*other.local(back, left), other.quarter), 0.0
+
+
+def _before(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+    """In front of what it belongs to, facing it."""
+    other = room.last(item.by)
+    if other is not None:
+        ahead = 0.5 * (other.size_m[0] + size[0]) + item.gap_m
+        yield (*other.local(ahead, 0.0), (other.quarter + 2) % 4), 0.0
+
+
+def _around(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+    """At a free place at a table, facing it: two at a long side, one at an end."""
+    table = room.last(item.by)
+    if table is None:
+        return
+    ahead = 0.5 * (table.size_m[0] + size[0]) + item.gap_m
+    aside = 0.5 * (table.size_m[1] + size[0]) + item.gap_m
+    along = 0.25 * table.size_m[1]
+    seats = [(sign * ahead, left, 1 + sign) for sign in (1, -1) for left in (along, -along)]
+    seats += [(0.0, sign * aside, 2 + sign) for sign in (1, -1)]
+    for forward, left, turn in room.dice.shuffled(seats):
+        yield (*table.local(forward, left), (table.quarter + turn) % 4), 0.0
+
+
+def _across(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+    """At the wall that what it belongs to faces; else at any."""
+    other = room.last(item.by)
+    if other is not None:
+        side = (other.quarter + 2) % 4
+        x, y, r = other.x_m, other.y_m, room.inside
+        along = x - r.x0 if side % 2 else y - r.y0
+        half = 0.5 * size[1] + 0.01
+        along = min(max(along, half), wall_span_m(r, side) - half)
+        yield (*at_wall(r, side, along, 0.5 * size[0]), side), 0.0
+    yield from _by_wall(room, item, size)
+
+
+def _on(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+    """On top of what it belongs to, if that is large enough and bears nothing yet."""
+    other = room.last(item.by)
+    if other is None or size[0] > other.size_m[0] or size[1] > 1.1 * other.size_m[1]:
+        return
+    slack = max(0.5 * (other.size_m[1] - size[1]), 0.0)
+    left = room.dice.between(-slack, slack)
+    yield (*other.local(0.0, left), other.quarter), other.size_m[2]
+
+
+def _on_floor(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+    """A rug: before or under what it belongs to, or in the middle."""
+    other = room.last(item.by)
+    if other is not None:
+        ahead = 0.0 if other.category == "coffee table" else 0.5 * other.size_m[0]
+        for quarter in (other.quarter, (other.quarter + 1) % 4):
+            yield (*other.local(ahead, 0.0), quarter), 0.0
+    yield from _in_middle(room, item, size)
+
+
+PLACES: dict[str, Callable[[RoomFurnisher, Item, Size], Candidates]] = {
+    "wall": _by_wall,
+    "corner": _in_corner,
+    "middle": _in_middle,
+    "anywhere": _anywhere,
+    "beside": _beside,
+    "before": _before,
+    "around": _around,
+    "across": _across,
+    "on": _on,
+    "floor": _on_floor,
+    "hung": _hung,
+}
+"""Where a thing may stand, the most wanted place first."""

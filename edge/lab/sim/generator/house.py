@@ -1,0 +1,81 @@
+"""A furnished house for every seed.
+
+    house = generated_house(7)
+
+Seeds below `HELD_OUT` are for tuning, those from it on for evaluation. The layouts are made from
+`layout` and `contents` alone: no house of anybody's, ProcTHOR's neither, went into them.
+"""
+
+from __future__ import annotations
+
+from edge.config import Config, WorldGenerated
+from edge.lab.sim.boxworld import BoxWorld
+from edge.lab.sim.generator.contents import FLOOR_COLORS, FLOORS, WALL_COLORS
+from edge.lab.sim.generator.draws import Dice
+from edge.lab.sim.generator.furnish import Placed, RoomFurnisher
+from edge.lab.sim.generator.layout import WALL_M, Stretch, draw_layout
+from edge.lab.sim.house import House, Opening, Room, Thing, Wall, build_house
+
+HELD_OUT = 1000
+_KEY = 12
+_DOOR_HEIGHT_M = 2.05
+
+
+def load_generated(section: WorldGenerated, config: Config) -> BoxWorld:
+    """The house of a seed, for the configured robot and camera."""
+    return build_house(generated_house(section.seed), config)
+
+
+def generated_house(seed: int) -> House:
+    """A house of 4 to 10 rooms with doors 0.8 m wide and more, the same everywhere for a seed.
+
+    Every room, and the side of every thing, can be reached by a robot of radius 0.25 m. A room's
+    name begins with its kind (`layout.KINDS`).
+    """
+    dice = Dice(_KEY, seed)
+    layout = draw_layout(dice)
+    rooms, things, starts = [], [], []
+    for k, room in enumerate(layout.rooms):
+        doors = [door for door in layout.doors if k in door.rooms]
+        furnisher = RoomFurnisher(dice, room.kind, room.rect, doors)
+        things += furnisher.furnish()
+        starts.append(furnisher.draw_start())
+        r, kind = room.rect, room.kind
+        rooms.append(
+            Room(name=f"{kind} {k}", rect=(r.x0, r.y0, r.x1, r.y1), floor=dice.pick(FLOORS[kind]),
+                 color=_paint(dice, FLOOR_COLORS))
+        )  # fmt: skip
+    return House(
+        name=f"generated-{seed}",
+        start=dice.pick(starts),
+        wall_height_m=round(dice.between(2.45, 2.9), 2),
+        wall_thickness_m=WALL_M,
+        rooms=tuple(rooms),
+        walls=tuple(_wall(dice, stretch) for stretch in layout.walls),
+        objects=tuple(_thing(placed) for placed in things),
+    )
+
+
+def _wall(dice: Dice, s: Stretch) -> Wall:
+    openings: tuple[Opening, ...] = ()
+    if s.door is not None:
+        at_m = (s.door.x_m - s.x0) + (s.door.y_m - s.y0)
+        openings = (Opening(at_m=round(at_m, 2), width_m=s.door.width_m, height_m=_DOOR_HEIGHT_M),)
+    color = _paint(dice, WALL_COLORS)
+    return Wall(start=(s.x0, s.y0), end=(s.x1, s.y1), color=color, openings=openings)
+
+
+def _thing(placed: Placed) -> Thing:
+    return Thing(
+        category=placed.category,
+        at=(placed.x_m, placed.y_m),
+        z_m=placed.z_m,
+        yaw_deg=(0.0, 90.0, 180.0, -90.0)[placed.quarter],
+        size=placed.size_m,
+        color=placed.color,
+    )
+
+
+def _paint(dice: Dice, colors: tuple[tuple[int, int, int], ...]) -> tuple[float, ...]:
+    shade = dice.between(0.85, 1.05)
+    return tuple(round(min(max(v * shade, 5.0), 250.0), 1) for v in dice.pick(colors))

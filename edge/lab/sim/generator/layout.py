@@ -1,0 +1,287 @@
+"""Floor plans: rooms of kinds that fill a footprint, and the doors between them.
+
+Large homes have a hallway with rooms on both sides, small ones go from room to room; part of the
+footprint may be missing. Which rooms have a door between them follows what homes do: everything
+opens to the hallway or the living room where it can, nobody walks through a bathroom.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+
+from edge.lab.sim.generator.draws import Dice, Rect
+
+MOST_ROOMS = 10
+FEWEST_ROOMS = 4
+DOOR_M = (0.8, 1.0)
+WALL_M = 0.12
+
+LIVING, KITCHEN, BEDROOM, BATHROOM, OFFICE, HALLWAY = KINDS = (
+    "living room", "kitchen", "bedroom", "bathroom", "office", "hallway",
+)  # fmt: skip
+AREA_M2 = {
+    LIVING: (17, 29), KITCHEN: (9, 15), BEDROOM: (10.5, 17), BATHROOM: (4.8, 8), OFFICE: (7.5, 12),
+}  # fmt: skip
+LEAST_SIDE_M = {
+    LIVING: 3.2, KITCHEN: 2.4, BEDROOM: 2.8, BATHROOM: 1.8, OFFICE: 2.4, HALLWAY: 1.1,
+}  # fmt: skip
+MOST_OF_A_KIND = {LIVING: 2, BEDROOM: 4, BATHROOM: 3, OFFICE: 2}
+_MORE = (BEDROOM, BEDROOM, BEDROOM, BATHROOM, BATHROOM, OFFICE, OFFICE, LIVING)
+"""What further rooms are drawn from."""
+_SLIMMEST = 2.6
+"""Longest room but the hallway, in widths."""
+_OUTSIDE = "outside"
+
+_DOOR_COST = {
+    frozenset(pair): cost
+    for pair, cost in (
+        ((HALLWAY, LIVING), 0.0), ((HALLWAY, KITCHEN), 0.2), ((HALLWAY, BEDROOM), 0.0),
+        ((HALLWAY, BATHROOM), 0.0), ((HALLWAY, OFFICE), 0.0), ((LIVING, KITCHEN), 1.0),
+        ((LIVING,), 1.0), ((LIVING, OFFICE), 2.0), ((LIVING, BEDROOM), 2.0),
+        ((LIVING, BATHROOM), 2.5), ((BEDROOM, BATHROOM), 3.0), ((KITCHEN, OFFICE), 4.0),
+        ((KITCHEN, BEDROOM), 4.0), ((KITCHEN, BATHROOM), 5.0), ((OFFICE, BEDROOM), 5.0),
+        ((OFFICE,), 6.0), ((OFFICE, BATHROOM), 7.0), ((BEDROOM,), 8.0), ((BATHROOM,), 12.0),
+    )
+}  # fmt: skip
+"""How unusual a door between two kinds is. Each room is joined by the most usual one."""
+_SECOND_DOOR = {
+    frozenset(pair): p
+    for pair, p in (
+        ((LIVING, KITCHEN), 0.6), ((HALLWAY, LIVING), 0.5), ((HALLWAY, KITCHEN), 0.4),
+        ((LIVING,), 0.6), ((BEDROOM, BATHROOM), 0.2), ((LIVING, OFFICE), 0.15),
+    )
+}  # fmt: skip
+"""Chance of a door that is not needed, so that some ways are round."""
+_WIDE = {frozenset((LIVING, KITCHEN)), frozenset((LIVING, HALLWAY)), frozenset((LIVING,))}
+_WIDE_M = (1.2, 1.8)
+_BESIDE_DOOR_M = 0.12
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRoom:
+    """A room, to the middle of its walls."""
+
+    kind: str
+    rect: Rect
+
+
+@dataclass(frozen=True, slots=True)
+class Door:
+    """A gap in the wall between two rooms.
+
+    Attributes:
+        rooms: their indices.
+        x_m, y_m: the middle.
+        upright: whether the wall runs along y.
+    """
+
+    rooms: tuple[int, int]
+    x_m: float
+    y_m: float
+    width_m: float
+    upright: bool
+
+    def kept_free(self, deep_m: float) -> Rect:
+        """The doorway and so much floor on both sides."""
+        wide = 0.5 * self.width_m + 0.05
+        a, b = (deep_m, wide) if self.upright else (wide, deep_m)
+        return Rect(self.x_m - a, self.y_m - b, self.x_m + a, self.y_m + b)
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A piece of wall along an axis, from its lower end; with what may be a door in it."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+    door: Door | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    rooms: tuple[PlannedRoom, ...]
+    doors: tuple[Door, ...]
+    walls: tuple[Stretch, ...]
+
+
+def draw_layout(dice: Dice) -> Layout:
+    """Rooms of usual sizes, each of which can be reached from each other one."""
+    kinds = draw_kinds(dice)
+    while True:
+        rooms = _draw_rooms(dice, kinds)
+        if rooms is None:
+            continue
+        shared = _shared_walls(rooms)
+        joined = _joined(dice, rooms, shared)
+        if joined is None:
+            continue
+        doors = {pair: _draw_door(dice, rooms, pair, shared[pair]) for pair in joined}
+        walls = [Stretch(s.x0, s.y0, s.x1, s.y1, doors.get(pair)) for pair, s in shared.items()]
+        walls += _outer_walls(rooms, list(shared.values()))
+        return Layout(tuple(rooms), tuple(doors.values()), tuple(walls))
+
+
+def draw_kinds(dice: Dice) -> list[str]:
+    """The kinds of a home's rooms."""
+    count = dice.count(FEWEST_ROOMS, MOST_ROOMS)
+    kinds = [LIVING, KITCHEN, BEDROOM, BATHROOM]
+    if count >= 6 or (count == 5 and dice.chance(0.5)):
+        kinds.append(HALLWAY)
+    while len(kinds) < count:
+        kind = dice.pick(_MORE)
+        if kinds.count(kind) < MOST_OF_A_KIND[kind]:
+            kinds.append(kind)
+    return kinds
+
+
+def _draw_rooms(dice: Dice, kinds: Sequence[str]) -> list[PlannedRoom] | None:
+    """None: a room came out too small or too slim."""
+    wanted = [(kind, dice.between(*AREA_M2[kind])) for kind in kinds if kind != HALLWAY]
+    if dice.chance(0.3):
+        wanted.append((_OUTSIDE, dice.between(5.0, 12.0)))
+    placed = _along_hallway(dice, wanted) if HALLWAY in kinds else _in_block(dice, wanted)
+    turn, rooms = dice.chance(0.5), []
+    for kind, r in placed:
+        rect = Rect(r.y0, r.x0, r.y1, r.x1) if turn else r
+        rect = Rect(*(round(v, 2) for v in (rect.x0, rect.y0, rect.x1, rect.y1)))
+        short, long = sorted((rect.width_m, rect.depth_m))
+        if kind == _OUTSIDE:
+            continue
+        if short < LEAST_SIDE_M[kind] or (kind != HALLWAY and long > _SLIMMEST * short):
+            return None
+        rooms.append(PlannedRoom(kind, rect))
+    return rooms
+
+
+Wanted = Sequence[tuple[str, float]]
+
+
+def _in_block(dice: Dice, wanted: Wanted) -> list[tuple[str, Rect]]:
+    area = sum(a for _, a in wanted)
+    width = math.sqrt(area * dice.between(1.0, 1.7))
+    return _cut(Rect(0.0, 0.0, width, area / width), dice.shuffled(wanted))
+
+
+def _along_hallway(dice: Dice, wanted: Wanted) -> list[tuple[str, Rect]]:
+    """Rooms on both sides of a hallway; sometimes the living room lies across its end."""
+    wanted = list(wanted)
+    across = wanted.pop(0) if dice.chance(0.5) else None
+    sides: tuple[list, list] = ([], [])
+    for item in dice.shuffled(wanted):
+        lighter = min(sides, key=lambda side: sum(a for _, a in side))
+        lighter.append(item)
+    areas = [sum(a for _, a in side) for side in sides]
+    length = sum(areas) / (2 * dice.between(3.2, 4.6))
+    wide = dice.between(1.15, 1.6)
+    low, high = areas[0] / length, areas[0] / length + wide
+    top = high + areas[1] / length
+    placed = [(HALLWAY, Rect(0.0, low, length, high))]
+    placed += _cut(Rect(0.0, 0.0, length, low), sides[0])
+    placed += _cut(Rect(0.0, high, length, top), sides[1])
+    if across is not None:
+        placed.append((across[0], Rect(-across[1] / top, 0.0, 0.0, top)))
+    return placed
+
+
+def _cut(rect: Rect, wanted: Wanted) -> list[tuple[str, Rect]]:
+    """Share a rectangle out by area, halving it across its longer side."""
+    if len(wanted) <= 1:
+        return [(kind, rect) for kind, _ in wanted]
+    total = sum(a for _, a in wanted)
+    parts = [sum(a for _, a in wanted[:k]) / total for k in range(1, len(wanted))]
+    k = min(range(len(parts)), key=lambda i: abs(parts[i] - 0.5))
+    if rect.width_m >= rect.depth_m:
+        x = rect.x0 + parts[k] * rect.width_m
+        first, second = Rect(rect.x0, rect.y0, x, rect.y1), Rect(x, rect.y0, rect.x1, rect.y1)
+    else:
+        y = rect.y0 + parts[k] * rect.depth_m
+        first, second = Rect(rect.x0, rect.y0, rect.x1, y), Rect(rect.x0, y, rect.x1, rect.y1)
+    return _cut(first, wanted[: k + 1]) + _cut(second, wanted[k + 1 :])
+
+
+def _shared_walls(rooms: list[PlannedRoom]) -> dict[tuple[int, int], Stretch]:
+    """The stretch of wall between each two rooms that have one."""
+    shared = {}
+    for i, j in combinations(range(len(rooms)), 2):
+        a, b = rooms[i].rect, rooms[j].rect
+        low, high = max(a.y0, b.y0), min(a.y1, b.y1)
+        left, right = max(a.x0, b.x0), min(a.x1, b.x1)
+        if (left == right and low < high) or (low == high and left < right):
+            shared[i, j] = Stretch(left, low, right, high)
+    return shared
+
+
+def _joined(
+    dice: Dice, rooms: list[PlannedRoom], shared: dict[tuple[int, int], Stretch]
+) -> list[tuple[int, int]] | None:
+    """The pairs of rooms with a door: a tree of the most usual ones, and some more.
+
+    None: no such tree, since a room has no wall that is long enough for a door.
+    """
+    least_m = DOOR_M[1] + 2 * _BESIDE_DOOR_M + WALL_M
+    pairs = [pair for pair, wall in shared.items() if _length(wall) >= least_m]
+    kinds = {pair: frozenset(rooms[i].kind for i in pair) for pair in pairs}
+    cost = {pair: _DOOR_COST.get(kinds[pair], 0.0) + 0.9 * dice.unit() for pair in pairs}
+    group = list(range(len(rooms)))
+    joined = []
+    for pair in sorted(pairs, key=cost.__getitem__):
+        a, b = (group[i] for i in pair)
+        if a != b:
+            group = [a if g == b else g for g in group]
+            joined.append(pair)
+        elif dice.chance(_SECOND_DOOR.get(kinds[pair], 0.0)):
+            joined.append(pair)
+    return joined if len(set(group)) == 1 else None
+
+
+def _draw_door(dice: Dice, rooms: list[PlannedRoom], pair: tuple[int, int], wall: Stretch) -> Door:
+    width, room_m = dice.between(*DOOR_M), _length(wall) - WALL_M - 2 * _BESIDE_DOOR_M
+    wide = frozenset(rooms[i].kind for i in pair) in _WIDE and dice.chance(0.4)
+    if wide and room_m >= _WIDE_M[1]:
+        width = dice.between(*_WIDE_M)
+    least = 0.5 * (WALL_M + width) + _BESIDE_DOOR_M
+    most = _length(wall) - least
+    # Doors stand near a corner more often than not, so that a wall is left for furniture.
+    at = dice.pick((least, most)) if dice.chance(0.6) else dice.between(least, most)
+    upright = wall.x0 == wall.x1
+    x, y = (wall.x0, wall.y0 + at) if upright else (wall.x0 + at, wall.y0)
+    return Door(pair, round(x, 2), round(y, 2), round(width, 2), upright)
+
+
+def _length(wall: Stretch) -> float:
+    return (wall.x1 - wall.x0) + (wall.y1 - wall.y0)
+
+
+def _outer_walls(rooms: list[PlannedRoom], shared: list[Stretch]) -> list[Stretch]:
+    """What is left of each room's sides beside the walls that it shares."""
+    walls = []
+    for r in (room.rect for room in rooms):
+        for side in (
+            Stretch(r.x0, r.y0, r.x0, r.y1), Stretch(r.x1, r.y0, r.x1, r.y1),
+            Stretch(r.x0, r.y0, r.x1, r.y0), Stretch(r.x0, r.y1, r.x1, r.y1),
+        ):  # fmt: skip
+            walls += _left_of(side, shared)
+    return walls
+
+
+def _left_of(side: Stretch, shared: list[Stretch]) -> list[Stretch]:
+    upright = side.x0 == side.x1
+    taken = []
+    for s in shared:
+        on_it = (s.x0 == s.x1 == side.x0) if upright else (s.y0 == s.y1 == side.y0)
+        low, high = (s.y0, s.y1) if upright else (s.x0, s.x1)
+        if on_it:
+            taken.append((low, high))
+    start, end = (side.y0, side.y1) if upright else (side.x0, side.x1)
+    edges = [(start, start), *sorted(t for t in taken if t[0] < end and t[1] > start), (end, end)]
+    left = []
+    for (_, low), (high, _) in pairwise(edges):
+        if high > low:
+            ends = (side.x0, low, side.x0, high) if upright else (low, side.y0, high, side.y0)
+            left.append(Stretch(*ends))
+    return left

@@ -1,0 +1,204 @@
+"""Houses of our own: rooms, walls with openings and furniture, read from JSON.
+
+`houses/demo.json` is an example of everything. Lengths are metres, angles degrees; a wall's
+openings count from its first end; an object stands at `at`, faces +x when `yaw_deg` is 0, and
+takes its category's usual size and first colour unless it names its own.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError, field_validator
+
+from edge import names
+from edge.config import Config, Section, WorldHouse
+from edge.config.section import Positive
+from edge.geometry import SE2
+from edge.host import resources
+from edge.host.files import read_regular
+from edge.lab.sim import assemblies, kernels, shading
+from edge.lab.sim.base import WorldError, WorldObject
+from edge.lab.sim.boxworld import BoxWorld, Part
+from edge.text import bounded_repr
+
+HOUSES = Path(__file__).resolve().parent / "houses"
+FLOORS = {
+    "wood": shading.PLANKS,
+    "tiles": shading.TILES,
+    "carpet": shading.FABRIC,
+    "plain": shading.PLAIN,
+}
+_SLAB_M = 0.1
+_SKIRTING = (232.0, 230.0, 224.0)
+
+Point = tuple[float, float]
+Channel = Annotated[float, Field(ge=0, le=255)]
+Color = tuple[Channel, Channel, Channel]
+
+
+class Room(Section):
+    """A rectangle x0, y0, x1, y1 of floor and ceiling."""
+
+    name: str
+    rect: tuple[float, float, float, float]
+    floor: Literal["wood", "tiles", "carpet", "plain"] = "wood"
+    color: Color = (176, 132, 88)
+
+
+class Opening(Section):
+    """A door, or a window when it has a sill."""
+
+    at_m: float
+    width_m: Positive = 0.95
+    height_m: Positive = 2.05
+    sill_m: float = 0.0
+
+
+class Wall(Section):
+    start: Point
+    end: Point
+    color: Color = (226, 222, 212)
+    openings: tuple[Opening, ...] = ()
+
+
+class Thing(Section):
+    category: str
+    at: Point
+    z_m: float = 0.0
+    yaw_deg: float = 0.0
+    size: tuple[Positive, Positive, Positive] | None = None
+    color: Color | None = None
+
+    @field_validator("category")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        if value not in assemblies.CATEGORIES:
+            choices = ", ".join(assemblies.CATEGORIES)
+            raise ValueError(f"unknown category (choices: {choices})")
+        return value
+
+
+class House(Section):
+    name: str
+    start: tuple[float, float, float]
+    wall_height_m: Positive = 2.6
+    wall_thickness_m: Positive = 0.12
+    ceiling: bool = True
+    rooms: tuple[Room, ...] = ()
+    walls: tuple[Wall, ...] = ()
+    objects: tuple[Thing, ...] = ()
+
+
+def read_house(path: Path) -> House:
+    """Read and validate a house file.
+
+    Raises:
+        WorldError: one line: file, place, what is wrong.
+    """
+    try:
+        data = json.loads(read_regular(path))
+    except OSError as error:
+        raise WorldError(f"{path}: {error.strerror}") from None
+    except ValueError as error:
+        raise WorldError(f"{path}: not JSON: {error}") from None
+    try:
+        return House.model_validate(data)
+    except ValidationError as error:
+        fault, more = error.errors()[0], error.error_count() - 1
+        place = ".".join(str(part) for part in fault["loc"]) or "top"
+        message = fault["msg"].removeprefix("Value error, ")
+        rest = f" (and {more} more faults)" if more else ""
+        raise WorldError(
+            f"{path}: {place}: {message}, got {bounded_repr(fault.get('input'), 60)}{rest}"
+        ) from None
+
+
+def load_house(section: WorldHouse, config: Config) -> BoxWorld:
+    """A built-in house by name, or one from a JSON file.
+
+    Raises:
+        WorldError: no such house, or a fault in its file.
+    """
+    built_in = HOUSES / f"{section.house}.json"
+    path = built_in if built_in.is_file() else resources.expand(section.house)
+    if not path.is_file():
+        choices = ", ".join(sorted(p.stem for p in HOUSES.glob("*.json")))
+        raise WorldError(f"{config.at('sim.world.house')}: no {path} (built-in: {choices})")
+    return build_house(read_house(path), config)
+
+
+def build_house(house: House, config: Config) -> BoxWorld:
+    """The world of a validated house."""
+    structure = [part for room in house.rooms for part in _room_parts(room, house)]
+    structure += [part for wall in house.walls for part in _wall_parts(wall, house)]
+    furniture = [_furnish(k + 1, thing) for k, thing in enumerate(house.objects)]
+    camera = config.sensors.camera
+    return BoxWorld(
+        house.name,
+        structure,
+        furniture,
+        SE2(house.start[0], house.start[1], math.radians(house.start[2])),
+        config.robot.height_m,
+        (camera.depth_min_m, camera.depth_max_m),
+        tuple((room.rect,) for room in house.rooms),
+    )
+
+
+def _room_parts(room: Room, house: House) -> list[Part]:
+    x0, y0, x1, y1 = room.rect
+    center, size = (0.5 * (x0 + x1), 0.5 * (y0 + y1)), (x1 - x0, y1 - y0, _SLAB_M)
+    floor = (*center, -0.5 * _SLAB_M)
+    parts = [Part(kernels.BOX, floor, size, room.color, FLOORS[room.floor])]
+    if house.ceiling:
+        above = (*center, house.wall_height_m + 0.5 * _SLAB_M)
+        parts.append(Part(kernels.BOX, above, size, (244.0, 243.0, 240.0), shading.PAINT))
+    return parts
+
+
+def _wall_parts(wall: Wall, house: House) -> list[Part]:
+    """Solid stretches between the openings, and what is left above and below them."""
+    (x0, y0), (x1, y1) = wall.start, wall.end
+    length, yaw = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
+    parts: list[Part] = []
+
+    def stretch(a: float, b: float, z0: float, z1: float) -> None:
+        if b - a < 1e-6 or z1 - z0 < 1e-6:
+            return
+        mid = (0.5 * (a + b), 0.0, 0.5 * (z0 + z1))
+        size = (b - a, house.wall_thickness_m, z1 - z0)
+        parts.append(Part(kernels.BOX, mid, size, wall.color, shading.PAINT))
+        if z0 == 0.0:
+            foot = (b - a, house.wall_thickness_m + 0.02, 0.08)
+            parts.append(Part(kernels.BOX, (mid[0], 0.0, 0.04), foot, _SKIRTING))
+
+    # The ends reach half a thickness further, so that corners close.
+    at = -0.5 * house.wall_thickness_m
+    for opening in sorted(wall.openings, key=lambda o: o.at_m):
+        left, right = opening.at_m - 0.5 * opening.width_m, opening.at_m + 0.5 * opening.width_m
+        stretch(at, left, 0.0, house.wall_height_m)
+        stretch(left, right, 0.0, opening.sill_m)
+        stretch(left, right, opening.sill_m + opening.height_m, house.wall_height_m)
+        at = right
+    stretch(at, length + 0.5 * house.wall_thickness_m, 0.0, house.wall_height_m)
+    return [part.placed(x0, y0, 0.0, yaw) for part in parts]
+
+
+def _furnish(object_id: int, thing: Thing) -> tuple[WorldObject, list[Part]]:
+    category = assemblies.CATEGORIES[thing.category]
+    size = thing.size or category.size_m
+    yaw = math.radians(thing.yaw_deg)
+    parts = assemblies.build(thing.category, size, thing.color or category.colors[0])
+    item = WorldObject(
+        id=object_id,
+        name=f"{thing.category}-{object_id}",
+        label=names.canonical(thing.category),
+        category=thing.category,
+        center_m=(*thing.at, thing.z_m + 0.5 * size[2]),
+        size_m=size,
+        yaw_rad=yaw,
+    )
+    return item, [part.placed(*thing.at, thing.z_m, yaw) for part in parts]

@@ -1,0 +1,323 @@
+"""Ray casting of primitive shapes; arrays only (numba).
+
+A primitive is a solid in its own frame: yawed about z, centred, with half extents.
+`shape` (n,) uint8 is BOX, CYLINDER (axis z, elliptic) or ELLIPSOID; `pose` (n, 8) float64 holds
+centre x, y, z [m], half extents x, y, z [m], cos(yaw), sin(yaw).
+
+Depth first, shading after (`edge.lab.sim.shading`): every pixel is shaded once. Primitives are
+drawn front to back, each only inside the rectangle it projects to, and tiles already covered by
+something nearer are skipped.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+BOX, CYLINDER, ELLIPSOID = 0, 1, 2
+
+NEAR_M = 0.02
+TILE_PX = 16
+# Directions of length zero along an axis would divide 0 by 0 in the slab test.
+_TINY = 1e-12
+
+_jit = {"nogil": True, "cache": True, "error_model": "numpy"}
+
+
+@njit(**_jit)
+def _slab(o, d, h):
+    """Entry and exit of the ray o + t d in |x| <= h."""
+    inverse = 1.0 / (d if abs(d) > _TINY else _TINY)
+    t_a, t_b = (-h - o) * inverse, (h - o) * inverse
+    return (t_a, t_b) if t_a < t_b else (t_b, t_a)
+
+
+@njit(**_jit)
+def _quadratic(a, b, c):
+    """Entry and exit where a t^2 + 2 b t + c <= 0; an empty interval when nowhere."""
+    if a < _TINY:
+        return (-math.inf, math.inf) if c <= 0.0 else (math.inf, -math.inf)
+    disc = b * b - a * c
+    if disc < 0.0:
+        return math.inf, -math.inf
+    root = math.sqrt(disc)
+    return (-b - root) / a, (-b + root) / a
+
+
+@njit(**_jit)
+def _hit(shape, ox, oy, oz, dx, dy, dz, hx, hy, hz):
+    """Distance t along d at which a ray enters the solid; inf for a miss or from inside."""
+    if shape == ELLIPSOID:
+        px, py, pz, qx, qy, qz = ox / hx, oy / hy, oz / hz, dx / hx, dy / hy, dz / hz
+        t_in, t_out = _quadratic(
+            qx * qx + qy * qy + qz * qz,
+            px * qx + py * qy + pz * qz,
+            px * px + py * py + pz * pz - 1.0,
+        )
+    else:
+        t_in, t_out = _slab(oz, dz, hz)
+        if shape == BOX:
+            x_in, x_out = _slab(ox, dx, hx)
+            y_in, y_out = _slab(oy, dy, hy)
+            t_in, t_out = max(t_in, x_in, y_in), min(t_out, x_out, y_out)
+        else:
+            px, py, qx, qy = ox / hx, oy / hy, dx / hx, dy / hy
+            r_in, r_out = _quadratic(qx * qx + qy * qy, px * qx + py * qy, px * px + py * py - 1.0)
+            t_in, t_out = max(t_in, r_in), min(t_out, r_out)
+    return t_in if NEAR_M < t_in <= t_out else math.inf
+
+
+@njit(**_jit)
+def into_local(pose, T, local):
+    """Fill `local` (3, 4): sensor coordinates to the primitive's frame."""
+    c, s = pose[6], pose[7]
+    for j in range(3):
+        local[0, j] = c * T[0, j] + s * T[1, j]
+        local[1, j] = -s * T[0, j] + c * T[1, j]
+        local[2, j] = T[2, j]
+    x, y = T[0, 3] - pose[0], T[1, 3] - pose[1]
+    local[0, 3], local[1, 3], local[2, 3] = c * x + s * y, -s * x + c * y, T[2, 3] - pose[2]
+
+
+@njit(**_jit)
+def _corners(pose, local, corners):
+    """Fill `corners` (8, 3) with the bounding box's corners in the sensor frame."""
+    for k in range(8):
+        x = (pose[3] if k & 1 else -pose[3]) - local[0, 3]
+        y = (pose[4] if k & 2 else -pose[4]) - local[1, 3]
+        z = (pose[5] if k & 4 else -pose[5]) - local[2, 3]
+        for j in range(3):
+            corners[k, j] = local[0, j] * x + local[1, j] * y + local[2, j] * z
+
+
+@njit(**_jit)
+def _rectangle(corners, fx, fy, cx, cy, width, height, rect):
+    """Fill `rect` (u0, v0, u1, v1, inclusive) with the projection of a box cut at the near plane.
+
+    Returns the nearest z-depth of the box, or inf when none of it is in view.
+    """
+    u0, v0, u1, v1 = math.inf, math.inf, -math.inf, -math.inf
+    z_min = math.inf
+    for k in range(8):
+        z_min = min(z_min, corners[k, 2])
+        for axis in range(4):
+            # axis 3: the corner itself; 0-2: where the edge along that axis meets the near plane.
+            x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
+            if axis < 3:
+                other = k ^ (1 << axis)
+                z_other = corners[other, 2]
+                if not (z >= NEAR_M > z_other):
+                    continue
+                f = (z - NEAR_M) / (z - z_other)
+                x += f * (corners[other, 0] - x)
+                y += f * (corners[other, 1] - y)
+                z = NEAR_M
+            elif z < NEAR_M:
+                continue
+            u, v = fx * x / z + cx, fy * y / z + cy
+            u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
+    if u1 < 0.0 or v1 < 0.0 or u0 > width - 1 or v0 > height - 1 or u0 > u1:
+        return math.inf
+    rect[0], rect[1] = int(max(0.0, u0)), int(max(0.0, v0))
+    rect[2], rect[3] = int(min(width - 1.0, u1 + 1.0)), int(min(height - 1.0, v1 + 1.0))
+    return max(z_min, NEAR_M)
+
+
+@njit(**_jit)
+def _box_row(index, hx, hy, hz, local, u0, fx, bx, by, bz, depth, prim):
+    """`_hit` of a box for a row of pixels, without a branch: the compiler takes several at once.
+
+    Returns how many it hits first.
+    """
+    count = 0
+    ox, oy, oz = local[0, 3], local[1, 3], local[2, 3]
+    ax, ay, az = local[0, 0], local[1, 0], local[2, 0]
+    for k in range(len(depth)):
+        x = (u0 + k) / fx
+        dx, dy, dz = ax * x + bx, ay * x + by, az * x + bz
+        ix = 1.0 / (dx if abs(dx) > _TINY else _TINY)
+        iy = 1.0 / (dy if abs(dy) > _TINY else _TINY)
+        iz = 1.0 / (dz if abs(dz) > _TINY else _TINY)
+        xa, xb, ya, yb = (-hx - ox) * ix, (hx - ox) * ix, (-hy - oy) * iy, (hy - oy) * iy
+        za, zb = (-hz - oz) * iz, (hz - oz) * iz
+        t_in = max(max(min(xa, xb), min(ya, yb)), min(za, zb))
+        t_out = min(min(max(xa, xb), max(ya, yb)), max(za, zb))
+        nearer = (t_in > NEAR_M) & (t_in <= t_out) & (t_in < depth[k])
+        depth[k] = t_in if nearer else depth[k]
+        prim[k] = index if nearer else prim[k]
+        count += nearer
+    return count
+
+
+@njit(**_jit)
+def _draw(index, shape, pose, local, rect, z_min, fx, fy, cx, cy, depth, prim, tile_z):
+    """Ray-test the pixels of `rect` against one primitive."""
+    height, width = depth.shape
+    ox, oy, oz = local[0, 3], local[1, 3], local[2, 3]
+    hx, hy, hz = pose[3], pose[4], pose[5]
+    for tile_y in range(rect[1] // TILE_PX, rect[3] // TILE_PX + 1):
+        for tile_x in range(rect[0] // TILE_PX, rect[2] // TILE_PX + 1):
+            if tile_z[tile_y, tile_x] <= z_min:
+                continue
+            top, left = tile_y * TILE_PX, tile_x * TILE_PX
+            drawn = False
+            for v in range(max(rect[1], top), min(rect[3] + 1, top + TILE_PX)):
+                y = (v - cy) / fy
+                bx = local[0, 1] * y + local[0, 2]
+                by = local[1, 1] * y + local[1, 2]
+                bz = local[2, 1] * y + local[2, 2]
+                if shape == BOX:
+                    first, end = max(rect[0], left), min(rect[2] + 1, left + TILE_PX)
+                    row, prims = depth[v, first:end], prim[v, first:end]
+                    if _box_row(index, hx, hy, hz, local, first - cx, fx, bx, by, bz, row, prims):
+                        drawn = True
+                    continue
+                for u in range(max(rect[0], left), min(rect[2] + 1, left + TILE_PX)):
+                    x = (u - cx) / fx
+                    dx, dy, dz = local[0, 0] * x + bx, local[1, 0] * x + by, local[2, 0] * x + bz
+                    t = _hit(shape, ox, oy, oz, dx, dy, dz, hx, hy, hz)
+                    if t < depth[v, u]:
+                        depth[v, u] = t
+                        prim[v, u] = index
+                        drawn = True
+            if drawn:
+                far = 0.0
+                for v in range(top, min(height, top + TILE_PX)):
+                    for u in range(left, min(width, left + TILE_PX)):
+                        far = max(far, depth[v, u])
+                tile_z[tile_y, tile_x] = far
+
+
+@njit(**_jit)
+def render_depth(shape, pose, T_map_camera, fx, fy, cx, cy, depth, prim):
+    """Fill `depth` (h, w) float32 [m along z, inf = nothing] and `prim` (h, w) int32 (-1 = none).
+
+    A ray has camera-frame direction (x, y, 1), so its parameter is the z-depth itself.
+    """
+    height, width = depth.shape
+    n = len(shape)
+    local, rects = np.empty((n, 3, 4)), np.empty((n, 4), np.int64)
+    corners, nearest = np.empty((8, 3)), np.empty(n)
+    for i in range(n):
+        into_local(pose[i], T_map_camera, local[i])
+        _corners(pose[i], local[i], corners)
+        nearest[i] = _rectangle(corners, fx, fy, cx, cy, width, height, rects[i])
+    rows, cols = (height + TILE_PX - 1) // TILE_PX, (width + TILE_PX - 1) // TILE_PX
+    tile_z = np.full((rows, cols), np.inf)
+    depth[:] = np.inf
+    prim[:] = -1
+    for i in np.argsort(nearest):
+        if nearest[i] == math.inf:
+            break
+        _draw(
+            i, shape[i], pose[i], local[i], rects[i], nearest[i],
+            fx, fy, cx, cy, depth, prim, tile_z,
+        )  # fmt: skip
+
+
+@njit(**_jit)
+def name_hits(hit, owner, near_m, far_m, depth, ids):
+    """Fill `ids` with the owner of what each ray hit, and blank depths the camera does not give.
+
+    Args:
+        hit: (...) int32 index into `owner`, -1 = nothing.
+        owner: (n,) uint16 object ids, 0 = structure.
+        near_m, far_m: of the camera; `depth` (...) float32 outside becomes NaN, in place.
+        ids: (...) uint16, 0 where nothing is.
+    """
+    hits, depths, named = hit.reshape(-1), depth.reshape(-1), ids.reshape(-1)
+    for k in range(len(hits)):
+        named[k] = 0 if hits[k] < 0 else owner[hits[k]]
+        if depths[k] < near_m or depths[k] > far_m:
+            depths[k] = np.nan
+
+
+@njit(**_jit)
+def _fan_window(corners, n_azimuth, el_min, el_step, n_rings, window):
+    """Fill `window` (ring0, ring1, column0, columns) with the rays that can meet a box.
+
+    Conservative. Columns count from azimuth -pi; a box around the sensor's axis takes them all.
+    """
+    r_max, z_lo, z_hi = 0.0, math.inf, -math.inf
+    mid_x, mid_y = 0.0, 0.0
+    for k in range(8):
+        r_max = max(r_max, math.hypot(corners[k, 0], corners[k, 1]))
+        z_lo, z_hi = min(z_lo, corners[k, 2]), max(z_hi, corners[k, 2])
+        mid_x += corners[k, 0] / 8.0
+        mid_y += corners[k, 1] / 8.0
+    middle = math.atan2(mid_y, mid_x)
+    low, high, spread, r_min = 0.0, 0.0, 0.0, math.inf
+    for k in range(8):
+        off = math.atan2(corners[k, 1], corners[k, 0]) - middle
+        off -= 2.0 * math.pi * math.floor(off / (2.0 * math.pi) + 0.5)
+        low, high = min(low, off), max(high, off)
+        # The nearest point of the planar hull is no nearer than the corners' projections on the
+        # line of sight to its middle.
+        r_min = min(r_min, corners[k, 0] * math.cos(middle) + corners[k, 1] * math.sin(middle))
+        spread = max(spread, math.hypot(corners[k, 0] - mid_x, corners[k, 1] - mid_y))
+    window[2], window[3] = 0, n_azimuth
+    r_min = max(r_min, math.hypot(mid_x, mid_y) - spread, 0.0)
+    if high - low < math.pi and r_min > 0.0:
+        step = 2.0 * math.pi / n_azimuth
+        first = math.floor((middle + low + math.pi) / step)
+        window[2] = (first + n_azimuth) % n_azimuth
+        window[3] = min(n_azimuth, int((high - low) / step) + 3)
+    top = math.atan2(z_hi, r_min if z_hi > 0.0 else r_max)
+    bottom = math.atan2(z_lo, r_min if z_lo < 0.0 else r_max)
+    window[0] = max(0, math.floor((bottom - el_min) / el_step))
+    window[1] = min(n_rings, math.floor((top - el_min) / el_step) + 2)
+
+
+@njit(**_jit)
+def cast_fan(shape, pose, T_map_lidar, directions, el_min, el_step, ranges):
+    """Fill `ranges` (rings, columns) float32 [m, inf = nothing] for a rotating LiDAR.
+
+    `directions` (rings, columns, 3) float64 are unit vectors in the LiDAR's frame: ring r at
+    elevation el_min + r el_step, column c at azimuth -pi + c 2 pi / columns.
+    """
+    n_rings, n_columns = ranges.shape
+    local, corners, window = np.empty((3, 4)), np.empty((8, 3)), np.empty(4, np.int64)
+    ranges[:] = np.inf
+    for i in range(len(shape)):
+        into_local(pose[i], T_map_lidar, local)
+        _corners(pose[i], local, corners)
+        _fan_window(corners, n_columns, el_min, el_step, n_rings, window)
+        hx, hy, hz = pose[i, 3], pose[i, 4], pose[i, 5]
+        for r in range(window[0], window[1]):
+            for k in range(window[3]):
+                c = (window[2] + k) % n_columns
+                x, y, z = directions[r, c, 0], directions[r, c, 1], directions[r, c, 2]
+                t = _hit(
+                    shape[i], local[0, 3], local[1, 3], local[2, 3],
+                    local[0, 0] * x + local[0, 1] * y + local[0, 2] * z,
+                    local[1, 0] * x + local[1, 1] * y + local[1, 2] * z,
+                    local[2, 0] * x + local[2, 1] * y + local[2, 2] * z,
+                    hx, hy, hz,
+                )  # fmt: skip
+                ranges[r, c] = min(ranges[r, c], t)
+
+
+@njit(**_jit)
+def rasterise(shape, pose, z_lo, z_hi, origin_m, cell_m, grid):
+    """Set `grid` (rows, columns) uint8 to 1 where a solid reaches into z_lo..z_hi [m]."""
+    pad = 0.5 * cell_m
+    for i in range(len(shape)):
+        if pose[i, 2] - pose[i, 5] >= z_hi or pose[i, 2] + pose[i, 5] <= z_lo:
+            continue
+        hx, hy, c, s = pose[i, 3] + pad, pose[i, 4] + pad, pose[i, 6], pose[i, 7]
+        reach = math.hypot(hx, hy)
+        x0, y0 = pose[i, 0] - origin_m[0], pose[i, 1] - origin_m[1]
+        for row in range(
+            max(0, int((y0 - reach) / cell_m)), min(grid.shape[0], int((y0 + reach) / cell_m) + 1)
+        ):
+            for col in range(
+                max(0, int((x0 - reach) / cell_m)),
+                min(grid.shape[1], int((x0 + reach) / cell_m) + 1),
+            ):
+                x, y = (col + 0.5) * cell_m - x0, (row + 0.5) * cell_m - y0
+                a, b = (c * x + s * y) / hx, (c * y - s * x) / hy
+                inside = max(abs(a), abs(b)) <= 1.0 if shape[i] == BOX else a * a + b * b <= 1.0
+                if inside:
+                    grid[row, col] = 1

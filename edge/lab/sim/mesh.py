@@ -1,0 +1,364 @@
+"""A textured mesh as a world (extra `worlds`: trimesh and embreex)."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge import names
+from edge.config import Config, WorldMesh
+from edge.geometry import SE2, CameraModel, Grid
+from edge.host import resources
+from edge.host.files import read_regular
+from edge.lab.sim import kernels, mesh_kernels
+from edge.lab.sim.base import FLOOR_CLEARANCE_M, Fan, FloorPlan, Room, WorldError, WorldObject
+
+CELL_M = 0.025
+_MARGIN_M = 0.5
+# Houses of this kind often come without a ceiling: what is missing is painted as one.
+_SKY = np.array([236, 236, 233], np.uint8)
+# The building itself: seen, bumped into, but nothing anyone looks for.
+STRUCTURE = frozenset({"wall", "floor", "house wall", "room wall", "ceiling"})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Faces:
+    """All triangles of a scene in the map frame, and what `shade_hits` needs of each."""
+
+    triangles: np.ndarray
+    normals: np.ndarray
+    uvs: np.ndarray
+    tint: np.ndarray
+    first_level: np.ndarray
+    level_count: np.ndarray
+    texel_density: np.ndarray
+    node: np.ndarray
+    node_names: list[str]
+    texels: np.ndarray
+    levels: np.ndarray
+
+
+def load_mesh(section: WorldMesh, config: Config) -> MeshWorld:
+    """A mesh (z up, metres) with the list of its objects.
+
+    Raises:
+        WorldError: the extra is not installed, or a file is missing or not what it should be.
+    """
+    try:
+        import trimesh
+        from embreex import rtcore_scene  # noqa: F401
+    except ImportError as error:
+        raise WorldError(
+            f"{config.at('sim.world.kind')}: mesh needs {error.name}: "
+            "pip install 'edge-vln[worlds]' (x86_64), or choose house or procthor"
+        ) from None
+    path = resources.expand(section.mesh)
+    if not path.is_file():
+        raise WorldError(f"{config.at('sim.world.mesh')}: no such file: {path}")
+    try:
+        scene = trimesh.load_scene(path)
+        faces = read_faces(scene)
+    except (ValueError, KeyError, IndexError, OSError) as error:
+        raise WorldError(f"{path}: not a mesh that can be read: {error}") from None
+    return MeshWorld(path.stem, faces, read_objects(resources.expand(section.objects)), config)
+
+
+def read_objects(path: Path) -> list[dict[str, Any]]:
+    """The list of objects: name, category, yaw, aabb_min, aabb_max.
+
+    Raises:
+        WorldError: missing, not JSON, an entry lacks a field, or its category is no name.
+    """
+    try:
+        items = json.loads(read_regular(path))
+        for k, item in enumerate(items):
+            for key in ("name", "category", "yaw", "aabb_min", "aabb_max"):
+                if key not in item:
+                    raise WorldError(f"{path}: object {k}: no {key!r}")
+            try:
+                names.normalise(item["category"])
+            except names.NotANameError as error:
+                raise WorldError(f"{path}: object {k}: category: {error}") from None
+    except OSError as error:
+        raise WorldError(f"{path}: {error.strerror}") from None
+    except (ValueError, TypeError) as error:
+        raise WorldError(f"{path}: not a list of objects: {error}") from None
+    return items
+
+
+class _Atlas:
+    """Textures one after another, each with its smaller copies."""
+
+    def __init__(self) -> None:
+        self.texels: list[np.ndarray] = []
+        self.levels: list[tuple[int, int, int]] = []
+        self._next = 0
+        self._seen: dict[int, tuple[int, int]] = {}
+
+    def add(self, image: Any) -> tuple[int, int]:
+        """(first level, level count) of an image (PIL) or of plain white for None."""
+        key = id(image)
+        if key in self._seen:
+            return self._seen[key]
+        pixels = np.full((1, 1, 3), 255.0) if image is None else np.asarray(image.convert("RGB"))
+        first = len(self.levels)
+        while True:
+            height, width = pixels.shape[:2]
+            self.levels.append((self._next, height, width))
+            self.texels.append(np.asarray(pixels, np.uint8).reshape(-1, 3))
+            self._next += height * width
+            if height == width == 1:
+                break
+            pixels = _halve(np.asarray(pixels, np.float32))
+        self._seen[key] = (first, len(self.levels) - first)
+        return self._seen[key]
+
+
+def _halve(pixels: np.ndarray) -> np.ndarray:
+    """Averages of 2x2 pixels; an odd last row or column is dropped."""
+    for axis in (0, 1):
+        size = pixels.shape[axis]
+        if size > 1:
+            even = np.take(pixels, range(0, size - size % 2, 2), axis)
+            pixels = 0.5 * (even + np.take(pixels, range(1, size, 2), axis))
+    return pixels
+
+
+def read_faces(scene: Any) -> Faces:
+    """Every instance of every geometry of a trimesh scene, placed in the map."""
+    atlas, columns, node_names = _Atlas(), [], []
+    for node_name in scene.graph.nodes_geometry:
+        T, geometry_name = scene.graph[node_name]
+        columns.append(_faces_of(scene.geometry[geometry_name], T, atlas, len(node_names)))
+        node_names.append(node_name)
+    if not columns:
+        raise ValueError("no triangles in it")
+    joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
+    return Faces(
+        *joined,
+        node_names=node_names,
+        texels=np.concatenate(atlas.texels),
+        levels=np.array(atlas.levels, np.int64),
+    )
+
+
+def _faces_of(mesh: Any, T: np.ndarray, atlas: _Atlas, node: int) -> tuple[np.ndarray, ...]:
+    """The columns of `Faces` up to `node`, for one placed geometry."""
+    count = len(mesh.faces)
+    corners = mesh.vertices @ T[:3, :3].T + T[:3, 3]
+    triangles = corners[mesh.faces]
+    normals = _vertex_normals(triangles, mesh.faces, len(corners))[mesh.faces]
+    material = getattr(mesh.visual, "material", None)
+    image, uv = getattr(material, "baseColorTexture", None), getattr(mesh.visual, "uv", None)
+    if image is None or uv is None:
+        image, uv = None, np.zeros((len(mesh.vertices), 2))
+    first, levels = atlas.add(image)
+    # trimesh turns glTF's t around, so that it counts upwards.
+    uvs = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)[mesh.faces]
+    factor = getattr(material, "baseColorFactor", None)
+    tint = np.ones(3) if factor is None else np.asarray(factor[:3]) / 255.0
+    _, height, width = atlas.levels[first]
+    density = np.sqrt(_area2(uvs * (width, height)) / np.maximum(_area3(triangles), 1e-12))
+    return (
+        np.ascontiguousarray(triangles, np.float32),
+        np.ascontiguousarray(normals, np.float32),
+        np.ascontiguousarray(uvs, np.float32),
+        np.tile(tint.astype(np.float32), (count, 1)),
+        np.full(count, first, np.int64),
+        np.full(count, levels, np.int64),
+        density.astype(np.float32),
+        np.full(count, node, np.int32),
+    )
+
+
+def _vertex_normals(triangles: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
+    """(count, 3) sums of the normals around each vertex, weighted by area.
+
+    trimesh's own need scipy to be fast, and the extra does not bring it.
+    """
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    corner = faces.ravel()
+    return np.stack(
+        [np.bincount(corner, np.repeat(across[:, j], 3), minlength=count) for j in range(3)], axis=1
+    )
+
+
+def _area2(t: np.ndarray) -> np.ndarray:
+    a, b = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]
+    return np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+def _area3(t: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1)
+
+
+class MeshWorld:
+    """See `edge.lab.sim.base.World`."""
+
+    def __init__(
+        self, name: str, faces: Faces, items: list[dict[str, Any]], config: Config
+    ) -> None:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        self.name = name
+        self.rooms: tuple[Room, ...] = ()
+        self._faces = faces
+        self._depth_range_m = (
+            config.sensors.camera.depth_min_m,
+            config.sensors.camera.depth_max_m,
+        )
+        self._scene = EmbreeScene()
+        self._mesh = TriangleMesh(self._scene, faces.triangles)
+        self.objects, self._owner = _objects_of(faces, items, config.robot.height_m)
+        self.plan = self._floor_plan(config.robot.height_m)
+        self.start = self._roomiest()
+        self._rays: tuple[CameraModel | None, np.ndarray] = (None, np.empty((0, 3)))
+        self._buffers: dict[tuple[int, int], np.ndarray] = {}
+
+    def render(
+        self,
+        camera: CameraModel,
+        T_map_camera: np.ndarray,
+        out_rgb: np.ndarray | None,
+        out_depth_m: np.ndarray,
+        out_ids: np.ndarray,
+    ) -> None:
+        rays, hit = self._first_hits(self._pixel_rays(camera), T_map_camera)
+        faces, face = self._faces, hit["primID"]
+        if out_rgb is not None:
+            mesh_kernels.shade_hits(
+                face, hit["u"], hit["v"], hit["tfar"], rays, camera.fx_px,
+                faces.normals, faces.uvs, faces.tint, faces.texels, faces.levels,
+                faces.first_level, faces.level_count, faces.texel_density, _SKY,
+                out_rgb.reshape(-1, 3),
+            )  # fmt: skip
+        # The rays have z = 1, so that the distance along one is the depth.
+        out_depth_m.reshape(-1)[:] = hit["tfar"]
+        kernels.name_hits(
+            face, self._owner, *self._depth_range_m, out_depth_m.reshape(-1), out_ids.reshape(-1)
+        )
+
+    def cast(self, fan: Fan, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
+        _, hit = self._first_hits(fan.directions.reshape(-1, 3), T_map_lidar)
+        ranges = np.where(hit["primID"] >= 0, hit["tfar"], np.nan)
+        ranges[ranges > fan.range_m] = np.nan
+        out_ranges_m[:] = ranges.reshape(out_ranges_m.shape)
+
+    def _pixel_rays(self, camera: CameraModel) -> np.ndarray:
+        """(h * w, 3) float32 directions with z = 1 in the optical frame."""
+        if self._rays[0] != camera:
+            u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
+            x, y = (u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px
+            rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+            self._rays = (camera, rays.astype(np.float32))
+        return self._rays[1]
+
+    def _first_hits(
+        self, rays: np.ndarray, T_map_sensor: np.ndarray
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """The rays turned into the map, and what each meets first."""
+        # Camera and LiDAR look from threads of their own: each has its own arrays.
+        key = (threading.get_ident(), len(rays))
+        if key not in self._buffers:
+            self._buffers[key] = np.empty((2, len(rays), 3), np.float32)
+        buffers = self._buffers[key]
+        mesh_kernels.aim(rays, T_map_sensor, buffers[0], buffers[1])
+        return buffers[1], self._scene.run(buffers[0], buffers[1], output=True)
+
+    def _floor_plan(self, robot_height_m: float) -> FloorPlan:
+        triangles = self._faces.triangles
+        flat = triangles.reshape(-1, 3)
+        low, high = flat[:, :2].min(axis=0) - _MARGIN_M, flat[:, :2].max(axis=0) + _MARGIN_M
+        cols, rows = np.ceil((high - low) / CELL_M).astype(int)
+        occupied = np.zeros((rows, cols), np.uint8)
+        heights = (FLOOR_CLEARANCE_M, robot_height_m)
+        mesh_kernels.rasterise_triangles(triangles, *heights, low, CELL_M, occupied)
+        return FloorPlan(Grid(occupied, (float(low[0]), float(low[1])), CELL_M))
+
+    def _roomiest(self) -> SE2:
+        """The place farthest from everything, inside the house."""
+        plan = self.plan
+        inside = plan.clearance_m * _over_floor(self._scene, plan)
+        row, col = np.unravel_index(int(np.argmax(inside)), inside.shape)
+        return SE2(*plan.grid.centres_m(row, col).tolist(), 0.0)
+
+
+def _over_floor(scene: Any, plan: FloorPlan) -> np.ndarray:
+    """(rows, columns) bool: whether there is a floor under a cell."""
+    rows, cols = plan.grid.cells.shape
+    origins = np.full((rows, cols, 3), FLOOR_CLEARANCE_M, np.float32)
+    origins[..., :2] = plan.grid.centres_m(*np.mgrid[0:rows, 0:cols])
+    origins = origins.reshape(-1, 3)
+    down = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (len(origins), 1))
+    hit = scene.run(origins, down, output=True)
+    near = (hit["primID"] >= 0) & (hit["tfar"] < 3 * FLOOR_CLEARANCE_M)
+    return near.reshape(rows, cols)
+
+
+def _objects_of(
+    faces: Faces, items: list[dict[str, Any]], reach_m: float
+) -> tuple[list[WorldObject], np.ndarray]:
+    """The objects, and the id of the object that each face belongs to (0 = structure).
+
+    A face goes with the node of the object's name, else with the smallest box around it.
+    """
+    owner = np.zeros(len(faces.node), np.uint16)
+    centers = faces.triangles.mean(axis=1)
+    by_name = {node.partition(".")[0]: k for k, node in reversed([*enumerate(faces.node_names)])}
+    objects, boxed = [], []
+    for item in items:
+        label = names.canonical(item["category"])
+        if label in STRUCTURE:
+            continue
+        low, high = np.array(item["aabb_min"], float), np.array(item["aabb_max"], float)
+        object_id = len(objects) + 1
+        if item["name"] in by_name:
+            mine = np.array([n.partition(".")[0] == item["name"] for n in faces.node_names])
+            owner[mine[faces.node]] = object_id
+        else:
+            boxed.append((float(np.prod(high - low + 0.01)), object_id, low - 0.01, high + 0.01))
+        objects.append((item, label, low, high))
+    named = owner > 0
+    for _, object_id, low, high in sorted(boxed, key=lambda row: -row[0]):
+        owner[((centers > low) & (centers < high)).all(axis=1) & ~named] = object_id
+    return [
+        _object(k + 1, *fields, faces.triangles[owner == k + 1], reach_m)
+        for k, fields in enumerate(objects)
+    ], owner
+
+
+def _object(
+    object_id: int,
+    item: dict[str, Any],
+    label: str,
+    low: np.ndarray,
+    high: np.ndarray,
+    triangles: np.ndarray,
+    reach_m: float,
+) -> WorldObject:
+    center, size = 0.5 * (low + high), high - low
+    cols, rows = np.ceil((size[:2] + 0.2) / CELL_M).astype(int)
+    grid, corner = np.zeros((rows, cols), np.uint8), low[:2] - 0.1
+    # Where none of it is at the robot's height (a lamp, a picture), all of it counts.
+    for top in (reach_m, math.inf):
+        if not grid.any():
+            mesh_kernels.rasterise_triangles(triangles, -1.0, top, corner, CELL_M, grid)
+    row, col = np.nonzero(grid)
+    footprint = (np.stack([col, row], axis=1) + 0.5) * CELL_M + corner
+    return WorldObject(
+        id=object_id,
+        name=item["name"],
+        label=label,
+        category=item["category"],
+        center_m=tuple(map(float, center)),
+        size_m=tuple(map(float, size)),
+        yaw_rad=0.0,  # the box is axis-parallel, whatever the object's own yaw
+        footprint_m=footprint.astype(np.float32) if len(footprint) else None,
+    )

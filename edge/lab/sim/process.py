@@ -1,0 +1,192 @@
+"""The simulated robot as a process of its own, which speaks only Zenoh.
+
+In real time the body is moved and its odometry sent at `sensors.odometry_hz` by one thread, while
+another takes pictures (and LiDAR sweeps) and leaves out those it has no time for. In lockstep the
+simulated clock stands still until the controller has answered the service's tick.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import zenoh
+
+from edge.bus import topics
+from edge.bus.session import Ring, declare_publisher, zenoh_session
+from edge.bus.wire import messages
+from edge.config import Config
+from edge.lab.sim.base import World
+from edge.lab.sim.robot import DriveTrain, Motion
+from edge.lab.sim.sensors import Message, Rig, make_rigs, odometry_message, truth_message
+from edge.lab.sim.worlds import load_world
+
+log = logging.getLogger("edge.lab.sim")
+
+COMMAND_TIMEOUT_S = 0.5
+TOLD_S = 10.0
+REPEAT_S = 0.5
+FIRST_STAMP_NS = 1_000_000_000
+_TRUTH_HZ = 10.0
+_DESCRIPTION_HZ = 1.0
+_POLL_S = 0.0005
+
+
+def main(config: Config, stop: threading.Event) -> int:
+    """Simulate the configured robot in its world until `stop` is set; returns the exit status.
+
+    Raises:
+        edge.errors.UserError: the world cannot be loaded, or the start is not free.
+    """
+    world = load_world(config)
+    first_ns = FIRST_STAMP_NS if config.sim.lockstep else time.time_ns()
+    drive = DriveTrain(config.robot, config.sim, world, world.start, first_ns)
+    with zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
+        bus = SimBus(session, config)
+        log.info("simulating %s in %s", config.robot_name, world.name)
+        run = run_lockstep if config.sim.lockstep else run_real_time
+        run(config, world, drive, bus, stop)
+    now = drive.motion
+    log.info("drove %.1f m, ran into something %d times", now.path_m, now.collisions)
+    return 0
+
+
+class SimBus:
+    """The simulator's publishers, and the newest command."""
+
+    def __init__(self, session: zenoh.Session, config: Config) -> None:
+        # In lockstep the service waits for every message: none may be dropped.
+        change = {"qos": "block"} if config.sim.lockstep else {}
+        self._publishers = {
+            topic.key: declare_publisher(session, replace(topic, **change), config.zenoh)
+            for topic in topics.PLAYED
+        }
+        self._commands = Ring(session, config.zenoh.key(topics.CMD_VEL.key), 16)
+        self._malformed = 0
+
+    def send(self, batch: Iterable[Message]) -> None:
+        for topic, payload in batch:
+            self._publishers[topic.key].put(payload)
+
+    def commands(self) -> Iterable[tuple[int, float, float]]:
+        """(stamp_ns, v, w) of the commands since the last call, at most a ring's worth; malformed
+        ones are counted."""
+        for sample in self._commands.take():
+            try:
+                yield messages.decode_twist_stamped(sample.payload.to_bytes())
+            except messages.DecodeError as error:
+                self._malformed += 1
+                if self._malformed == 1:
+                    log.warning("cmd_vel: malformed command left out: %s", error)
+
+
+def run_real_time(
+    config: Config, world: World, drive: DriveTrain, bus: SimBus, stop: threading.Event
+) -> None:
+    """Move and send odometry at its rate; pictures come from another thread."""
+    rigs = make_rigs(config, world)
+    with ThreadPoolExecutor(len(rigs), thread_name_prefix="sensor") as pool:
+        running = [pool.submit(_sense, rig, drive, bus, stop) for rig in rigs]
+        # A sensor that fails ends the simulation, with its error.
+        for future in running:
+            future.add_done_callback(lambda _: stop.set())
+        try:
+            _move(config, drive, bus, stop)
+        finally:
+            stop.set()
+    for future in running:
+        future.result()
+
+
+def _move(config: Config, drive: DriveTrain, bus: SimBus, stop: threading.Event) -> None:
+    period_s = 1.0 / config.sensors.odometry_hz
+    truth_every = max(1, round(config.sensors.odometry_hz / _TRUTH_HZ))
+    command, heard_s, count = (0.0, 0.0), -COMMAND_TIMEOUT_S, 0
+    next_s = time.monotonic()
+    while not stop.is_set():
+        now_s = time.monotonic()
+        for _, v, w in bus.commands():
+            command, heard_s = (v, w), now_s
+        if now_s - heard_s > COMMAND_TIMEOUT_S:
+            command = (0.0, 0.0)
+        # The body catches up with the clock, however late this thread was woken.
+        lag_s = 1e-9 * (time.time_ns() - drive.motion.stamp_ns)
+        if lag_s > 0.0:
+            motion = drive.step(min(lag_s, 1.0), *command)
+            bus.send([odometry_message(motion)])
+            if count % truth_every == 0:
+                bus.send([truth_message(motion)])
+            count += 1
+        next_s = max(next_s + period_s, time.monotonic())
+        stop.wait(max(0.0, next_s - time.monotonic()))
+
+
+def _sense(rig: Rig, drive: DriveTrain, bus: SimBus, stop: threading.Event) -> None:
+    """Send what one sensor sees, at its rate, and now and then what it is."""
+    next_s = described_s = time.monotonic()
+    while not stop.is_set():
+        motion = drive.motion
+        if time.monotonic() >= described_s:
+            bus.send(rig.description(motion.stamp_ns))
+            described_s += 1.0 / _DESCRIPTION_HZ
+        rig.look(motion.pose)
+        bus.send(rig.messages(motion.stamp_ns))
+        next_s = next_frame(next_s, 1.0 / rig.rate_hz, time.monotonic())
+        stop.wait(next_s - time.monotonic())
+
+
+def next_frame(due_s: float, period_s: float, now_s: float) -> float:
+    """When the picture after the one due at `due_s` is due: those already late are left out.
+
+    >>> next_frame(10.0, 0.5, 10.25), next_frame(10.0, 0.5, 11.75)
+    (10.5, 12.0)
+    """
+    late_s = max(0.0, now_s - due_s)
+    return due_s + period_s * (int(late_s / period_s) + 1)
+
+
+def run_lockstep(
+    config: Config, world: World, drive: DriveTrain, bus: SimBus, stop: threading.Event
+) -> None:
+    """Send what is seen at t, wait for the command that answers t, drive one step, again.
+
+    However long that takes: a run in which a slow computer, and not a command, decides when the
+    clock goes on is another run each time.
+    """
+    rigs = make_rigs(config, world)
+    while not stop.is_set():
+        motion = drive.motion
+        for rig in rigs:
+            rig.look(motion.pose)
+        command = _ask(motion, rigs, bus, stop)
+        if command is not None:
+            drive.step(config.sim.step_s, *command)
+
+
+def _ask(
+    motion: Motion, rigs: list[Rig], bus: SimBus, stop: threading.Event
+) -> tuple[float, float] | None:
+    """Send one instant, again and again, until a command bears its stamp; None once `stop` is
+    set."""
+    stamp_ns, begun_s, sent_s, warned = motion.stamp_ns, time.monotonic(), 0.0, False
+    while not stop.is_set():
+        now_s = time.monotonic()
+        if now_s - sent_s > REPEAT_S:
+            sent_s = now_s
+            bus.send([odometry_message(motion), truth_message(motion)])
+            for rig in rigs:
+                bus.send(rig.description(stamp_ns))
+            for rig in rigs:
+                bus.send(rig.messages(stamp_ns))
+        for answered_ns, v, w in bus.commands():
+            if answered_ns == stamp_ns:
+                return v, w
+        if now_s - begun_s > TOLD_S and not warned:
+            warned = True
+            log.warning("no command for t = %.2f s: is the controller running?", stamp_ns * 1e-9)
+        stop.wait(_POLL_S)
+    return None

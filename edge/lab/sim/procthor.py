@@ -1,0 +1,127 @@
+"""ProcTHOR houses (Apache-2.0) as box worlds, from JSON lines."""
+
+from __future__ import annotations
+
+import colorsys
+import gzip
+import json
+import math
+import zlib
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from edge import names
+from edge.config import Config, WorldProcthor
+from edge.geometry import SE2
+from edge.host import resources
+from edge.host.files import open_regular
+from edge.lab.sim import kernels, shading
+from edge.lab.sim.base import WorldError, WorldObject
+from edge.lab.sim.boxworld import BoxWorld, Part
+
+_WALL_M = 0.1
+_SLAB_M = 0.1
+_FLOORS = {
+    "bathroom": ((196.0, 200.0, 204.0), shading.TILES),
+    "kitchen": ((206.0, 198.0, 184.0), shading.TILES),
+    "bedroom": ((168.0, 150.0, 130.0), shading.FABRIC),
+}
+_WOOD = ((176.0, 132.0, 88.0), shading.PLANKS)
+
+
+def read_houses(path: Path) -> Iterator[dict[str, Any]]:
+    """The houses of a `.jsonl` or `.jsonl.gz` file, one by one.
+
+    Raises:
+        WorldError: the file cannot be read, or a line is not JSON.
+    """
+    number = 0
+    try:
+        with open_regular(path) as content:
+            for line in gzip.GzipFile(fileobj=content) if path.suffix == ".gz" else content:
+                number += 1
+                yield json.loads(line)
+    except OSError as error:
+        raise WorldError(f"{path}: {error.strerror or error}") from None
+    except (ValueError, EOFError) as error:
+        raise WorldError(f"{path}: line {number}: not JSON: {error}") from None
+
+
+def load_procthor(section: WorldProcthor, config: Config) -> BoxWorld:
+    """One house of a file, by name.
+
+    Raises:
+        WorldError: no such file or house, or a house that lacks a field.
+    """
+    path, first, count = resources.expand(section.file), "", 0
+    for house in read_houses(path):
+        if house.get("name") == section.name:
+            try:
+                return build_procthor(house, config)
+            except (KeyError, TypeError, ValueError) as error:
+                raise WorldError(f"{path}: {section.name}: bad house: {error!r}") from None
+        first, count = first or str(house.get("name")), count + 1
+    raise WorldError(f"{path}: no house {section.name!r} among its {count} (the first: {first})")
+
+
+def build_procthor(house: dict[str, Any], config: Config) -> BoxWorld:
+    """The world of one parsed line."""
+    height = max((wall[5] for wall in house["walls"]), default=2.6)
+    structure = [part for room in house["rooms"] for part in _room_parts(room, height)]
+    structure += [_wall(wall) for wall in house["walls"]]
+    furniture = [_box(k + 1, item) for k, item in enumerate(house["objects"])]
+    camera = config.sensors.camera
+    depths = (camera.depth_min_m, camera.depth_max_m)
+    start = SE2(*(float(v) for v in house["start"]))
+    rooms = tuple(tuple(rectangles(room["polygon"])) for room in house["rooms"])
+    height_m = config.robot.height_m
+    return BoxWorld(house["name"], structure, furniture, start, height_m, depths, rooms)
+
+
+def _room_parts(room: dict[str, Any], height_m: float) -> list[Part]:
+    """Floor and ceiling of a polygon with sides along x and y, cut into strips along y."""
+    color, texture = _FLOORS.get(room["category"], _WOOD)
+    parts = []
+    for x0, y0, x1, y1 in rectangles(room["polygon"]):
+        center, size = (0.5 * (x0 + x1), 0.5 * (y0 + y1)), (x1 - x0, y1 - y0, _SLAB_M)
+        below, above = (*center, -0.5 * _SLAB_M), (*center, height_m + 0.5 * _SLAB_M)
+        parts.append(Part(kernels.BOX, below, size, color, texture))
+        parts.append(Part(kernels.BOX, above, size, (244.0, 243.0, 240.0), shading.PAINT))
+    return parts
+
+
+def rectangles(polygon: list[list[float]]) -> list[tuple[float, float, float, float]]:
+    """Cut a polygon with axis-parallel sides into rectangles (x0, y0, x1, y1)."""
+    ys = sorted({y for _, y in polygon})
+    sides = list(zip(polygon, [*polygon[1:], polygon[0]], strict=True))
+    out = []
+    for low, high in pairwise(ys):
+        middle = 0.5 * (low + high)
+        xs = sorted(
+            a[0] for a, b in sides if min(a[1], b[1]) < middle < max(a[1], b[1])
+        )  # an even number: the strip is inside between each pair
+        out += [(x0, low, x1, high) for x0, x1 in zip(xs[::2], xs[1::2], strict=True)]
+    return out
+
+
+def _wall(wall: list[float]) -> Part:
+    x0, y0, x1, y1, z0, z1 = wall
+    length = math.hypot(x1 - x0, y1 - y0) + _WALL_M * (z0 == 0.0)
+    center = (0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * (z0 + z1))
+    yaw = math.atan2(y1 - y0, x1 - x0)
+    color = (224.0, 220.0, 210.0)
+    return Part(kernels.BOX, center, (length, _WALL_M, z1 - z0), color, shading.PAINT, yaw)
+
+
+def _box(object_id: int, item: dict[str, Any]) -> tuple[WorldObject, list[Part]]:
+    category, yaw = item["category"], float(item["yaw"])
+    center, size = tuple(map(float, item["center"])), tuple(map(float, item["size"]))
+    # One colour a category, the same everywhere.
+    tone = zlib.crc32(category.encode()) / 2**32
+    color = tuple(255.0 * v for v in colorsys.hsv_to_rgb(tone, 0.45, 0.75))
+    thing = WorldObject(
+        object_id, str(item["id"]), names.canonical(category), category, center, size, yaw
+    )
+    return thing, [Part(kernels.BOX, center, size, color, shading.FABRIC, yaw)]

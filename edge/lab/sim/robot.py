@@ -1,0 +1,115 @@
+"""The simulated robot's body: a differential drive that cannot pass through things."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edge.config import Robot, Sim
+from edge.geometry import SE2, wrap_angle
+from edge.lab.sim.base import World, WorldError
+
+SUBSTEP_S = 0.02
+# Pushing on against the same thing is one collision, until the robot has been this far away.
+AWAY_M = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How the robot stands at one instant.
+
+    Attributes:
+        pose: where it truly is, in `map`.
+        odometry: where it believes it is.
+        collisions: how many times it has run into something.
+        bumped: whether it stands where it ran into something.
+        path_m: distance truly driven.
+    """
+
+    stamp_ns: int
+    pose: SE2
+    odometry: SE2
+    v_mps: float
+    w_radps: float
+    collisions: int
+    bumped: bool
+    path_m: float
+
+
+class DriveTrain:
+    """A disc with limited speed, turn rate and accelerations.
+
+    The odometry drifts by a constant fraction of the distance driven and of the angle turned,
+    drawn once from the seed: a wheel's wrong radius, not noise that averages out.
+
+    Raises:
+        WorldError: the start is not free.
+    """
+
+    def __init__(self, robot: Robot, sim: Sim, world: World, start: SE2, stamp_ns: int = 0) -> None:
+        clearance = world.plan.clearance_at(start.x_m, start.y_m)
+        if clearance < robot.radius_m:
+            raise WorldError(
+                f"sim.start: ({start.x_m:.2f}, {start.y_m:.2f}) in {world.name} is {clearance:.2f} "
+                f"m from an obstacle, the robot needs {robot.radius_m} m: choose another start"
+            )
+        rng = np.random.default_rng(sim.seed)
+        self._robot, self._world = robot, world
+        self._scale = 1.0 + sim.drift_m_per_m * rng.standard_normal()
+        self._turn_scale = 1.0 + sim.drift_rad_per_rad * rng.standard_normal()
+        self._bumped_at = start
+        self.motion = Motion(stamp_ns, start, start, 0.0, 0.0, 0, False, 0.0)
+
+    def step(self, dt_s: float, v_cmd_mps: float, w_cmd_radps: float) -> Motion:
+        """Drive towards a commanded speed and turn rate for `dt_s`."""
+        count = max(1, math.ceil(dt_s / SUBSTEP_S - 1e-9))
+        now = self.motion
+        for _ in range(count):
+            now = self._substep(now, dt_s / count, v_cmd_mps, w_cmd_radps)
+        # At once: other threads read pose and stamp, which belong together.
+        self.motion = replace(now, stamp_ns=now.stamp_ns + round(dt_s * 1e9))
+        return self.motion
+
+    def _substep(self, now: Motion, dt_s: float, v_cmd: float, w_cmd: float) -> Motion:
+        robot = self._robot
+        v = _towards(now.v_mps, v_cmd, robot.max_speed_mps, robot.max_accel_mps2 * dt_s)
+        w = _towards(now.w_radps, w_cmd, robot.max_turn_radps, robot.max_turn_accel_radps2 * dt_s)
+        pose = _advance(now.pose, v * dt_s, w * dt_s)
+        before = self._world.plan.clearance_at(now.pose.x_m, now.pose.y_m)
+        after = self._world.plan.clearance_at(pose.x_m, pose.y_m)
+        # Something may have been moved onto the robot: then any way out is allowed.
+        blocked = after < robot.radius_m and (before >= robot.radius_m or after < before)
+        bumped = now.bumped
+        if blocked and v != 0.0:
+            v, bumped, self._bumped_at = 0.0, True, now.pose
+            pose = _advance(now.pose, 0.0, w * dt_s)
+        elif bumped and pose.distance_to(self._bumped_at.x_m, self._bumped_at.y_m) > AWAY_M:
+            bumped = False
+        return Motion(
+            stamp_ns=now.stamp_ns,
+            pose=pose,
+            odometry=_advance(now.odometry, v * dt_s * self._scale, w * dt_s * self._turn_scale),
+            v_mps=v,
+            w_radps=w,
+            collisions=now.collisions + (bumped and not now.bumped),
+            bumped=bumped,
+            path_m=now.path_m + abs(v) * dt_s,
+        )
+
+
+def _towards(now: float, wanted: float, limit: float, change: float) -> float:
+    """The next speed: the wanted one within its limit, no further than `change` from now."""
+    wanted = min(max(wanted, -limit), limit)
+    return min(max(wanted, now - change), now + change)
+
+
+def _advance(pose: SE2, forward_m: float, turn_rad: float) -> SE2:
+    """Drive an arc, by its chord."""
+    heading = pose.yaw_rad + 0.5 * turn_rad
+    return SE2(
+        pose.x_m + forward_m * math.cos(heading),
+        pose.y_m + forward_m * math.sin(heading),
+        wrap_angle(pose.yaw_rad + turn_rad),
+    )

@@ -1,0 +1,145 @@
+"""What the simulated robot's sensors see, as messages ready to be sent."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from typing import Union
+
+import numpy as np
+
+from edge.bus import topics
+from edge.bus.topics import Topic
+from edge.bus.wire import messages
+from edge.config import Config
+from edge.geometry import SE2
+from edge.lab.sim.base import Fan, World, WorldError
+from edge.lab.sim.robot import Motion
+
+CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
+Message = tuple[Topic, bytes]
+
+
+def _over_the_floor(config: Config, key: str, z_m: float) -> None:
+    """Refuse a sensor that would be in the floor: the base of the simulated robot is on it."""
+    if z_m <= 0.0:
+        raise WorldError(
+            f"{config.at(key)}: {z_m:g}: the base of the simulated robot is on the floor, so its "
+            "sensors must be higher: take a value above 0"
+        )
+
+
+class CameraRig:
+    """The camera: colour, depth and object ids; its buffers are used again for every picture.
+
+    Args:
+        colour: False: `rgb` is None, and pictures are taken in half the time.
+    """
+
+    def __init__(self, config: Config, world: World, colour: bool = True) -> None:
+        camera, self._world = config.sensors.camera, world
+        _over_the_floor(config, "sensors.camera.z_m", camera.z_m)
+        self.model = camera.intrinsics()
+        self.T_base_camera = camera.T_base_camera()
+        shape = (camera.height_px, camera.width_px)
+        self.rgb = np.empty((*shape, 3), np.uint8) if colour else None
+        self.depth_m = np.empty(shape, np.float32)
+        self.ids = np.empty(shape, np.uint16)
+        self.rate_hz = camera.rate_hz
+        self._depth_noise = config.sim.depth_noise
+        self._rng = np.random.default_rng([config.sim.seed, 1])
+
+    def look(self, pose: SE2) -> None:
+        """Fill `rgb`, `depth_m` and `ids` as seen from a pose; noise grows with depth squared."""
+        T_map_camera = pose.matrix() @ self.T_base_camera
+        self._world.render(self.model, T_map_camera, self.rgb, self.depth_m, self.ids)
+        if self._depth_noise > 0.0:
+            noise = self._rng.standard_normal(self.depth_m.shape, np.float32)
+            self.depth_m += self._depth_noise * noise * self.depth_m * self.depth_m
+
+    def messages(self, stamp_ns: int) -> Iterator[Message]:
+        """The last picture; colour comes last, since it completes the frame."""
+        assert self.rgb is not None, "a camera without colour sends nothing"
+        depth_mm = np.nan_to_num(self.depth_m * 1000.0, nan=0.0).clip(0, 65535).astype(np.uint16)
+        yield topics.DEPTH, messages.encode_image(stamp_ns, CAMERA_FRAME, depth_mm)
+        yield topics.SEGMENTATION, messages.encode_image(stamp_ns, CAMERA_FRAME, self.ids)
+        yield topics.RGB, messages.encode_image(stamp_ns, CAMERA_FRAME, self.rgb)
+
+    def description(self, stamp_ns: int) -> Iterator[Message]:
+        """What peers need once: intrinsics, and the label of each object id (id 1 first)."""
+        info = messages.encode_camera_info(stamp_ns, CAMERA_FRAME, self.model)
+        yield topics.CAMERA_INFO, info
+        labels = [item.label for item in self._world.objects]
+        yield topics.LABELS, json.dumps(labels).encode()
+
+
+class LidarRig:
+    """The LiDAR: a scan for one ring, a cloud of the returns for several."""
+
+    def __init__(self, config: Config, world: World) -> None:
+        lidar = config.sensors.lidar
+        assert lidar is not None
+        _over_the_floor(config, "sensors.lidar.z_m", lidar.z_m)
+        self._world, self._fan, self._noise_m = world, Fan.of(lidar), lidar.noise_m
+        self.rate_hz = lidar.rate_hz
+        self.T_base_lidar = lidar.T_base_mount()
+        self.ranges_m = np.empty(self._fan.directions.shape[:2], np.float32)
+        self._rng = np.random.default_rng([config.sim.seed, 2])
+
+    def look(self, pose: SE2) -> None:
+        """Fill `ranges_m` as seen from a pose."""
+        self._world.cast(self._fan, pose.matrix() @ self.T_base_lidar, self.ranges_m)
+        if self._noise_m > 0.0:
+            noise = self._rng.standard_normal(self.ranges_m.shape, np.float32)
+            self.ranges_m += self._noise_m * noise
+
+    def cloud_m(self) -> np.ndarray:
+        """(n, 3) float32 points of the last look in the LiDAR's frame."""
+        hit = np.isfinite(self.ranges_m)
+        return (self._fan.directions[hit] * self.ranges_m[hit][:, None]).astype(np.float32)
+
+    def messages(self, stamp_ns: int) -> Iterator[Message]:
+        rings, columns = self.ranges_m.shape
+        if rings > 1:
+            cloud = messages.encode_point_cloud(stamp_ns, LIDAR_FRAME, self.cloud_m())
+            yield topics.CLOUD, cloud
+            return
+        ranges = np.where(np.isfinite(self.ranges_m[0]), self.ranges_m[0], np.inf)
+        turn = (-math.pi, 2 * math.pi / columns, self._fan.range_m)
+        scan = messages.encode_laser_scan(stamp_ns, LIDAR_FRAME, *turn, ranges.astype(np.float32))
+        yield topics.SCAN, scan
+
+    def description(self, stamp_ns: int) -> Iterator[Message]:
+        """Clouds need none."""
+        return iter(())
+
+
+Rig = Union[CameraRig, LidarRig]
+
+
+def make_rigs(config: Config, world: World) -> list[Rig]:
+    """The configured sensors; the camera comes last, since it completes what is seen at once."""
+    lidar = [] if config.sensors.lidar is None else [LidarRig(config, world)]
+    return [*lidar, CameraRig(config, world)]
+
+
+def odometry_message(motion: Motion) -> Message:
+    """Where the robot believes it is."""
+    T_map_base = motion.odometry.matrix()
+    payload = messages.encode_odometry(motion.stamp_ns, T_map_base, motion.v_mps, motion.w_radps)
+    return topics.ODOMETRY, payload
+
+
+def truth_message(motion: Motion) -> Message:
+    """Where it truly is, and what it ran into."""
+    truth = {
+        "stamp_ns": motion.stamp_ns,
+        "pose": [motion.pose.x_m, motion.pose.y_m, motion.pose.yaw_rad],
+        "v_mps": motion.v_mps,
+        "w_radps": motion.w_radps,
+        "collisions": motion.collisions,
+        "bumped": motion.bumped,
+        "path_m": motion.path_m,
+    }
+    return topics.GROUND_TRUTH, json.dumps(truth).encode()

@@ -1,0 +1,319 @@
+"""A street for every seed: road, sidewalks, houses, cars, trees, poles, bins, benches.
+
+    drawn = street(7)
+
+It is drawn along its own road; `map` is where the robot stands at the start, as everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.config import Config, WorldStreet
+from edge.geometry import SE2
+from edge.lab.sim import kernels, shading
+from edge.lab.sim.base import WorldObject
+from edge.lab.sim.boxworld import BoxWorld, Part
+from edge.lab.sim.generator.draws import Dice, Rect
+
+RGB = tuple[float, float, float]
+BEHIND_M, AHEAD_M = 14.0, 50.0
+SLAB_M = 0.1
+_KEY = 16
+_APART_M = 0.6  # things stand no nearer to each other, but for what parks in a row
+
+CAR_COLOURS: dict[str, RGB] = {
+    "red": (190, 40, 36), "blue": (40, 82, 170), "white": (236, 236, 234),
+    "black": (34, 34, 38), "silver": (176, 180, 186), "green": (40, 110, 66),
+    "yellow": (228, 190, 40),
+}  # fmt: skip
+BIN_COLOURS: dict[str, RGB] = {
+    "green": (46, 120, 60), "blue": (44, 90, 170), "yellow": (226, 188, 44), "black": (40, 40, 44),
+}  # fmt: skip
+HOUSE_COLOURS: dict[str, RGB] = {
+    "white": (232, 230, 224), "yellow": (226, 202, 140), "red": (168, 84, 66),
+    "grey": (150, 152, 156),
+}  # fmt: skip
+GROUND_COLOURS: dict[str, RGB] = {
+    "road": (78, 80, 86), "sidewalk": (176, 174, 168), "parking": (116, 116, 122),
+}  # fmt: skip
+_LAWN, _LEAF, _BARK, _STEEL = (96, 132, 74), (62, 128, 56), (104, 78, 54), (120, 124, 130)
+_CAR_M = (4.0, 1.7, 1.4), (4.7, 1.85, 1.6)
+_VAN_M = (4.8, 1.95, 2.1), (5.4, 2.05, 2.4)
+_WINDOW, _TYRE, _WOOD = (58, 70, 82), (28, 28, 32), (150, 104, 62)
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """A piece of ground that may be driven over; pieces of one id are one region."""
+
+    id: int
+    label: str
+    rect: Rect
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """Something that stands in the street.
+
+    Attributes:
+        colour: in a word; "" where nobody would say one.
+        size_m: along its heading, across it, and up, of what stands on the ground: a tree's trunk.
+        parts: in its own frame, x along its heading.
+    """
+
+    label: str
+    colour: str
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    size_m: tuple[float, float, float]
+    parts: tuple[Part, ...]
+
+    @property
+    def rect(self) -> Rect:
+        """What it covers of the ground; it stands along the road or across it."""
+        along, across = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
+        if abs(math.sin(self.yaw_rad)) > 0.5:
+            along, across = across, along
+        return Rect(self.x_m - along, self.y_m - across, self.x_m + along, self.y_m + across)
+
+
+@dataclass(frozen=True, slots=True)
+class Street:
+    """In the road's frame: x along its middle, y left.
+
+    Attributes:
+        start: of the robot.
+        width_m: from the farthest house on the right to that on the left, half of it each.
+        grounds: later ones lie on earlier ones.
+    """
+
+    name: str
+    start: SE2
+    width_m: float
+    grounds: tuple[Ground, ...]
+    things: tuple[Thing, ...]
+
+    def to_map(self, x_m: float, y_m: float, yaw_rad: float = 0.0) -> SE2:
+        """A pose of the road's frame in `map`, whose origin is the start."""
+        c, s = math.cos(self.start.yaw_rad), math.sin(self.start.yaw_rad)
+        dx, dy = x_m - self.start.x_m, y_m - self.start.y_m
+        return SE2(c * dx + s * dy, -s * dx + c * dy, yaw_rad - self.start.yaw_rad)
+
+    def to_road(self, xy_m: np.ndarray) -> np.ndarray:
+        """Points (…, 2) of `map` in the road's frame."""
+        c, s = math.cos(self.start.yaw_rad), math.sin(self.start.yaw_rad)
+        return xy_m @ np.array([[c, s], [-s, c]]) + (self.start.x_m, self.start.y_m)
+
+
+def street(*key: int) -> Street:
+    """A street, the same everywhere for a key.
+
+    A road of two lanes with a sidewalk on either side, and by chance a side road or a place to
+    park; houses behind, cars at the kerbs and sometimes one in the lane, trees, poles, bins and
+    benches. The robot stands in its lane or on a sidewalk, turned by up to 12 degrees.
+    """
+    dice = Dice(_KEY, *key)
+    half_m, walk_m, yard_m = dice.between(3.6, 4.4), dice.between(2.2, 3.2), dice.between(3.0, 6.0)
+    outer_m = half_m + walk_m
+    grounds = [
+        Ground(1, "road", Rect(-BEHIND_M, -half_m, AHEAD_M, half_m)),
+        Ground(2, "sidewalk", Rect(-BEHIND_M, half_m, AHEAD_M, outer_m)),
+        Ground(3, "sidewalk", Rect(-BEHIND_M, -outer_m, AHEAD_M, -half_m)),
+    ]
+    breaks: list[tuple[int, float, float]] = []  # (side, from x, to x) without houses and kerbs
+    if dice.chance(0.5):
+        side, x_m, width_m = dice.pick((-1, 1)), dice.between(16.0, 30.0), dice.between(5.5, 7.0)
+        grounds.append(Ground(1, "road", _beside(side, x_m, x_m + width_m, half_m, 40.0)))
+        breaks.append((side, x_m, x_m + width_m))
+    if dice.chance(0.4):
+        side, x_m = dice.pick((-1, 1)), dice.between(4.0, 12.0)
+        park = _beside(side, x_m, x_m + 9.0, outer_m, outer_m + 6.0)
+        if not any(park.meets(ground.rect.grown(1.0)) for ground in grounds[3:]):
+            grounds.append(Ground(4, "parking", park))
+            breaks.append((side, x_m, x_m + 9.0))
+    start = _start(dice, half_m, walk_m)
+    things = _Things(dice, start, breaks)
+    for side in (-1, 1):
+        _houses(things, side, outer_m + yard_m)
+        _kerb(things, side, half_m - 1.1)
+        _walk(things, side, half_m, outer_m)
+    if dice.chance(0.6):
+        things.stand(_car(dice, dice.between(11.0, 24.0), -0.5 * half_m, 0.0))
+    name = "street-" + "-".join(map(str, key))
+    return Street(name, start, 2 * (outer_m + yard_m + 10.0), tuple(grounds), tuple(things.stood))
+
+
+def solids(
+    drawn: Street,
+) -> tuple[list[Part], list[tuple[Thing, list[Part]]]]:
+    """The ground, and each thing with its parts, in `map`; the ground's upper side is at 0."""
+    length_m, middle_m = AHEAD_M + BEHIND_M, 0.5 * (AHEAD_M - BEHIND_M)
+    lawn = drawn.to_map(middle_m, 0.0)
+    slab = Part(kernels.BOX, (0.0, 0.0, -0.5 * SLAB_M), (length_m, drawn.width_m, SLAB_M), _LAWN)
+    floor = [slab.placed(lawn.x_m, lawn.y_m, 0.0, lawn.yaw_rad)]
+    for k, ground in enumerate(drawn.grounds, start=1):
+        rect = ground.rect
+        at = drawn.to_map(0.5 * (rect.x0 + rect.x1), 0.5 * (rect.y0 + rect.y1))
+        # A film higher each, so that later ones are seen.
+        high_m = 0.001 * k
+        colour = GROUND_COLOURS[ground.label]
+        film = Part(
+            kernels.BOX, (0.0, 0.0, 0.5 * high_m), (rect.width_m, rect.depth_m, high_m), colour
+        )
+        floor.append(film.placed(at.x_m, at.y_m, 0.0, at.yaw_rad))
+    stood = []
+    for thing in drawn.things:
+        at = drawn.to_map(thing.x_m, thing.y_m, thing.yaw_rad)
+        parts = [part.placed(at.x_m, at.y_m, 0.0, at.yaw_rad) for part in thing.parts]
+        stood.append((thing, parts))
+    return floor, stood
+
+
+def load_street(section: WorldStreet, config: Config) -> BoxWorld:
+    """The street of a seed, for the configured robot and camera."""
+    drawn = street(section.seed)
+    floor, stood = solids(drawn)
+    furniture = []
+    for k, (thing, parts) in enumerate(stood, start=1):
+        at = drawn.to_map(thing.x_m, thing.y_m, thing.yaw_rad)
+        center = (at.x_m, at.y_m, 0.5 * thing.size_m[2])
+        name = f"{thing.colour} {thing.label} {k}".strip()
+        item = WorldObject(k, name, thing.label, thing.label, center, thing.size_m, at.yaw_rad)
+        furniture.append((item, parts))
+    camera = config.sensors.camera
+    return BoxWorld(
+        drawn.name,
+        floor,
+        furniture,
+        SE2(0.0, 0.0, 0.0),
+        config.robot.height_m,
+        (camera.depth_min_m, camera.depth_max_m),
+    )
+
+
+class _Things:
+    """What stands so far: nothing on anything, nothing where the robot is, no kerb in a break."""
+
+    def __init__(self, dice: Dice, start: SE2, breaks: list[tuple[int, float, float]]) -> None:
+        self.dice, self.breaks = dice, breaks
+        self.stood: list[Thing] = []
+        self._taken = [Rect(start.x_m - 2.0, start.y_m - 1.5, start.x_m + 4.0, start.y_m + 1.5)]
+
+    def stand(self, thing: Thing, apart_m: float = _APART_M) -> bool:
+        side = 1 if thing.y_m > 0 else -1
+        rect = thing.rect
+        gone = any(s == side and rect.x0 < x1 and rect.x1 > x0 for s, x0, x1 in self.breaks)
+        if gone or any(rect.grown(apart_m).meets(taken) for taken in self._taken):
+            return False
+        self._taken.append(rect)
+        self.stood.append(thing)
+        return True
+
+
+def _beside(side: int, x0: float, x1: float, inner_m: float, outer_m: float) -> Rect:
+    low, high = sorted((side * inner_m, side * outer_m))
+    return Rect(x0, low, x1, high)
+
+
+def _start(dice: Dice, half_m: float, walk_m: float) -> SE2:
+    lane = dice.chance(0.6)
+    y_m = -0.5 * half_m if lane else dice.pick((-1, 1)) * (half_m + 0.5 * walk_m)
+    return SE2(0.0, y_m, math.radians(dice.between(-12.0, 12.0)))
+
+
+def _houses(things: _Things, side: int, y_m: float) -> None:
+    dice, x_m = things.dice, -BEHIND_M
+    while x_m < AHEAD_M - 8.0:
+        size = dice.between(8.0, 13.0), dice.between(7.0, 9.5), dice.between(4.5, 8.0)
+        colour = dice.pick(tuple(HOUSE_COLOURS))
+        parts = (
+            _box((0, 0, 0.5 * size[2]), size, HOUSE_COLOURS[colour]),
+            *(
+                _box((u * size[0], -side * 0.5 * size[1], z * size[2]), (1.2, 0.04, 1.3), _WINDOW)
+                for u in (-0.3, 0.0, 0.3) for z in (0.3, 0.72)
+            ),
+        )  # fmt: skip
+        at = x_m + 0.5 * size[0], side * (y_m + 0.5 * size[1])
+        things.stand(Thing("house", colour, *at, 0.0, size, parts))
+        x_m += size[0] + dice.between(3.0, 7.0)
+
+
+def _kerb(things: _Things, side: int, y_m: float) -> None:
+    """Cars that park in a row, with gaps."""
+    dice, x_m = things.dice, -BEHIND_M + 4.0
+    while x_m < AHEAD_M - 6.0:
+        if dice.chance(0.45):
+            things.stand(_car(dice, x_m, side * y_m, math.pi if side > 0 else 0.0), 0.8)
+        x_m += dice.between(5.8, 8.0)
+
+
+def _walk(things: _Things, side: int, half_m: float, outer_m: float) -> None:
+    """Poles at the kerb; trees, bins and benches on the far side of the sidewalk and behind it."""
+    dice = things.dice
+    for x_m in np.arange(-6.0, AHEAD_M - 4.0, 14.0).tolist():
+        things.stand(_pole(x_m + dice.between(-2.0, 2.0), side * (half_m + 0.25)))
+    for _ in range(dice.count(2, 4)):
+        things.stand(_tree(dice, dice.between(4.0, 42.0), side * (outer_m + 0.7)))
+    for _ in range(dice.count(1, 3)):
+        make = dice.pick((_bin, _bin, _bench))
+        things.stand(make(dice, dice.between(5.0, 40.0), side * (outer_m - 0.45), side))
+
+
+def _car(dice: Dice, x_m: float, y_m: float, yaw_rad: float) -> Thing:
+    """A car, or a van, which is a closed box behind a short bonnet."""
+    is_van = dice.chance(0.2)
+    low, high = _VAN_M if is_van else _CAR_M
+    size = tuple(dice.between(a, b) for a, b in zip(low, high, strict=True))
+    length, width, height = size
+    colour = dice.pick(tuple(CAR_COLOURS))
+    paint, belt, glass = CAR_COLOURS[colour], 0.55 * height, 0.72 * height
+    cabin, back = (0.78 * length, -0.1 * length) if is_van else (0.5 * length, -0.06 * length)
+    parts = (
+        _box((0, 0, 0.5 * (belt + 0.18)), (length, width, belt - 0.18), paint),
+        _box((back, 0, 0.5 * (belt + height)), (cabin, 0.92 * width, height - belt), paint),
+        _box((back, 0, glass), (0.99 * cabin, 0.94 * width, 0.2 * height), _WINDOW),
+        *(
+            _box((x * length, y * width, 0.3), (0.62, 0.2, 0.6), _TYRE)
+            for x in (-0.31, 0.31) for y in (-0.41, 0.41)
+        ),
+    )  # fmt: skip
+    return Thing("van" if is_van else "car", colour, x_m, y_m, yaw_rad, size, parts)
+
+
+def _tree(dice: Dice, x_m: float, y_m: float) -> Thing:
+    height, crown = dice.between(4.5, 7.5), dice.between(2.4, 3.6)
+    trunk = Part(kernels.CYLINDER, (0, 0, 0.3 * height), (0.4, 0.4, 0.6 * height), _BARK)
+    middle = (0.0, 0.0, height - 0.55 * crown)
+    leaves = Part(kernels.ELLIPSOID, middle, (crown, crown, 1.1 * crown), _LEAF, shading.FOLIAGE)
+    return Thing("tree", "", x_m, y_m, 0.0, (0.4, 0.4, height), (trunk, leaves))
+
+
+def _pole(x_m: float, y_m: float) -> Thing:
+    post = Part(kernels.CYLINDER, (0, 0, 2.5), (0.18, 0.18, 5.0), _STEEL)
+    return Thing("pole", "", x_m, y_m, 0.0, (0.18, 0.18, 5.0), (post,))
+
+
+def _bin(dice: Dice, x_m: float, y_m: float, side: int) -> Thing:
+    colour, size = dice.pick(tuple(BIN_COLOURS)), (0.6, 0.6, 1.1)
+    lid = _box((0, 0, 1.06), (0.64, 0.64, 0.08), _TYRE)
+    body = _box((0, 0, 0.51), (0.6, 0.6, 1.02), BIN_COLOURS[colour])
+    return Thing("trash can", colour, x_m, y_m, 0.0, size, (body, lid))
+
+
+def _bench(dice: Dice, x_m: float, y_m: float, side: int) -> Thing:
+    """It faces the road."""
+    parts = (
+        _box((0, 0, 0.43), (0.45, 1.6, 0.06), _WOOD),
+        _box((-0.2, 0, 0.68), (0.06, 1.6, 0.4), _WOOD),
+        *(_box((0, y, 0.2), (0.4, 0.08, 0.4), _STEEL) for y in (-0.7, 0.7)),
+    )
+    return Thing("bench", "", x_m, y_m, -side * 0.5 * math.pi, (0.45, 1.6, 0.88), parts)
+
+
+def _box(center: tuple, size: tuple, colour: RGB) -> Part:
+    return Part(kernels.BOX, tuple(map(float, center)), tuple(map(float, size)), colour)

@@ -1,0 +1,37 @@
+"""Worlds by kind, as the configuration names them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from edge.config import Config
+from edge.geometry import SE2
+from edge.lab.sim.base import World
+from edge.lab.sim.generator.house import load_generated
+from edge.lab.sim.house import load_house
+from edge.lab.sim.mesh import load_mesh
+from edge.lab.sim.procthor import load_procthor
+from edge.lab.sim.street import load_street
+
+LOADERS: dict[str, Callable[[Any, Config], World]] = {
+    "generated": load_generated,
+    "house": load_house,
+    "mesh": load_mesh,
+    "procthor": load_procthor,
+    "street": load_street,
+}
+
+
+def load_world(config: Config) -> World:
+    """The world that `sim.world` names, for the configured robot and camera.
+
+    It starts at `sim.start`, where that is given, in place of its own start.
+
+    Raises:
+        edge.lab.sim.base.WorldError: one line: file, place, what to do.
+    """
+    world = LOADERS[config.sim.world.kind](config.sim.world, config)
+    if config.sim.start is not None:
+        world.start = SE2(*config.sim.start)
+    return world

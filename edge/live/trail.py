@@ -1,0 +1,47 @@
+"""The driven path in bounded memory, for the live view and reports."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edge.geometry import SE2
+
+STEP_M = 0.05
+STEP_NS = 100_000_000
+
+
+class Trail:
+    """A trajectory in a fixed array: when it is full, every other pose goes and steps double."""
+
+    def __init__(self, capacity: int = 16384) -> None:
+        self._poses = np.zeros((capacity, 3))
+        self._stamp_ns = np.zeros(capacity, dtype=np.int64)
+        self._n = 0
+        self._stride = 1
+        self._last: tuple[int, SE2] | None = None
+
+    def append(self, stamp_ns: int, pose: SE2) -> None:
+        """Keep the pose if it is `STEP_M` or `STEP_NS` (times the stride) from the last kept."""
+        if self._last is not None:
+            last_ns, last = self._last
+            moved_m = last.distance_to(pose.x_m, pose.y_m)
+            near = moved_m < STEP_M * self._stride
+            if near and stamp_ns - last_ns < STEP_NS * self._stride:
+                return
+        if self._n == len(self._poses):
+            self._halve()
+        self._poses[self._n] = pose.x_m, pose.y_m, pose.yaw_rad
+        self._stamp_ns[self._n] = stamp_ns
+        self._n += 1
+        self._last = (stamp_ns, pose)
+
+    def _halve(self) -> None:
+        kept = (self._n + 1) // 2
+        self._poses[:kept] = self._poses[: self._n : 2].copy()
+        self._stamp_ns[:kept] = self._stamp_ns[: self._n : 2].copy()
+        self._n = kept
+        self._stride *= 2
+
+    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        """(n, 3) float64 poses and (n,) int64 stamps, copies."""
+        return self._poses[: self._n].copy(), self._stamp_ns[: self._n].copy()

@@ -1,0 +1,536 @@
+"""`edge models bench`: the statistics, the ground truth, and the command with tiny models."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import pickle
+import sys
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge import config
+from edge.cli import main as cli
+from edge.errors import UserError
+from edge.geometry import invert
+from edge.host import resources
+from edge.lab.bench import alone, compare, frames, measure, report, variants
+from edge.lab.bench.boxes import (
+    KIND,
+    NAMED,
+    NO,
+    Found,
+    Tally,
+    Truth,
+    agree,
+    agreement,
+    judge,
+    overlaps,
+)
+from edge.lab.sim.sensors import CameraRig
+from edge.lab.sim.worlds import load_world
+from edge.perception.cards import card_path, load_detector_card
+from edge.perception.text import PromptError
+
+SOFA, CHAIR = [0, 0, 40, 40], [60, 60, 80, 100]
+
+
+def boxes(*rows):
+    return np.array(rows, np.float32).reshape(-1, 4)
+
+
+def found(*rows):
+    """Rows of box, score, prompt."""
+    return Found(
+        boxes(*(row[0] for row in rows)),
+        np.array([row[1] for row in rows], np.float32),
+        np.array([row[2] for row in rows], np.int32),
+    )
+
+
+def truth(*rows):
+    """Rows of box, label, whether it counts."""
+    return Truth(
+        boxes(*(row[0] for row in rows)),
+        np.array([row[1] for row in rows], np.int32),
+        np.array([row[2] for row in rows], bool),
+    )
+
+
+# -- statistics -------------------------------------------------------------------------------
+
+
+def test_nothing_wanted_and_nothing_found():
+    empty = Tally()
+    assert empty.shares() == {"recall": None, "precision": None}
+    assert judge(boxes(), truth(), np.array([NAMED])) == empty
+    assert agree(found(), found()) == empty
+    assert agreement([], []) == {
+        "recall": None, "precision": None, "score_error": None, "boxes": 0,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("there", "answers", "boxes_found", "wanted_found_hits"),
+    [
+        ([], [NAMED], [SOFA], (0, 1, 0)),
+        ([(SOFA, 0, True)], [NAMED], [], (1, 0, 0)),
+        ([(SOFA, 0, True)], [NAMED], [SOFA], (1, 1, 1)),
+        ([(SOFA, 0, True)], [NAMED], [SOFA, [1, 1, 41, 41]], (1, 2, 1)),  # once only
+        ([(SOFA, 0, True)], [NAMED], [[0, 0, 40, 19]], (1, 1, 0)),  # IoU below a half
+        ([(SOFA, 0, True)], [NAMED], [[0, 0, 40, 20]], (1, 1, 1)),
+        ([(SOFA, 0, True)], [NO], [SOFA], (0, 1, 0)),
+        ([(SOFA, 0, True)], [KIND], [SOFA], (0, 0, 0)),  # an armchair, asked for a chair
+        ([(SOFA, 0, False)], [NAMED], [SOFA], (0, 0, 0)),  # hidden: neither missed nor wrong
+        ([(SOFA, 0, False)], [NAMED], [[10, 10, 20, 20]], (0, 0, 0)),  # lies in it
+        ([(SOFA, 0, False)], [NAMED], [CHAIR], (0, 1, 0)),
+        ([(SOFA, 0, False)], [NO], [SOFA], (0, 1, 0)),
+        ([(SOFA, 0, True), (SOFA, 1, True)], [NAMED, KIND], [SOFA, SOFA], (1, 1, 1)),
+        ([(SOFA, 0, True), (CHAIR, 0, True)], [NAMED], [CHAIR, SOFA], (2, 2, 2)),
+    ],
+)
+def test_boxes_against_what_is_there(there, answers, boxes_found, wanted_found_hits):
+    tally = judge(boxes(*boxes_found), truth(*there), np.array(answers, np.uint8))
+    assert (tally.wanted, tally.found, tally.hits) == wanted_found_hits
+
+
+@pytest.mark.parametrize(
+    ("reference", "candidate", "wanted_found_hits", "error"),
+    [
+        ([], [(SOFA, 0.5, 0)], (0, 1, 0), None),
+        ([(SOFA, 0.5, 0)], [], (1, 0, 0), None),
+        ([(SOFA, 0.5, 0)], [(SOFA, 0.4, 0)], (1, 1, 1), 0.2),
+        ([(SOFA, 0.5, 0)], [(SOFA, 0.5, 1)], (1, 1, 0), None),
+        ([(SOFA, 0.5, 0)], [(SOFA, 0.6, 0), (SOFA, 0.5, 0)], (1, 2, 1), 0.2),
+        ([(SOFA, 0.5, 0), (CHAIR, 0.4, 0)], [(CHAIR, 0.4, 0), (SOFA, 0.3, 0)], (2, 2, 2), 0.2),
+    ],
+)
+def test_boxes_against_those_of_another_model(reference, candidate, wanted_found_hits, error):
+    tally = agree(found(*reference), found(*candidate))
+    assert (tally.wanted, tally.found, tally.hits) == wanted_found_hits
+    assert agreement([found(*reference)], [found(*candidate)])["score_error"] == error
+
+
+@st.composite
+def pictures(draw):
+    """Some boxes of three prompts, best first."""
+    corner, side = st.integers(0, 90), st.integers(1, 60)
+    rows = draw(st.lists(st.tuples(corner, corner, side, side), max_size=8))
+    scores = sorted((draw(st.floats(0.1, 1.0)) for _ in rows), reverse=True)
+    labels = [draw(st.integers(0, 2)) for _ in rows]
+    return found(
+        *(
+            ([x, y, x + w, y + h], score, label)
+            for (x, y, w, h), score, label in zip(rows, scores, labels, strict=True)
+        )
+    )
+
+
+@given(pictures(), pictures())
+def test_agreement_is_whole_with_oneself_and_never_more_than_there_is(one, other):
+    same = agree(one, one)
+    assert (same.hits, same.error) == (len(one.score), 0.0)
+    tally = agree(one, other)
+    assert 0 <= tally.hits <= min(tally.wanted, tally.found)
+
+
+def test_overlaps():
+    iou, share = overlaps(boxes(SOFA, CHAIR), boxes(SOFA, [4, 0, 44, 40], [5, 5, 5, 5]))
+    np.testing.assert_allclose(iou, [[1.0, 36 / 44, 0.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(share, [[1.0, 0.9, 0.0], [0.0, 0.0, 0.0]])
+    assert overlaps(boxes(), boxes(SOFA))[0].shape == (0, 1)
+
+
+@given(pictures(), pictures(), st.lists(st.booleans(), min_size=8, max_size=8))
+def test_what_does_not_count_never_lowers_a_figure(seen, there, counts):
+    """Recall keeps to its things; precision can only rise when some region is left out."""
+    how = np.array([NAMED, NO, NO], np.uint8)
+    mine = seen.xyxy_px[seen.class_id == 0]
+    all_count = Truth(there.xyxy_px, there.class_id, np.ones(len(there.score), bool))
+    only = np.array(counts[: len(there.score)], bool)
+    some = Truth(there.xyxy_px[only], there.class_id[only], np.ones(int(only.sum()), bool))
+    spared = judge(mine, Truth(there.xyxy_px, there.class_id, only), how)
+    without = judge(mine, some, how)
+    assert (spared.wanted, spared.hits) == (without.wanted, without.hits)
+    assert spared.hits <= spared.found <= without.found == len(mine)
+    assert judge(mine, all_count, how).found == len(mine)
+
+
+def test_latencies_of_the_stages_and_of_all_together():
+    ns = np.array([[1, 10, 2], [3, 30, 2], [2, 20, 2]]) * 1_000_000
+    times = compare.latency_ms(ns)
+    assert list(times) == ["pre", "session", "post", "all"]
+    assert times["session"] == {"min": 10.0, "p50": 20.0, "p95": 29.0}
+    assert times["all"]["p50"] == 24.0
+
+
+# -- frames -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def demo():
+    return config.load("demo", environ={})
+
+
+def test_frames_of_a_world_are_the_same_each_time_and_never_enlarged(demo):
+    small = frames.from_world(demo, 3, [(64, 64)])
+    camera = demo.sensors.camera
+    assert small.rgb[0].shape == (camera.height_px, camera.width_px, 3)
+    again = frames.from_world(demo, 3, [(64, 64)])
+    assert all(np.array_equal(a, b) for a, b in zip(small.rgb, again.rgb, strict=True))
+    large = frames.from_world(demo, 3, [(64, 64), (480, 640)])
+    assert large.rgb[0].shape[0] == 480
+    # The same things count, but for those at the very limit.
+    assert abs(large.counted - small.counted) <= 2
+    assert small.counted > 0
+
+
+def test_what_stands_free_counts_and_what_is_cut_off_does_not(demo):
+    world, camera = load_world(demo), demo.sensors.camera
+    rig = CameraRig(demo, world)
+    for pose, real in zip(
+        frames.free_poses(world, 4, frames.SEED, demo.robot.radius_m),
+        frames.from_world(demo, 4, []).truth,
+        strict=True,
+    ):
+        rig.look(pose)
+        at_edge = (real.xyxy_px[:, :2] == 0).all(axis=1)
+        assert (real.xyxy_px <= [camera.width_px, camera.height_px] * 2).all()
+        side = real.xyxy_px[:, 2:] - real.xyxy_px[:, :2]
+        assert (side[real.counts].min(axis=1) >= frames.MIN_SIDE_PX).all()
+        T_camera_map = invert(pose.matrix() @ rig.T_base_camera)
+        whole = [frames.whole_area_px(item, T_camera_map, rig) for item in world.objects]
+        shown = {int(i) - 1 for i in np.unique(rig.ids)} - {-1}
+        assert len(shown) == len(real.label)
+        for k, row in zip(sorted(shown), range(len(real.label)), strict=True):
+            if real.counts[row]:
+                assert side[row].prod() >= frames.MIN_VISIBLE * whole[k]
+        assert not (at_edge & (side.prod(axis=1) < 100) & real.counts).any()
+
+
+def test_frames_of_a_folder(tmp_path):
+    with pytest.raises(UserError, match="no images"):
+        frames.from_folder(tmp_path, 5)
+    for name in ("b.png", "a.jpg"):
+        cv2.imwrite(str(tmp_path / name), np.full((20, 30, 3), (0, 0, 255), np.uint8))
+    got = frames.from_folder(tmp_path, 1)
+    assert (len(got.rgb), got.truth) == (1, None)
+    assert got.rgb[0][0, 0].tolist() == pytest.approx([254, 0, 0], abs=2)
+    (tmp_path / "0.png").write_bytes(b"no picture")
+    with pytest.raises(UserError, match=r"0\.png: not an image"):
+        frames.from_folder(tmp_path, 5)
+
+
+def test_prompts_are_the_labels_that_have_a_word_of_their_own():
+    def resolve(prompt):
+        words = {"balcony table": "table", "ceiling lamp": "chandelier", "sofa": "sofa"}
+        if prompt not in words:
+            raise PromptError("unknown")
+        return words[prompt]
+
+    labels = ("balcony table", "ceiling lamp", "handle", "sofa")
+    assert frames.prompts_for(labels, resolve) == (
+        ("ceiling lamp", "sofa"), ("balcony table", "handle"),
+    )  # fmt: skip
+    assert frames.prompts_for((), resolve) == ((), ())
+
+
+def test_how_labels_answer_to_prompts():
+    answers = frames.answers_of(("armchair", "couch", "bed"), ("chair", "sofa"))
+    assert answers.tolist() == [[KIND, NO], [NO, NAMED], [NO, NO]]
+
+
+# -- the command ------------------------------------------------------------------------------
+
+WORDS = ["chair", "sofa", "bed", "television", "trash can"]
+MEASURE = """
+import atexit, gc, os, signal, sys
+from pathlib import Path
+from edge.host import resources
+atexit.register(gc.freeze)  # as `edge.host.children` does
+resources.data_dir = lambda kind: Path({folder!r})
+from edge.lab.bench import alone, measure
+if b"tiny-crash" in Path(sys.argv[1]).read_bytes():
+    os.kill(os.getpid(), signal.SIGSEGV)
+sys.exit(alone.main(sys.argv[1:], measure.measure))
+"""
+
+
+def model_bytes(bias):
+    """Constant boxes; scores = sigmoid(bias + 2 if the prompt is the box's)."""
+    onnx = pytest.importorskip("onnx")
+    from onnx import TensorProto, helper, numpy_helper
+
+    logits = np.full((1, 2, 16), bias, np.float32)
+    logits[0, 0, 0] += 3.0
+    logits[0, 1, 1] += 3.0
+    value, floats = helper.make_tensor_value_info, TensorProto.FLOAT
+    graph = helper.make_graph(
+        [
+            helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
+            helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
+            helper.make_node("Add", ["box", "nothing"], ["boxes"]),
+            helper.make_node("Transpose", ["txt_feats"], ["text_t"], perm=[0, 2, 1]),
+            helper.make_node("MatMul", ["logits", "text_t"], ["raw"]),
+            helper.make_node("Sigmoid", ["raw"], ["scores"]),
+        ],
+        "tiny",
+        [value("images", floats, [1, 3, 64, 64]), value("txt_feats", floats, [1, "n", 16])],
+        [value("boxes", floats, [1, 2, 4]), value("scores", floats, [1, 2, "n"])],
+        [
+            numpy_helper.from_array(np.float32(0), "zero"),
+            numpy_helper.from_array(boxes(SOFA, [40, 40, 64, 64])[None], "box"),
+            numpy_helper.from_array(logits, "logits"),
+        ],
+    )
+    opset = [onnx.helper.make_opsetid("", 17)]
+    return helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString()
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """put(name, content, precision): a card, and its file unless content is None."""
+    pytest.importorskip("onnxruntime")
+    folder = tmp_path / "cards"
+    folder.mkdir()
+    ready = resources.data_dir("config")
+    monkeypatch.setattr(resources, "data_dir", lambda kind: ready if kind == "config" else folder)
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("EDGE_VOCABULARY", str(tmp_path / "words.npz"))
+    monkeypatch.setattr(cli, "setup", lambda *_: None)
+    np.savez(tmp_path / "words.npz", names=np.array(WORDS), emb=np.eye(len(WORDS), 16))
+    program = tmp_path / "measure.py"
+    program.write_text(MEASURE.format(folder=str(folder)))
+    monkeypatch.setattr(alone, "python_module", lambda name: (sys.executable, str(program)))
+    resources.models_dir().mkdir(parents=True)
+
+    def put(name, content, precision="fp32", task="detect"):
+        card = {
+            "name": name, "family": "tiny", "task": task, "file": f"{name}.onnx",
+            "sha256": hashlib.sha256(content or b"").hexdigest(), "sources": [], "license": "x",
+            "input": {"height": 64, "width": 64}, "precision": precision, "derived_from": None,
+            "preprocess": {"color": "rgb", "scale": 1 / 255, "letterbox_pad": 114},
+            "text_dim": 16, "parity": None,
+        }  # fmt: skip
+        (folder / f"{name}.yaml").write_text("# A remark.\n" + yaml.safe_dump(card))
+        if content is not None:
+            (resources.models_dir() / f"{name}.onnx").write_bytes(content)
+
+    return put
+
+
+def bench(*words):
+    return cli.main(["models", "bench", *words, "--frames", "2"])
+
+
+def test_without_cards_it_says_which_families_there_are(place, capsys, tmp_path):
+    simulated = tmp_path / "simulated.yaml"
+    simulated.write_text("perception: {detector: {kind: sim}}")
+    assert bench("tiny") == os.EX_DATAERR
+    assert "'tiny' (choices: none)" in capsys.readouterr().err
+    place("tiny-fp32", None)
+    assert bench("other", "--config", "demo") == os.EX_DATAERR
+    assert "'other' (choices: tiny)" in capsys.readouterr().err
+    assert bench("--config", str(simulated)) == os.EX_DATAERR  # its detector is no model
+    assert "name a family (choices: tiny)" in capsys.readouterr().err
+    assert bench("tiny", "--providers", "cpu,tpu") == os.EX_DATAERR
+    assert "'tpu' is not here (choices: cpu" in capsys.readouterr().err
+
+
+def test_where_nothing_can_run_every_row_says_why_and_the_exit_code_is_1(place, capsys):
+    place("tiny-fp32", None)
+    place("tiny-fp16", b"no model", "fp16")
+    assert bench("tiny", "--providers", "CPUExecutionProvider", "--config", "demo") == 1
+    out = capsys.readouterr().out
+    assert "not here: run `edge models export tiny-fp32`" in out
+    assert "failed: " in out
+    assert "tiny-fp16.onnx: " in out
+    assert "Traceback" not in out
+
+
+def test_every_variant_is_a_row_of_its_own_kept_and_written_to_its_card(place, tmp_path, capsys):
+    place("tiny-fp32", model_bytes(-1.0))
+    place("tiny-crash", model_bytes(0.0), "fp16")
+    place("tiny-int8-cpu", model_bytes(-1.5), "int8-cpu")
+    place("tiny-int8-trt", None, "int8-trt")
+    kept = tmp_path / "out" / "figures.json"
+    options = ("--config", "demo", "--json", str(kept), "--update-cards", "--threads", "1")
+    assert bench("tiny", *options, "--providers", "cpu") == 0
+    kept_report = json.loads(kept.read_text())
+    fp32, crashed, int8, missing = kept_report["rows"]
+    assert [row["state"] for row in kept_report["rows"]] == ["ran", "failed", "ran", "missing"]
+    assert crashed["why"] == "failed: its process was ended by signal 11"
+    assert missing["why"].startswith("not here: run `edge models export tiny-int8-trt`")
+    assert kept_report["machine"]["cores"] >= 1
+    assert kept_report["frames"]["count"] == 2
+    assert kept_report["prompts"] == ["bed", "chair", "sofa", "television", "trash can"]
+    assert "wardrobe" in kept_report["unknown_labels"]
+    assert kept_report["again"]["name"] == "tiny-fp32"
+    for row in (fp32, int8):
+        assert row["latency_ms"]["session"]["min"] > 0.0
+        assert row["latency_ms"]["all"]["p50"] >= row["latency_ms"]["session"]["min"]
+        assert row["truth"]["things"] == kept_report["rows"][0]["truth"]["things"]
+        assert row["truth"]["boxes"] <= 4  # two frames with a chair and a sofa each
+    assert fp32["agreement"] is None
+    assert int8["agreement"]["boxes"] == 4
+    assert (int8["agreement"]["recall"], int8["agreement"]["precision"]) == (1.0, 1.0)
+    sure, less_sure = 1 / (1 + np.exp(-2.0)), 1 / (1 + np.exp(-1.5))
+    assert int8["agreement"]["score_error"] == pytest.approx(1 - less_sure / sure, abs=1e-3)
+
+    out = capsys.readouterr().out
+    assert max(map(len, out.split("kept in")[0].splitlines()[:8])) <= 120
+    assert "crash" in out
+    (own,) = (resources.cache_dir() / "bench").iterdir()
+    assert own.name.startswith("tiny-20")
+    assert json.loads(own.read_text()) == kept_report
+    (measured,) = load_detector_card("tiny-int8-cpu").measured.items()
+    assert measured[0].startswith("cpu of ")
+    assert measured[1]["fp32_recall"] == 1.0
+    assert measured[1]["file"] == load_detector_card("tiny-int8-cpu").sha256[:12]
+    assert measured[1]["session_ms"] == int8["latency_ms"]["session"]["p50"]
+    assert card_path("tiny-int8-cpu").read_text().startswith("# A remark.\nderived_from: ")
+    assert load_detector_card("tiny-crash").measured == {}
+
+
+def test_a_folder_of_images_gives_no_truth(place, tmp_path, capsys):
+    place("tiny-fp32", model_bytes(-1.0))
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((64, 64, 3), np.uint8))
+    kept = tmp_path / "figures.json"
+    assert bench("tiny", "--images", str(tmp_path), "--json", str(kept)) == 0
+    kept_report = json.loads(kept.read_text())
+    assert kept_report["rows"][0]["truth"] is None
+    assert kept_report["prompts"] == [w for w in frames.names.ALIASES if w in WORDS]
+    assert kept_report["again"] is None
+    assert str(kept) in capsys.readouterr().out
+
+
+def test_a_variant_that_hangs_is_ended(place, tmp_path, monkeypatch):
+    place("tiny-fp32", b"x")
+    (tmp_path / "measure.py").write_text("import time; time.sleep(1000)")
+    one = variants.Variant(load_detector_card("tiny-fp32"), "cpu")
+    made = compare.Bench(measure.Job(config.DetectorOnnx(), [], [], 0.3), limit_s=0.3)
+    assert made.run(one).startswith("failed: not done after 0.3 s (")
+
+
+def test_int8_for_the_cpu_is_tried_nowhere_else_and_fp32_comes_first(place):
+    for precision in ("int8-trt", "int8-cpu", "fp16", "fp32"):
+        place(f"tiny-{precision}", None, precision)
+    todo = variants.variants("tiny", ["cuda", "cpu"])
+    assert [(v.on, v.card.precision) for v in todo] == [
+        ("cpu", "fp32"), ("cpu", "fp16"), ("cpu", "int8-cpu"), ("cpu", "int8-trt"),
+        ("cuda", "fp32"), ("cuda", "fp16"), ("cuda", "int8-trt"),
+    ]  # fmt: skip
+
+
+REPORT = {
+    "date": "2026-01-02T03:04:05", "prompts": ["a"], "tau_det": 0.3, "threads": 2,
+    "frames": {"count": 2, "hw": [(64, 64)], "source": "x"},
+    "machine": {"cpu": "x", "cores": 2, "onnxruntime": "1.23.0", "tensorrt": "10.3.0"},
+}  # fmt: skip
+ROW = {
+    "name": "tiny-fp32", "on": "cpu", "gpu": None, "state": "ran", "sha256": "0" * 64,
+    "memory_mb": 1.0, "gpu_memory_mb": None, "others_cores": None, "agreement": None,
+    "truth": None, "latency_ms": compare.latency_ms(np.full((2, 3), 1_000_000)),
+}  # fmt: skip
+
+
+def test_figures_go_to_the_folder_of_the_card_and_one_line_says_where_they_cannot(
+    place, tmp_path, monkeypatch
+):
+    def refuse_the_package(path, content):
+        if path.parent == resources.data_dir("models"):
+            raise PermissionError(13, "Permission denied")
+        path.write_bytes(content)
+
+    place("tiny-fp32", None)
+    shipped = card_path("tiny-fp32")
+    own = resources.models_dir() / "tiny-own.yaml"
+    own.write_text(shipped.read_text().replace("tiny-fp32", "tiny-own"))
+    monkeypatch.setattr("edge.host.files.write_atomically", refuse_the_package)
+    written = report.update_cards({**REPORT, "rows": [ROW, {**ROW, "name": "tiny-own"}]})
+    assert next(written) == own
+    with pytest.raises(UserError, match=r"^\S*fp32.yaml: cannot be written: Permission denied; "):
+        next(written)
+    assert load_detector_card("tiny-own").measured.keys() == {"cpu of x, 2 cores"}
+
+
+def test_figures_of_two_gpus_lie_side_by_side_in_a_card_and_name_their_runtime(place):
+    place("tiny-fp32", None)
+    both = "onnxruntime 1.23.0, tensorrt 10.3.0"
+    ran = (
+        ("cpu", None, "cpu of x, 2 cores", "onnxruntime 1.23.0"),
+        ("cuda", "L4", "cuda of L4, x, 2 cores", "onnxruntime 1.23.0"),
+        ("cuda", "H100", "cuda of H100, x, 2 cores", "onnxruntime 1.23.0"),
+        ("ort-tensorrt", "L4", "ort-tensorrt of L4, x, 2 cores", both),
+        ("tensorrt", "L4", "tensorrt of L4, x, 2 cores", "tensorrt 10.3.0"),
+    )
+    for on, gpu, _, _ in ran:
+        list(report.update_cards({**REPORT, "rows": [{**ROW, "on": on, "gpu": gpu}]}))
+    measured = load_detector_card("tiny-fp32").measured
+    kept = [(key, of.get("gpu"), of["runtime"]) for key, of in measured.items()]
+    assert kept == [(key, gpu, runtime) for _, gpu, key, runtime in ran]
+    assert set(variants.RUNTIMES) == set(variants.PROVIDERS)
+
+
+@pytest.mark.parametrize(
+    ("on", "name"),
+    [("cpu", None), ("cuda", "GPU 3"), ("ort-tensorrt", "GPU 3"), ("tensorrt", "GPU 3")],
+)
+def test_the_process_tells_which_gpu_it_used(monkeypatch, on, name):
+    monkeypatch.setattr(measure, "gpu_of", lambda device_id: (f"GPU {device_id}", "8.7"))
+    settings = config.DetectorOnnx(providers=variants.PROVIDERS[on], device_id=3)
+    assert measure.used_gpu(settings) == name
+
+
+def test_the_table_has_a_line_for_each_footnote():
+    row = {
+        "name": "tiny-fp32", "on": "cuda", "state": "ran", "memory_mb": 100.0,
+        "gpu_memory_mb": 512.0, "others_cores": 1.5, "invalid_boxes": 3, "agreement": None,
+        "truth": None, "latency_ms": compare.latency_ms(np.full((2, 3), 1_000_000)),
+    }  # fmt: skip
+    compared = {
+        "family": "tiny", "frames": {"count": 2, "hw": [(64, 64)], "source": "x", "things": None},
+        "prompts": ["a"], "unknown_labels": (), "tau_det": 0.3, "threads": 2, "rows": [row],
+        "machine": {"cpu": "x", "cores": 2}, "again": None,
+    }  # fmt: skip
+    text = report.as_text(compared)
+    assert "100+512" in text
+    assert "up to 1.5 of 2 cores busy" in text
+    assert "tiny-fp32 on cuda: 3 boxes not finite" in text
+
+
+@pytest.mark.parametrize(
+    ("asked", "names"),
+    [
+        (None, ["cpu", "cuda", "ort-tensorrt", "tensorrt"]),
+        ("cuda,cpu", ["cuda", "cpu"]),
+        ("TensorrtExecutionProvider, CPUExecutionProvider", ["ort-tensorrt", "cpu"]),
+        ("tensorrt", ["tensorrt"]),
+    ],
+)
+def test_providers_by_either_of_their_names(monkeypatch, asked, names):
+    every = {name for providers in variants.PROVIDERS.values() for name in providers}
+    monkeypatch.setattr(variants, "_available", lambda: every)
+    assert variants.providers_here(asked) == names
+
+
+def test_without_a_runtime_it_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(variants, "_available", set)
+    with pytest.raises(UserError, match="pip install"):
+        variants.providers_here(None)
+
+
+def test_the_process_gives_one_line_for_whatever_goes_wrong(monkeypatch, tmp_path, capsys):
+    def fail(job):
+        raise RuntimeError("two\nlines")
+
+    monkeypatch.setattr(alone, "setup", lambda *_: None)
+    (tmp_path / "job").write_bytes(pickle.dumps("x"))
+    assert alone.main([str(tmp_path / "job"), str(tmp_path / "out")], fail) == 1
+    assert capsys.readouterr().out == "RuntimeError: two lines\n"

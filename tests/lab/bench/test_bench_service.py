@@ -1,0 +1,103 @@
+"""The recording that `edge bench` plays, and its figures."""
+
+from __future__ import annotations
+
+import threading
+from functools import partial
+from types import SimpleNamespace
+
+import pytest
+from simulated import simulated
+
+from edge.errors import Stopped, UserError
+from edge.lab.bench import service as bench
+from edge.sources import recording
+
+SMALL = {"width_px": 64, "height_px": 48, "rate_hz": 15}
+CONFIG = simulated({"sensors": {"camera": SMALL}})
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    return tmp_path
+
+
+def test_a_stopped_recording_leaves_nothing(cache):
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(Stopped):
+        bench.ensure_recording(CONFIG, 1.0, stop)
+    assert not [path for path in cache.rglob("*") if path.is_file()]
+
+
+def test_a_stop_before_the_service_is_ready_is_obeyed(tmp_path):
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(Stopped):
+        bench.run_bench(CONFIG, tmp_path / "not.mcap", 1.0, stop)
+
+
+def test_the_recording_is_made_once_and_is_the_same_again(cache, tmp_path, monkeypatch):
+    path = bench.ensure_recording(CONFIG, 2.0)
+    made_ns = path.stat().st_mtime_ns
+    assert bench.ensure_recording(CONFIG, 2.0) == path
+    assert path.stat().st_mtime_ns == made_ns
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "other"))
+    again = bench.ensure_recording(CONFIG, 2.0)
+    assert list(recording.read(again)) == list(recording.read(path))
+
+
+def test_the_service_is_measured_on_a_recording():
+    path = bench.ensure_recording(CONFIG, 3.0)
+    figures = bench.run_bench(CONFIG, path, 1.5, threading.Event(), 1.0)
+    assert figures["latency"]["tick"]["count"] > 1
+    assert figures["counters"]["observations"] > 1
+    verdicts = figures["verdicts"]
+    assert 50 < verdicts["resident memory"][0] < 2000
+    assert verdicts["ready after"][0] > 1.0
+
+
+@pytest.mark.parametrize(
+    ("observations", "player", "stopped"),
+    [
+        ([0, 0, 0, 1, 1, 2], None, [False] * 5 + [True]),
+        ([0, 0, 0, 0, 0, 0], None, [False] * 6),
+        ([1, 2, 3, 3, 3, 3], None, [False, False] + [True] * 4),
+        ([0, 0, 1, 1, 1, 1], 2, [True] * 6),
+        ([1, 1, 1, 1, 1, 1], 2, [False, False] + [True] * 4),
+    ],
+)
+def test_the_time_counts_from_the_first_observation(monkeypatch, observations, player, stopped):
+    clock = SimpleNamespace(now_s=0.0, monotonic=lambda: clock.now_s)
+    monkeypatch.setattr(bench, "time", clock)
+    counters, stop = {"observations": 0}, threading.Event()
+    over = partial(bench._is_over, SimpleNamespace(poll=lambda: player))
+    look = bench._stopwatch(counters, over, 20.0, stop)
+    for counters["observations"], expected in zip(observations, stopped, strict=True):
+        look()
+        assert stop.is_set() == expected
+        clock.now_s += 10.0
+
+
+def test_an_observation_is_not_waited_for_for_ever(monkeypatch):
+    clock = SimpleNamespace(now_s=0.0, monotonic=lambda: clock.now_s)
+    monkeypatch.setattr(bench, "time", clock)
+    stop = threading.Event()
+    look = bench._stopwatch({"observations": 0}, lambda seen: False, 2.0, stop)
+    clock.now_s = 60.0
+    look()
+    assert stop.is_set()
+
+
+def test_a_process_grows_older():
+    assert 0.0 < bench.process_age_s() <= bench.process_age_s() < 1e6
+
+
+def test_nothing_measured_is_an_error(tmp_path):
+    path = tmp_path / "empty.mcap"
+    recording.record_messages(path, [])
+    with pytest.raises(
+        UserError, match=r"looked for camera/rgb, camera/depth.* there are no topics"
+    ):
+        bench.run_bench(CONFIG, path, 0.5, threading.Event())

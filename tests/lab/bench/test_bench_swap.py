@@ -1,0 +1,92 @@
+"""The two stretches that `edge bench --swap` puts side by side."""
+
+from __future__ import annotations
+
+from collections import Counter
+from types import SimpleNamespace
+
+import pytest
+from simulated import simulated
+
+from edge.errors import UserError
+from edge.lab.bench import swap as swap_bench
+from edge.loop.latency import LatencyRing
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    """A bench of 2 s on a loop whose clock, counters and swap the test moves."""
+    clock = SimpleNamespace(now_ns=10**9)
+    monkeypatch.setattr(swap_bench, "time", SimpleNamespace(monotonic_ns=lambda: clock.now_ns))
+    monkeypatch.setattr(
+        "edge.perception.cards.load_detector_card", lambda name: SimpleNamespace(name=name)
+    )
+    asked: list = []
+    swapper = SimpleNamespace(state="idle", request=lambda *args: asked.append(args), asked=asked)
+    swapper.status = lambda: {
+        "state": swapper.state, "model": "new", "previous": "old", "detail": "fine",
+    }  # fmt: skip
+    running = SimpleNamespace(
+        config=simulated({"loop": {"hz": 100.0}}),
+        source=SimpleNamespace(counters=Counter(observations=0, superseded=0)),
+        worker=SimpleNamespace(stats=SimpleNamespace(done=0)),
+        service=SimpleNamespace(swapper=swapper, latency=LatencyRing(64)),
+    )
+    bench = swap_bench.SwapBench(running, "new", 2.0)
+
+    def after(after_ms: float, tick_ms: float = 1.0) -> None:
+        clock.now_ns += int(after_ms * MS)
+        running.source.counters["observations"] += 1
+        running.service.latency.begin_tick(0)
+        running.service.latency.end_tick(int(tick_ms * MS))
+        bench.beat()
+
+    bench.after, bench.swapper, bench.running = after, swapper, running
+    return bench
+
+
+def test_nothing_is_asked_before_anything_is_seen(bench):
+    bench.beat()
+    assert bench.swapper.asked == []
+    with pytest.raises(UserError, match="the swap to new is idle at the end: give it more"):
+        bench.figures()
+
+
+def test_what_was_lost_is_told_by_stretch(bench):
+    bench.after(0)
+    bench.after(10)
+    bench.after(990)  # 98 beats late, and halfway
+    assert bench.swapper.asked == [("new", False, 2 * 10**9)]
+    bench.swapper.state = "loading"
+    bench.after(10)
+    bench.after(19)  # late, but no whole period
+    bench.running.source.counters["superseded"] += 3
+    bench.running.worker.stats.done += 2
+    bench.after(35, tick_ms=7.0)
+    bench.swapper.state = "kept"
+    bench.after(10)
+    bench.after(500)
+    figures = bench.figures()
+    before, during = figures["before"], figures["during"]
+    assert (before["lost"], before["ticks"], before["let_go"]) == (98, 2, 0)
+    assert (during["lost"], during["ticks"], during["let_go"], during["images"]) == (2, 4, 3, 2)
+    assert during["longest_ms"] == pytest.approx(35)
+    assert (during["max_ms"], before["max_ms"]) == (7.0, 1.0)
+    text = swap_bench.table(figures)
+    assert text.splitlines()[0] == "swap of old to new: kept: fine"
+    assert "ticks lost                      98           2" in text
+
+
+@pytest.mark.parametrize(
+    ("state", "lost", "over"),
+    [
+        ("kept", 0, []),
+        ("kept", 2, ["ticks lost by the swap"]),
+        ("rolled back", 0, ["swaps given up"]),
+    ],
+)
+def test_a_swap_has_to_be_kept_and_to_lose_no_tick(state, lost, over):
+    verdicts = swap_bench.verdicts({"state": state, "during": {"lost": lost}})
+    assert [name for name, (value, _, limit) in verdicts.items() if value > limit] == over

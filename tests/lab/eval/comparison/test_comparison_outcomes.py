@@ -1,0 +1,144 @@
+"""Records to arrays: what is refused, what is passed over, what a record need not say."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from made_outcomes import failure, many, record
+
+from edge.errors import FileError, UserError
+from edge.lab.eval.comparison.outcomes import (
+    OTHER,
+    baseline_of,
+    clusters,
+    gather,
+    natural,
+    read,
+    with_rooms,
+)
+from edge.lab.eval.outcome import FAILURES
+
+
+def written(tmp_path, *lines) -> list[dict]:
+    path = tmp_path / "outcomes.jsonl"
+    texts = [line if isinstance(line, str) else json.dumps(line) + "\n" for line in lines]
+    path.write_text("".join(texts), encoding="utf-8")
+    return read(path)
+
+
+def test_nothing(tmp_path):
+    assert written(tmp_path) == []
+    outcomes = gather([])
+    assert outcomes.columns == outcomes.episodes == ()
+    assert outcomes.success.shape == (0, 0)
+    assert clusters(outcomes)[0].shape == (0,)
+
+
+def test_no_file(tmp_path):
+    with pytest.raises(FileError, match="No such file"):
+        read(tmp_path / "outcomes.jsonl")
+
+
+def test_a_line_that_a_broken_off_run_left_is_not_there_yet(tmp_path):
+    assert written(tmp_path, record(), '{"episode": "hou') == [record()]
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("[]\n", "not a JSON object"),
+        ('{"x": \x1b}\n', "not JSON"),
+        ({k: v for k, v in record().items() if k != "path_m"}, "no 'path_m'"),
+        (record(path_m="far"), "path_m: expected a number"),
+        (record(shortest_m=math.inf), "shortest_m: expected a length"),
+        (record(shortest_m=-1.0), "shortest_m: expected a length"),
+        (record(world=3), "world: expected a text"),
+    ],
+)
+def test_what_is_no_outcome_is_named_with_its_line(tmp_path, line, words):
+    with pytest.raises(UserError, match=f"outcomes.jsonl: line 2: not an outcome: {words}"):
+        written(tmp_path, record(), line)
+
+
+def test_arrays_have_a_row_a_column_and_nan_for_what_was_not_said():
+    outcomes = gather(
+        [
+            record("house-10/bed", "a"),
+            failure("house-9/bed", "a", world="house-9", wrong_stops=None),
+            record("house-9/bed", "b", world="house-9", score_ms={"p95": 0.25}),
+        ]
+    )
+    assert outcomes.columns == ("a", "b")
+    assert outcomes.episodes == ("house-9/bed", "house-10/bed")
+    assert outcomes.ran.tolist() == [[True, True], [True, False]]
+    assert outcomes.success.tolist() == [[False, True], [True, False]]
+    assert outcomes.failure.tolist() == [["never seen", ""], ["", ""]]
+    np.testing.assert_array_equal(outcomes["path_m"], [[40.0, 10.0], [10.0, np.nan]])
+    np.testing.assert_array_equal(outcomes["wrong_stops"], [[np.nan, 0.0], [0.0, np.nan]])
+    np.testing.assert_array_equal(outcomes["score_p95_ms"], [[0.5, 0.5], [0.25, np.nan]])
+    np.testing.assert_array_equal(outcomes["tick_p95_ms"][0], [2.0, 2.0])
+    assert np.isnan(outcomes.rooms).all()
+    told = with_rooms(outcomes, {"house-9": 3, "house-10": None})
+    np.testing.assert_array_equal(told.rooms, [3.0, np.nan])
+
+
+def test_the_newest_of_a_column_counts():
+    outcomes = gather(
+        [
+            record("one", "a", column_id="old", path_m=1.0),
+            record("two", "a", column_id="old", path_m=1.0),
+            record("one", "a", column_id="new", path_m=2.0),
+            record("one", "a", column_id="new", path_m=3.0),
+        ]
+    )
+    assert outcomes.episodes == ("one",)
+    assert outcomes["path_m"].tolist() == [[3.0]]
+    assert outcomes.passed_over == 3
+
+
+@pytest.mark.parametrize("changes", [{"shortest_m": 6.0}, {"target": "sofa"}])
+def test_columns_on_different_episodes_of_one_name_are_not_compared(changes):
+    with pytest.raises(UserError, match="these are different episodes"):
+        gather([record(column="a"), record(column="b", **changes)])
+
+
+def test_what_crashed_may_not_know_its_world():
+    crash = failure(column="b", world="a.glb", failure="crashed")
+    for records in ([record(column="a"), crash], [crash, record(column="a")]):
+        assert gather(records).world.tolist() == ["house-0"]
+    assert gather([crash]).world.tolist() == ["a.glb"]
+
+
+def test_failures_of_other_names_are_other_ones():
+    kinds = [*FAILURES, "hexed", None]
+    outcomes = gather([failure(f"{k}", failure=kind) for k, kind in enumerate(kinds)])
+    assert outcomes.failure[0].tolist() == [*FAILURES, OTHER, OTHER]
+
+
+def test_the_order_in_which_they_came_is_of_no_matter():
+    records = many({"a": 1.5, "b": 2.0}, 5)
+    first = gather(records)
+    other = gather([r for c in ("a", "b") for r in reversed(records) if r["column"] == c])
+    assert first.episodes == other.episodes
+    np.testing.assert_array_equal(first["path_m"], other["path_m"])
+
+
+@pytest.mark.parametrize(("worlds", "unit", "units"), [(9, "episode", 36), (10, "world", 10)])
+def test_few_worlds_are_not_resampled(worlds, unit, units):
+    cluster, word = clusters(gather(many({"a": 1.5}, worlds)))
+    assert (word, len(set(cluster.tolist()))) == (unit, units)
+
+
+def test_baseline():
+    outcomes = gather([record(column="a"), record(column="b")])
+    assert [baseline_of(outcomes, name) for name in (None, "a", "b")] == [0, 0, 1]
+    with pytest.raises(UserError, match="no column 'c'; there are: a, b"):
+        baseline_of(outcomes, "c")
+
+
+def test_natural_order():
+    names = ["val-10/bed/0", "val-9/bed/10", "val-9/bed/9", "9"]
+    assert sorted(names, key=natural) == ["9", "val-9/bed/9", "val-9/bed/10", "val-10/bed/0"]

@@ -1,0 +1,147 @@
+"""The page: every trail is in it, where it was driven; nothing is fetched; any text is safe."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from html_reader import Reader
+from made_outcomes import failure, many, record
+
+from edge.lab.eval.comparison import page, plots, trails
+from edge.lab.eval.comparison.outcomes import gather
+from edge.lab.eval.comparison.statistics import compare
+from edge.lab.eval.comparison.worlds import Drawing
+
+BAD = '<script>alert("x")</script>&\'"'
+BOX = np.array([[2.0, 2.0], [3.0, 2.0], [3.0, 3.0], [2.0, 3.0]])
+DRAWING = Drawing(b"png", 0.0, 4.0, 5.0, 4.0, {"bed": [BOX]})
+
+
+@pytest.fixture(autouse=True)
+def quick_plots(monkeypatch):
+    """They have tests of their own."""
+    monkeypatch.setattr(plots, "images", lambda comparison, kind: {"rates": b"png"})
+
+
+def page_of(records, drawings=None) -> str:
+    comparison = compare(gather(records), resamples=50)
+    return page.html(comparison, drawings or {}, "Trial", "a machine")
+
+
+def points(path: str) -> list[tuple[int, int]]:
+    """The places of a path of one polyline."""
+    start, _, steps = path.removeprefix("M").partition("l")
+    x, y = map(int, start.split())
+    found, numbers = [(x, y)], list(map(int, re.findall(r"-?\d+", steps)))
+    for dx, dy in zip(numbers[::2], numbers[1::2], strict=True):
+        found.append((found[-1][0] + dx, found[-1][1] + dy))
+    return found
+
+
+def test_nothing():
+    reader = Reader(page_of([]))
+    assert "0 episodes in 0 worlds" in reader.text
+    assert reader.all("article") == []
+
+
+def test_every_trail_is_there():
+    records = many({"a": 1.5, "b": 2.5}, 4)
+    left_out = records.pop()
+    drawings = {"house-0": DRAWING, "house-2": DRAWING}
+    reader = Reader(page_of(records, drawings))
+    assert len(reader.all("article")) == 16
+    assert len(reader.all("figure", "ok")) == sum(r["success"] for r in records)
+    assert len(reader.all("figure", "bad")) == sum(not r["success"] for r in records)
+    assert len(reader.all("figure", "none")) == 1
+    assert len(reader.all("circle", "end")) == len(records)
+    assert left_out["column"] == "b"
+    assert f"{records[0]['path_m']:.1f} m" in reader.text
+
+
+def test_a_trail_is_drawn_where_it_was_driven():
+    trail = [[1.0, 1.0], [1.25, 1.0], [1.5, 1.0], [1.5, 1.0], [1.5, 0.75], [1.25, 0.75]]
+    goals = [[2.0, 1.0, "frontier"], [2.5, 2.0, "instance"], [0.0, 4.0, "look"]]
+    one = record(world="w", trail=trail, first_sight_path_m=0.5, goal_xy=goals)
+    reader = Reader(page_of([one], {"w": DRAWING}))
+    pieces = [points(a["d"]) for a in reader.all("path", "t")]
+    driven = pieces[0] + [p for piece in pieces[1:] for p in piece[1:]]
+    # 5 cm a unit, y downwards from 4 m; where the robot stood still there is one point.
+    assert driven == [(20, 60), (25, 60), (30, 60), (30, 65), (25, 65)]
+    assert all(a[-1] == b[0] for a, b in pairwise(pieces))
+    assert [a["d"] for a in reader.all("path", "g")][-3:] == ["M40 60h0", "M50 40h0", "M0 0h0"]
+    seen, start, end = (reader.all("circle", kind)[-1] for kind in ("seen", "start", "end"))
+    assert [(int(c["cx"]), int(c["cy"])) for c in (seen, start, end)] == [
+        (30, 60),
+        (20, 60),
+        (25, 65),
+    ]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 11, 12, 400])
+def test_the_ramp_goes_from_first_to_last(n):
+    units = np.stack([np.arange(n), np.zeros(n, int)], axis=1)
+    colours = [int(k) for k in re.findall(r'class="t t(\d+)"', trails._trail(units))]
+    assert colours == sorted(set(colours))
+    assert len(colours) == min(n - 1, len(trails.RAMP))
+    assert all(0 <= k < len(trails.RAMP) for k in colours)
+
+
+def test_a_floor_plan_is_there_once_and_maps_refer_to_it():
+    records = [record(f"{k}/{t}", c, world="w", target=t)
+               for k in range(3) for t in ("bed", "sofa") for c in ("a", "b")]  # fmt: skip
+    reader = Reader(page_of(records, {"w": DRAWING}))
+    assert [a["id"] for a in reader.all("image")] == ["w0"]
+    uses = [a["href"] for a in reader.all("use")]
+    assert (uses.count("#w0"), uses.count("#w0t0")) == (12, 6)
+    (thing,) = [a for a in reader.all("path", "thing") if a.get("id") == "w0t0"]
+    assert thing["d"] == "M40 40l20 0 0-20-20 0z"
+
+
+def test_nothing_is_fetched_and_no_script_but_ours_runs():
+    text = page_of(many({"a": 1.5, "b": 2.5}, 2), {"house-0": DRAWING})
+    reader = Reader(text)
+    sources = [a[key] for _, a in reader.tags for key in ("src", "href") if key in a]
+    assert sources
+    assert all(s.startswith(("data:image/", "#")) for s in sources)
+    assert not re.search(r"https?:|url\(|@import|fetch|XMLHttp", text)
+    (script,) = re.findall(r"<script>(.*?)</script>", text, re.S)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    (policy,) = [a["content"] for a in reader.all("meta") if "http-equiv" in a]
+    assert f"script-src 'sha256-{digest}'" in policy
+    assert "default-src 'none'" in policy
+
+
+def test_text_cannot_become_markup():
+    bad = record(BAD, BAD, world=BAD, target=BAD, reason=BAD, instruction=BAD)
+    text = page_of([bad, failure("2", "b", failure=BAD, target=None, instruction=BAD)])
+    reader = Reader(text)
+    assert len(reader.all("script")) == 1
+    assert reader.text.count("alert(") >= 6
+
+
+def test_what_the_script_sorts_and_filters_by():
+    records = [record("1", "a"), failure("1", "b"), record("2", "b", path_m=5.0)]
+    first, second = Reader(page_of(records)).all("article")
+    assert (first["data-spl"], first["data-path"], first["data-shortest"]) == (
+        "0.5,0",
+        "10,40",
+        "5.00",
+    )
+    assert first["data-kinds"] == "|never seen"
+    assert (second["data-spl"], second["data-path"]) == (",1", ",5")
+
+
+def test_hundreds_of_episodes_stay_small():
+    trail = np.cumsum(np.random.default_rng(0).normal(0, 0.18, (160, 2)), axis=0).tolist()
+    records = [
+        record(f"{e}", f"c{c}", trail=trail, goal_xy=[[1.0, 1.0, "frontier"]] * 40)
+        for e in range(30) for c in range(7)
+    ]  # fmt: skip
+    small, large = (len(page_of(records[: 7 * n])) for n in (10, 30))
+    an_episode = (large - small) / 20
+    assert 400 * an_episode < 15e6

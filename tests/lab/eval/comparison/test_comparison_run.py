@@ -1,0 +1,113 @@
+"""`edge eval compare` on a folder, from its files to its page."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+
+import pytest
+from made_outcomes import record
+
+from edge.cli.main import main
+from edge.config import load
+from edge.errors import UserError
+from edge.lab.eval import episodes as eps
+from edge.lab.eval.comparison import run
+from edge.lab.eval.outcome import Outcome
+
+START = (1.5, 1.5, 0.0)
+DEMO = {"kind": "house", "house": "demo"}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Two columns on an episode in the demo house, and on one of a run before."""
+    sensing = eps.sensing_of(load("demo"))
+    planned = [eps.make_episode(DEMO, "demo", START, 5.0, sensing, t) for t in ("bed", "sofa")]
+    eps.write(tmp_path / run.EPISODES_NAME, planned)
+    lines = [
+        record(e.id, column, world="demo", target=e.target, start=list(START), path_m=path)
+        for e in planned
+        for column, path in (("slow", 10.0), ("fast", 5.0))
+    ]
+    write(tmp_path, lines)
+    return tmp_path
+
+
+def write(folder, lines) -> None:
+    text = "".join(f"{json.dumps(line)}\n" for line in lines)
+    (folder / "outcomes.jsonl").write_text(text, encoding="utf-8")
+
+
+def test_a_folder_is_compared(folder, capsys):
+    assert main(["eval", "compare", str(folder), "--baseline", "slow"]) == 0
+    printed = capsys.readouterr().out
+    for words in ("Against slow, paired", "Where the rest of the SPL goes", "By target",
+                  str(folder / "comparison.html")):  # fmt: skip
+        assert words in printed, words
+    data = json.loads((folder / "results.json").read_text())
+    assert data["paired"]["fast"]["spl"]["value"] == pytest.approx(0.5)
+    assert data["losses"]["fast"]["spl"] == pytest.approx(1.0)
+    page = (folder / "comparison.html").read_text()
+    assert page.count('id="w0"') == 1
+    assert page.count('href="#w0"') == 4
+    assert page.count("<article") == 2
+    assert (folder / "results.csv").read_text().startswith("group,column,metric")
+    assert (folder / "rates.png").exists()
+    assert (folder / "budget.svg").exists()
+
+
+def test_the_worlds_tell_their_rooms(folder):
+    comparison, drawings = run.compare_folders([folder])
+    assert set(comparison.outcomes.rooms.tolist()) == {7.0}
+    assert list(drawings) == ["demo"]
+    assert set(drawings["demo"].footprints) == {"bed", "sofa"}
+
+
+def test_folders_together(folder, tmp_path_factory):
+    other = tmp_path_factory.mktemp("other")
+    planned = eps.make_episode(DEMO, "demo", (1.5, 1.6, 0.0), 4.0, {}, "bed")
+    eps.write(other / run.EPISODES_NAME, [planned])
+    write(other, [record(planned.id, "fast", world="demo", shortest_m=4.0)])
+    comparison, _ = run.compare_folders([folder, other])
+    assert comparison.outcomes.ran.sum(axis=1).tolist() == [2, 3]
+    assert comparison.pairs[0].missing == 1
+
+
+def test_some_columns(folder):
+    comparison, _ = run.compare_folders([folder], "slow", ["fast", "slow"])
+    assert comparison.outcomes.columns == ("fast", "slow")
+    with pytest.raises(UserError, match="no column 'quick' was run; there are: slow, fast"):
+        run.compare_folders([folder], None, ["quick"])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "options", "code", "words"),
+    [
+        (lambda f: (f / "outcomes.jsonl").unlink(), [], os.EX_IOERR, "`edge eval episodes`"),
+        (lambda f: write(f, []), [], os.EX_DATAERR, "outcomes.jsonl: empty"),
+        (lambda f: None, ["--baseline", "none"], os.EX_DATAERR, "there are: slow, fast"),
+        (lambda f: (f / "episodes.jsonl").unlink(), [], os.EX_IOERR, "episodes.jsonl"),
+        (lambda f: (f / "episodes.jsonl").write_text("{}\n"), [], os.EX_DATAERR, "line 1"),
+        (lambda f: (f / "results.csv").mkdir(), [], os.EX_IOERR, "Is a directory"),
+    ],
+)
+def test_what_cannot_be_compared_is_told_in_a_line(folder, capsys, spoil, options, code, words):
+    spoil(folder)
+    assert main(["eval", "compare", str(folder), *options]) == code
+    said = [line for line in capsys.readouterr().err.splitlines() if "worlds" not in line]
+    assert len(said) == 1
+    assert words in said[0]
+
+
+def test_what_is_told_after_a_run():
+    assert run.told([]) == "no outcomes"
+    fields = {f.name for f in dataclasses.fields(Outcome)}
+    made = Outcome(**{k: v for k, v in record().items() if k in fields})
+    assert "100.0 [20.7, 100.0]" in run.told([made])
+
+
+def test_older_outcomes_are_passed_over_aloud():
+    comparison = run.compare(run.records.gather([record(column_id="old"), record()]), resamples=50)
+    assert "1 older outcomes are passed over" in run.text(comparison)

@@ -1,0 +1,157 @@
+"""The probabilistic executor: what an attempt does, and how a run ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.lab.eval.planning.executor import (
+    COMPLETE,
+    DONE,
+    GAVE_UP,
+    INVALID,
+    MAX_DECISIONS,
+    NO_ANSWER,
+    NOTHING,
+    OUT_OF_ATTEMPTS,
+    VIOLATED,
+    Episode,
+    Problem,
+    draws_of,
+    run_episode,
+)
+from edge.lab.eval.planning.lifted import lift
+from edge.mission.automaton import compile_formula
+from edge.mission.ltl import parse
+
+LUCKY, UNLUCKY = 0.0, 0.999
+
+
+def problem_of(text: str, others: int | None = None) -> Problem:
+    formula = parse(text)
+    others = lift(formula).others if others is None else others
+    return Problem.of(compile_formula(formula), others)
+
+
+def luck(*rows: tuple[float, float]) -> np.ndarray:
+    """Draws that begin with (luck, meeting) rows and go on lucky."""
+    draws = np.zeros((MAX_DECISIONS, 3))
+    draws[: len(rows), :2] = np.reshape(rows, (-1, 2))
+    return draws
+
+
+def say(*targets: int):
+    """A planner that says these, one after the other, and records what it was told."""
+    todo, told = list(targets), []
+
+    def choose(situation):
+        told.append(situation)
+        return todo.pop(0) if todo else DONE
+
+    choose.told = told
+    return choose
+
+
+def test_problem_puts_other_objects_behind_the_formulas():
+    problem = problem_of("F (chair & F bed)")
+    assert (problem.n_letters, problem.n_objects) == (2, 6)
+    assert problem.moves.shape == (3, 7)
+    for other in range(2, 7):
+        np.testing.assert_array_equal(problem.moves[:, other], [0, 1, 2])
+
+
+@pytest.mark.parametrize(
+    ("formula", "targets", "draws", "expected"),
+    [
+        ("true", [], luck(), Episode(COMPLETE, 0, 0)),
+        ("F bed", [], luck(), Episode(GAVE_UP, 0, 0)),
+        ("F bed", [INVALID], luck(), Episode(NO_ANSWER, 0, 0)),
+        ("F bed", [0], luck(), Episode(COMPLETE, 1, 1)),
+        ("F bed", [0, 0], luck((UNLUCKY, 0.0)), Episode(COMPLETE, 2, 2)),
+        ("F sofa & G !bed", [1, 0], luck(), Episode(VIOLATED, 1, 1)),
+        # The failed attempt on a shows b (the first object not known): it is reached directly.
+        ("F a & F b", [0, 1, 0], luck((UNLUCKY, 0.0)), Episode(COMPLETE, 2, 3)),
+        # What was reached stays known: going there again is no exploration.
+        ("F (a & F (b & F a))", [0, 1, 0], luck(), Episode(COMPLETE, 2, 3)),
+        # An object that the formula does not name is nothing to the automaton.
+        ("F bed", [3, 0], luck(), Episode(COMPLETE, 2, 2)),
+        ("X bed", [NOTHING, 0], luck(), Episode(COMPLETE, 1, 1)),
+        ("X bed", [3, 0], luck(), Episode(COMPLETE, 2, 2)),
+        ("F bed & !bed", [0], luck(), Episode(VIOLATED, 1, 1)),
+    ],
+)
+def test_run(formula, targets, draws, expected):
+    assert run_episode(problem_of(formula), 0.5, say(*targets), draws) == expected
+
+
+def test_meeting_draws_uniformly_from_what_is_neither_known_nor_intended():
+    problem = problem_of("F a & F b & F c", others=2)
+    met = set()
+    for draw in (0.0, 0.3, 0.6, 0.99):
+        planner = say(1)
+        run_episode(problem, 0.5, planner, luck((UNLUCKY, draw)), seen=0)
+        met.add(planner.told[-1].seen)
+    assert met == {1 << 0, 1 << 2, 1 << 3, 1 << 4}
+
+
+def test_with_nothing_else_left_a_failed_attempt_shows_nothing():
+    planner = say(0, 0)
+    episode = run_episode(problem_of("F a", others=0), 0.5, planner, luck((UNLUCKY, 0.5)))
+    assert episode == Episode(COMPLETE, 2, 2)
+    assert [s.seen for s in planner.told] == [0, 0]
+    assert [s.current for s in planner.told] == [NOTHING, 0]
+
+
+def test_planner_is_told_what_was_reached_in_order():
+    planner = say(1, 0)
+    run_episode(problem_of("F a & F b & F c", others=0), 1.0, planner, luck())
+    last = planner.told[-1]
+    assert (last.order, last.reached, last.seen, last.current) == ((1, 0), 0b11, 0b11, NOTHING)
+
+
+@pytest.mark.parametrize("target", [0, 1, NOTHING])
+def test_a_planner_that_never_gets_there_is_stopped(target):
+    problem = problem_of("F (a & F b)", others=0)
+    episode = run_episode(problem, 1.0, lambda s: 0 if target else NOTHING, luck())
+    assert episode.outcome == OUT_OF_ATTEMPTS
+    assert episode.explorations <= 1
+
+
+def test_success_on_the_last_decision_counts():
+    problem, decisions = problem_of("F a", others=0), iter(range(MAX_DECISIONS))
+    last = MAX_DECISIONS - 1
+    episode = run_episode(problem, 1.0, lambda s: 0 if next(decisions) == last else NOTHING, luck())
+    assert episode == Episode(COMPLETE, 1, 1)
+
+
+def test_knowing_all_places_needs_no_exploration():
+    assert run_episode(problem_of("F a & F b"), 0.1, say(0, 1), luck(), seen=0xFF).explorations == 0
+
+
+def test_draws_depend_on_all_their_keys_and_nothing_else():
+    base = draws_of(0, 5, 0.3, 0)
+    np.testing.assert_array_equal(base, draws_of(0, 5, 0.3, 0))
+    assert base.shape == (MAX_DECISIONS, 3)
+    for other in (draws_of(1, 5, 0.3, 0), draws_of(0, 6, 0.3, 0), draws_of(0, 5, 0.4, 0)):
+        assert not np.array_equal(base, other)
+    assert not np.array_equal(base, draws_of(0, 5, 0.3, 1))
+    assert base.min() >= 0
+    assert base.max() < 1
+
+
+@given(st.integers(0, 1000), st.sampled_from([0.1, 0.5, 1.0]), st.integers(1, 6))
+def test_explorations_are_at_least_the_new_objects_and_steps_at_least_those(task, p_obs, k):
+    """Any order of k objects: each is explored for once at least, or was met while exploring."""
+    problem = problem_of(" & ".join(f"F x{i}" for i in range(k)), others=6 - k)
+
+    def choose(situation):
+        return next(i for i in range(k) if not situation.reached >> i & 1)
+
+    episode = run_episode(problem, p_obs, choose, draws_of(0, task, p_obs, 0))
+    assert episode.outcome == COMPLETE
+    assert 1 <= episode.explorations <= episode.steps
+    assert episode.steps >= k
+    if p_obs == 1.0:
+        assert episode.explorations == episode.steps == k

@@ -1,0 +1,83 @@
+"""Tasks as files: what is written is read back, and what is wrong is said in one line."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from edge.errors import FileError
+from edge.lab.eval.planning.file import TaskFileError, read_tasks, write_tasks
+from edge.lab.eval.planning.templates import generate
+
+GOOD = {
+    "id": 0,
+    "template": "own",
+    "objects": ["bed"],
+    "sentence": "Reach a bed.",
+    "formula": "F bed",
+}
+
+
+def test_round_trip(tmp_path):
+    path, tasks = tmp_path / "tasks.jsonl", generate(60)
+    write_tasks(path, tasks)
+    assert read_tasks(path) == tasks
+    assert set(json.loads(path.read_text().splitlines()[0])) == set(GOOD)
+
+
+def test_other_names_for_objects_are_mapped(tmp_path):
+    path = tmp_path / "tasks.jsonl"
+    line = {**GOOD, "objects": ["tv", "couch"], "formula": "F(tv & F couch)"}
+    path.write_text("\n" + json.dumps(line) + "\n\n")
+    assert read_tasks(path)[0].objects == ("television", "sofa")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "holds no tasks"),
+        ("\n \n", "holds no tasks"),
+        (b"\xff\xfe", "not UTF-8"),
+        ("{", "line 1: not JSON"),
+        ("[" * 100_000, "line 1: not JSON"),
+        ("3", "line 1: not a JSON object; every line is one task, with id, template"),
+        (json.dumps(GOOD) + "\n{}", "line 2: id: expected int, got None"),
+        (json.dumps(GOOD) + "\n" + json.dumps(GOOD), "line 2: id 0 was there before"),
+        ({**GOOD, "id": True}, "id: expected int"),
+        ({**GOOD, "id": -1}, "id: must be between 0"),
+        ({**GOOD, "sentence": None}, "sentence: expected str"),
+        ({**GOOD, "formula": "F (bed"}, "formula, column"),
+        ({**GOOD, "formula": "F bed & G !bed"}, "contradicts itself"),
+        ({**GOOD, "objects": ["sofa"]}, "objects: the formula's are bed"),
+        ({**GOOD, "objects": [3]}, "objects: the formula's are bed"),
+        (
+            {
+                **GOOD,
+                "formula": " & ".join(f"F thing{c}" for c in "abcdefg"),
+                "objects": [f"thing{c}" for c in "abcdefg"],
+            },
+            "more than 12 objects",
+        ),
+        ({**GOOD, "formula": "F " + "x" * 10, "objects": ["", "x"]}, "line 1: '' is no name"),
+    ],
+)
+def test_bad_files(tmp_path, content, message):
+    path = tmp_path / "tasks.jsonl"
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    else:
+        path.write_text(content if isinstance(content, str) else json.dumps(content))
+    with pytest.raises(TaskFileError) as caught:
+        read_tasks(path)
+    assert message in str(caught.value)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_and_unwritable_files(tmp_path):
+    with pytest.raises(TaskFileError, match="cannot be read: No such file"):
+        read_tasks(tmp_path / "none")
+    (tmp_path / "file").touch()
+    with pytest.raises(FileError, match="cannot be written: "):
+        write_tasks(tmp_path / "file" / "tasks.jsonl", generate(1))

@@ -1,0 +1,161 @@
+"""The exact optimum of the paper's executor against policy iteration on the model written out."""
+
+from __future__ import annotations
+
+import math
+from itertools import chain, combinations
+
+import networkx as nx
+import numpy as np
+import pytest
+
+from edge.lab.eval.planning.executor import DONE, Problem, Situation
+from edge.lab.eval.planning.executor import NOTHING as WAIT
+from edge.lab.eval.planning.optimum import MAX_VALUES, Optimum, solvable
+from edge.mission.automaton import NOTHING, compile_formula
+from edge.mission.ltl import parse
+
+CASE_2 = (
+    "(F(couch & F(toilet & F(bed & F chair))) | F(bed & F(plant | toilet))"
+    " | F(tv & F(plant & F couch))) & (!couch W toilet) & (!bed W tv) & (!plant W chair)"
+)
+
+
+class Exploration:
+    """The executor of ViTL V-C as a Markov decision process, written out.
+
+    A node is (state, known letters, objects outside the formula that were not met).
+    """
+
+    def __init__(self, automaton, p_obs, extra=0):
+        self.a, self.p_obs = automaton, p_obs
+        self.letters = automaton.letters
+        subsets = chain.from_iterable(
+            combinations(self.letters, r) for r in range(len(self.letters) + 1)
+        )
+        known = [frozenset(x) for x in subsets]
+        self.nodes = [
+            (s, k, e) for s in range(automaton.n_states) for k in known for e in range(extra + 1)
+        ]
+
+    def outcomes(self, node, letter):
+        """(cost, [(probability, next node)])."""
+        s, known, extra = node
+        after = self.a.step(s, letter)
+        if letter == NOTHING:
+            return 1e-6, [(1.0, (after, known, extra))]
+        if letter in known:
+            return 1e-5, [(1.0, (after, known, extra))]
+        others = [x for x in self.letters if x not in known and x != letter]
+        n = len(others) + extra
+        out = [(self.p_obs, (after, known | {letter}, extra))]
+        if n == 0:
+            return 1.0, [*out, (1 - self.p_obs, node)]
+        out += [((1 - self.p_obs) / n, (s, known | {x}, extra)) for x in others]
+        if extra:
+            out.append(((1 - self.p_obs) * extra / n, (s, known, extra - 1)))
+        return 1.0, out
+
+    def evaluate(self, policy):
+        """Expected cost by node of a proper policy; acceptance is free."""
+        index = {node: i for i, node in enumerate(policy)}
+        matrix, cost = np.eye(len(index)), np.zeros(len(index))
+        for node, i in index.items():
+            cost[i], outcomes = self.outcomes(node, policy[node])
+            for p, after in outcomes:
+                if not self.a.accepting[after[0]]:
+                    matrix[i, index[after]] -= p
+        return dict(zip(index, np.linalg.solve(matrix, cost), strict=True))
+
+    def optimum(self):
+        """Policy iteration from a policy that comes nearer to acceptance with each success."""
+        policy = {}
+        for node in self.nodes:
+            s = node[0]
+            steps = [(self._left(self.a.step(s, x)), x) for x in (*self.letters, NOTHING)]
+            if not self.a.accepting[s] and self._left(s) < math.inf:
+                policy[node] = min(steps)[1]
+        while policy:
+            value = self.evaluate(policy)
+            better = dict(policy)
+            for node in policy:
+                best = value[node] - 1e-9
+                for x in (*self.letters, NOTHING):
+                    q = self.cost(node, x, value)
+                    if q < best:
+                        best, better[node] = q, x
+            if better == policy:
+                return value
+            policy = better
+        return {}
+
+    def cost(self, node, letter, value):
+        """Expected cost of one step and then of `value`; inf where that leads nowhere."""
+        cost, outcomes = self.outcomes(node, letter)
+        return cost + sum(
+            p * (0.0 if self.a.accepting[after[0]] else value.get(after, math.inf))
+            for p, after in outcomes
+            if p > 0.0
+        )
+
+    def _left(self, state):
+        """Steps to acceptance."""
+        if not hasattr(self, "_steps"):
+            graph = nx.DiGraph()
+            graph.add_nodes_from(range(self.a.n_states))
+            for s in range(self.a.n_states):
+                graph.add_edges_from((self.a.step(s, x), s) for x in (*self.letters, NOTHING))
+            goals = set(np.flatnonzero(self.a.accepting).tolist())
+            self._steps = (
+                nx.multi_source_dijkstra_path_length(graph, goals, weight=None) if goals else {}
+            )
+        return self._steps.get(state, math.inf)
+
+
+def problem_of(text: str, others: int = 0) -> Problem:
+    return Problem.of(compile_formula(parse(text)), others)
+
+
+@pytest.mark.parametrize(("text", "best"), [("true", DONE), ("F a & G !a", DONE), ("X a", WAIT)])
+def test_nothing_to_go_to(text, best):
+    assert Optimum(problem_of(text), 0.5).choose(Situation(0)) == best
+
+
+@pytest.mark.parametrize(
+    ("p_obs", "others", "cost"), [(0.5, 0, 2.0), (0.25, 0, 4.0), (1.0, 3, 1.0), (0.5, 1, 2.0)]
+)
+def test_one_object_takes_one_over_p_attempts(p_obs, others, cost):
+    assert Optimum(problem_of("F a", others), p_obs).value[0, others, 0] == pytest.approx(cost)
+
+
+def test_looking_for_another_thing_can_be_better_luck():
+    """At p_obs = 0.1 the tv's attempt, which serves nothing else, shows the chair 9 times of 10."""
+    problem = problem_of("F chair & (F tv | true)")
+    letters = problem.automaton.letters
+    assert letters[Optimum(problem, 0.1).choose(Situation(0))] == "tv"
+    assert letters[Optimum(problem, 0.5).choose(Situation(0))] == "chair"
+
+
+@pytest.mark.parametrize("p_obs", [0.1, 0.35, 0.8, 1.0])
+@pytest.mark.parametrize("others", [0, 2])
+@pytest.mark.parametrize(
+    "text",
+    ["F a", "F a & F b & F c", "F((chair | couch) & F tv)", "F a & F b & G !c", "X a", "!b W a",
+     "(!b W a) & F b", "F(a & X(b & F a))", "G(a -> X F b) & F a", CASE_2],
+)  # fmt: skip
+def test_costs_are_those_of_policy_iteration(text, others, p_obs):
+    problem = problem_of(text, others)
+    letters = problem.automaton.letters
+    found = Optimum(problem, p_obs).value
+    exact = Exploration(problem.automaton, p_obs, others).optimum()
+    assert len(exact) > 0 or problem.accepting[0]
+    for (state, known, extra), cost in exact.items():
+        place = sum(1 << letters.index(x) for x in known), extra, state
+        assert found[place] == pytest.approx(cost, abs=1e-6)
+
+
+def test_a_problem_that_is_too_large_is_not_solvable():
+    large = problem_of(" & ".join(f"F object{i}" for i in range(10)))
+    assert large.automaton.n_states << 10 > MAX_VALUES
+    assert not solvable(large)
+    assert solvable(problem_of(CASE_2))

@@ -1,0 +1,62 @@
+"""The two plots: files, reproducible, every planner named in them."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import pytest
+
+from edge.lab.eval.intervals import Interval
+from edge.lab.eval.planning.planners import PLANNERS
+from edge.lab.eval.planning.plots import STYLES, write_plots
+from edge.lab.eval.planning.report import LLM, Row
+
+NAN = Interval(float("nan"), float("nan"), float("nan"))
+
+
+def row(planner: str, p_obs: float | None, complete: float, explorations: Interval = NAN) -> Row:
+    share = Interval(complete, complete - 0.01, complete)
+    return Row(planner, p_obs, 100, {}, share, explorations, NAN, NAN)
+
+
+@pytest.fixture
+def rows():
+    return [
+        row(planner, p, 0.9 if planner == LLM else 1.0, Interval(k + 2 / p, k, k + 3 / p))
+        for k, planner in enumerate(STYLES)
+        for p in (0.1, 0.5, 1.0)
+    ] + [row("vitl", None, 1.0)]
+
+
+def words(path) -> str:
+    return " ".join(e.text or "" for e in ElementTree.parse(path).iter() if e.tag.endswith("text"))
+
+
+def test_every_planner_has_a_style_of_its_own():
+    assert set(STYLES) == {*PLANNERS, LLM}
+    assert len({style.colour for style in STYLES.values()}) == len(STYLES)
+    assert len({style.mark for style in STYLES.values()}) == len(STYLES)
+
+
+def test_files(tmp_path, rows):
+    paths = write_plots(rows, tmp_path)
+    assert [path.name for path in paths] == [
+        "completion.svg", "completion.png", "explorations.svg", "explorations.png",
+    ]  # fmt: skip
+    assert all(path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" for path in paths[1::2])
+    for planner in STYLES:
+        assert planner in words(paths[0])
+        # The clairvoyant does not explore.
+        assert (planner in words(paths[2])) == (planner != "clairvoyant")
+
+
+def test_same_figures_same_files(tmp_path, rows):
+    first = [path.read_bytes() for path in write_plots(rows, tmp_path)]
+    assert [path.read_bytes() for path in write_plots(rows, tmp_path)] == first
+
+
+@pytest.mark.parametrize(
+    "rows", [[], [row("vitl", 0.5, 1.0)], [row("vitl", 0.1, 0.2), row("new", 0.1, 0.3)]]
+)
+def test_few_rows_make_plots_too(tmp_path, rows):
+    assert len(write_plots(rows, tmp_path)) == 4

@@ -1,0 +1,159 @@
+"""`edge eval planning` from its options to its files."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import pytest
+from live_patience import PATIENCE_S
+
+from edge.cli.parsers import make_parser
+from edge.errors import UserError
+from edge.lab.eval.planning import run as command
+from edge.lab.eval.planning.file import read_tasks
+from edge.lab.eval.planning.planners import PLANNERS
+from edge.lab.eval.planning.templates import generate
+
+
+def parsed(*argv: str) -> argparse.Namespace:
+    return make_parser("", {}).parse_args(["eval", "planning", *argv])
+
+
+def test_defaults_are_the_papers_benchmark():
+    args = parsed()
+    assert (args.n, args.seed, args.tasks, args.llm) == (2000, 0, None, None)
+    assert args.p_obs == tuple(i / 10 for i in range(1, 11))
+    assert args.jobs >= 1
+    assert str(args.out) == "planning-report"
+
+
+def test_runs_and_writes(tmp_path, capsys):
+    out = tmp_path / "new" / "folder"
+    assert (
+        command.run(parsed("--n", "20", "--p-obs", "0.5,1", "--jobs", "1", "--out", str(out))) == 0
+    )
+    text = capsys.readouterr().out
+    assert text.startswith("20 tasks, ")
+    for planner in PLANNERS:
+        assert f"{planner}: 100.00 % complete" in text
+    names = {"results.json", "completion.svg", "completion.png", "explorations.svg"}
+    assert names | {"explorations.png"} == {path.name for path in out.iterdir()}
+    data = json.loads((out / "results.json").read_text())
+    assert {row["complete"]["value"] for row in data["rows"]} == {1.0}
+
+
+def test_exported_tasks_can_be_run(tmp_path, capsys):
+    path = tmp_path / "tasks.jsonl"
+    assert command.run(parsed("--n", "8", "--export", str(path))) == 0
+    assert read_tasks(path) == generate(8)
+    options = ["--tasks", str(path), "--planners", "vitl, optimal", "--p-obs", "1"]
+    assert command.run(parsed(*options, "--jobs", "1", "--out", str(tmp_path))) == 0
+    assert "8 tasks" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (("--p-obs", "0"), "above 0 and at most 1, got 0"),
+        (("--p-obs", "0.5,1.5"), "above 0 and at most 1, got 1.5"),
+        (("--p-obs", "nan"), "above 0"),
+        (("--p-obs", "half"), "expected numbers such as 0.5,1, got 'half'"),
+        (("--p-obs", ""), "expected numbers"),
+        (("--n", "0"), "must be at least 1"),
+        (("--episodes", "-1"), "must be at least 1"),
+        (("--seed", "-1"), "between 0"),
+        (("--jobs", "two"), "invalid"),
+    ],
+)
+def test_bad_options(argv, words, capsys):
+    with pytest.raises(SystemExit):
+        parsed(*argv)
+    assert words in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_bad_input_is_one_line(tmp_path):
+    (tmp_path / "file").write_text("{}")
+    for argv, words in (
+        (("--planners", "vitl,best"), "no planner 'best'; there are: vitl"),
+        (("--planners", ","), "no planner named"),
+        (("--tasks", str(tmp_path / "file")), "line 1: id"),
+        (("--n", "1", "--out", str(tmp_path / "file" / "x")), "file"),
+        (("--n", "1", "--llm", "not a url"), "not a url"),
+    ):
+        with pytest.raises(UserError) as caught:
+            command.run(parsed(*argv))
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_server_that_is_down_costs_only_the_language_models_runs(tmp_path, capsys):
+    argv = ["--n", "5", "--p-obs", "1", "--jobs", "1", "--planners", "vitl"]
+    with pytest.raises(UserError, match=r"127\.0\.0\.1:9"):
+        command.run(parsed(*argv, "--out", str(tmp_path), "--llm", "http://127.0.0.1:9/v1"))
+    text = capsys.readouterr().out
+    assert "vitl: 100.00 % complete" in text
+    assert "llm: not run" in text
+    assert (tmp_path / "results.json").exists()
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("a bug")])
+def test_whatever_ends_the_language_models_runs_costs_only_those(
+    tmp_path, capsys, monkeypatch, error
+):
+    class Client:
+        def ask(self, messages, **options):
+            raise error
+
+    monkeypatch.setattr(command, "_client", lambda args: Client())
+    argv = ["--n", "5", "--p-obs", "1", "--jobs", "1", "--planners", "vitl", "--llm", "http://x"]
+    with pytest.raises(type(error)):
+        command.run(parsed(*argv, "--out", str(tmp_path)))
+    text = capsys.readouterr().out
+    assert "vitl: 100.00 % complete" in text
+    assert "llm: not run" in text
+    assert (tmp_path / "results.json").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs signals")
+def test_interrupt_ends_it_with_its_processes(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        textwrap.dedent("""
+        import signal, sys, time
+        from edge.cli.parsers import make_parser
+        from edge.lab.eval.planning import run as command
+        from edge.host import bars
+        def reach(bar, done):
+            print("working", flush=True)
+            time.sleep(3600)
+        if __name__ == "__main__":
+            bars.Bar.reach = reach
+            # Who was started in the background by a shell script ignores it.
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            args = make_parser("", {}).parse_args(["eval", "planning", *sys.argv[1:]])
+            try:
+                command.run(args)
+            except KeyboardInterrupt:
+                sys.exit(130)
+        """)
+    )
+    argv = ["--n", "60", "--episodes", "50", "--jobs", "2", "--out", str(tmp_path)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    # A group of its own gets the signal, as a terminal's Ctrl-C goes to all of its processes.
+    process = subprocess.Popen([sys.executable, script, *argv], start_new_session=True, **pipes)
+    try:
+        while "working" not in process.stdout.readline():
+            assert process.poll() is None
+        os.killpg(process.pid, signal.SIGINT)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == 130
+    assert "Traceback" not in err

@@ -1,0 +1,128 @@
+"""The benchmark's tasks: what their sentences say is what their formulas mean."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+
+import pytest
+
+from edge import names
+from edge.lab.eval.planning.lifted import HM3D_OBJECTS, lift, world_of
+from edge.lab.eval.planning.templates import (
+    FAMILIES,
+    JOINTS,
+    Template,
+    formula_of,
+    generate,
+    sentence_of,
+)
+from edge.mission.ltl import parse, propositions, to_text
+
+DIGEST = "21de6270f80f429f"
+OBJECTS = ("bed", "television", "sofa", "toilet", "chair", "houseplant")
+
+
+@pytest.fixture(scope="module")
+def tasks():
+    return generate(400)
+
+
+def test_none():
+    assert generate(0) == []
+
+
+@pytest.mark.parametrize(
+    ("template", "sentence", "formula"),
+    [
+        (Template((((0,),),)), "Reach a bed.", "F bed"),
+        (
+            Template((((0,), (1,), (2,)), ((3,), (4,)))),
+            "Reach a bed, then a tv, then a couch; or reach a toilet, then a chair.",
+            "F(bed & F(television & F sofa)) | F(toilet & F chair)",  # the paper's example
+        ),
+        (
+            Template((((4, 2), (1,)),), joint=JOINTS[2]),
+            "Reach either a chair or a couch, then reach a tv.",
+            "F((chair | sofa) & F television)",  # the paper's running example
+        ),
+        (
+            Template((((4, 2), (1,)),), joint=JOINTS[1]),
+            "Reach either a chair or a couch, then a tv.",  # " and then" could be misread
+            "F((chair | sofa) & F television)",
+        ),
+        (
+            Template((((0,), (5, 3)),), joint=JOINTS[1]),
+            "Reach a bed and then either a potted plant or a toilet.",
+            "F(bed & F(houseplant | toilet))",
+        ),
+        (
+            Template((((0,), (1,), (2,)),), any_order=True),
+            "Reach a bed, a tv and a couch in any order.",
+            "F bed & F television & F sofa",
+        ),
+        (
+            Template((((1,),),), untils=((1, 0), (3, 2)), avoided=(4,)),
+            "Reach a tv. Do not reach a tv until a bed is reached, and do not reach a toilet "
+            "until a couch is reached. Never reach a chair.",
+            "F television & (!television W bed) & (!toilet W sofa) & G !chair",
+        ),
+    ],
+)
+def test_sentence_and_formula(template, sentence, formula):
+    assert sentence_of(template, OBJECTS) == sentence
+    assert formula_of(template, OBJECTS) == parse(formula)
+
+
+def test_same_seed_same_tasks(tasks):
+    assert generate(400) == tasks
+    assert generate(50) == tasks[:50]
+    assert generate(50, seed=1) != tasks[:50]
+
+
+def test_the_benchmark_is_the_same_for_everybody(tasks):
+    """Figures of different machines and versions can be compared only as long as this holds."""
+    text = "\n".join(f"{task.sentence} {to_text(task.formula)}" for task in tasks)
+    assert hashlib.sha256(text.encode()).hexdigest()[:16] == DIGEST
+
+
+def test_tasks_are_distinct_can_be_fulfilled_and_name_their_objects(tasks):
+    assert [task.id for task in tasks] == list(range(400))
+    assert len({task.formula for task in tasks}) == len({task.sentence for task in tasks}) == 400
+    for task in tasks:
+        assert lift(task.formula).automaton.steps_left[0] > 0
+        assert task.objects == propositions(task.formula)
+        assert set(task.objects) <= set(HM3D_OBJECTS)
+        assert parse(to_text(task.formula)) == task.formula
+
+
+def test_every_word_of_a_sentence_is_an_object_of_its_formula(tasks):
+    for task in tasks:
+        words = task.sentence.lower().replace("potted plant", "plant")
+        spoken = {
+            names.canonical(after.split()[0].strip(",;."))
+            for after in words.split(" a ")[1:]
+        }  # fmt: skip
+        assert spoken == set(task.objects), task.sentence
+
+
+def test_families_are_drawn_by_their_shares(tasks):
+    counts = Counter(task.template for task in tasks)
+    assert set(counts) == {family.name for family in FAMILIES}
+    assert counts["single"] <= 6  # there are no more different ones
+    assert counts.most_common(1)[0][0] == "branches-until"
+    assert {len(task.objects) for task in tasks} == {1, 2, 3, 4, 5, 6}
+
+
+def test_lifting_leaves_the_names_out():
+    a, b = lift(parse("F (television & F bed)")), lift(parse("F (chair & F sofa)"))
+    assert a == b
+    assert (a.formula, a.others) == (parse("F (a & F b)"), 4)
+    assert lift(parse("F (oven & F bed)")).others == 5  # a seventh object in the world
+    assert lift(parse("F television & F bed")) != a
+
+
+def test_world_holds_the_six_categories_and_the_tasks_own_objects():
+    assert world_of(()) == HM3D_OBJECTS
+    assert world_of(("oven", "bed"))[:2] == ("oven", "bed")
+    assert len(world_of(("oven", "bed"))) == 7

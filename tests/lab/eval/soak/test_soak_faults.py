@@ -1,0 +1,62 @@
+"""The table of faults: whole, and in docs/soak.md as in the code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from simulated import simulated
+
+from edge.config import load
+from edge.errors import UserError
+from edge.lab.eval.soak.faults import FAULTS, chosen, table
+from edge.lab.eval.soak.rules import GROWTHS, RULES, Rule
+
+PAGE = (Path(__file__).parents[4] / "docs/soak.md").read_text(encoding="utf-8")
+
+
+def test_the_page_has_the_table():
+    assert table() in PAGE
+
+
+@pytest.mark.parametrize("rule", [*RULES, *GROWTHS], ids=lambda rule: rule.name)
+def test_the_page_has_every_rule(rule):
+    assert rule.name in PAGE
+    if isinstance(rule, Rule):
+        assert rule.what in PAGE
+
+
+@pytest.mark.parametrize(
+    ("calm", "age_s", "why"),
+    [(True, None, ""), (True, 3.0, ""), (False, 12.0, ""), (True, 12.0, "written 12 s ago")],
+    ids=["none yet", "fresh", "in a fault", "old"],
+)
+def test_a_map_is_held_to_be_fresh_without_a_fault(calm, age_s, why):
+    (rule,) = (rule for rule in RULES if rule.name == "map")
+    watch = SimpleNamespace(calm=calm, places="")
+    assert rule.broken(None, watch, {"places_age_s": age_s}) == why
+
+
+def test_faults_have_names_of_their_own_and_bounds():
+    assert len({fault.name for fault in FAULTS}) == len(FAULTS)
+    for fault in FAULTS:
+        assert 0 < fault.lasts_s[0] <= fault.lasts_s[1]
+        assert fault.within_s > 0
+
+
+def test_without_a_router_or_a_model_there_is_none_to_kill():
+    there = {fault.name for fault in chosen(simulated(), None)}
+    assert "camera-gone" in there
+    assert not there & {"router-killed", "model-killed", "model-stopped", "model-swapped"}
+    assert [fault.name for fault in chosen(load("soak"), None)] == [f.name for f in FAULTS]
+
+
+@pytest.mark.parametrize("name", ["", "no-such", "router-killed"])
+def test_a_fault_that_is_not_there_is_an_error_that_names_those_that_are(name):
+    with pytest.raises(UserError, match=r"--faults: .*camera-gone"):
+        chosen(simulated(), [name])
+
+
+def test_a_fault_named_twice_is_one():
+    assert [f.name for f in chosen(simulated(), ["reload", "reload"])] == ["reload"]

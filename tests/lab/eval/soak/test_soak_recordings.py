@@ -1,0 +1,118 @@
+"""What a soak holds of recordings: read whole, read as far as they go, replayed, not too large."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from recordings import Recording
+from simulated import simulated
+
+from edge.config.loop import Sink
+from edge.lab.eval.soak.recordings import FIRST, Recordings, below
+from edge.recording.file import PARTIAL
+from edge.recording.rolling import files_of
+
+NAME = "edge-20261126T010203.000Z.mcap"
+MCAP = {"kind": "mcap", "options": {"folder": "elsewhere", "keep_mb": 512}}
+
+
+def recorded(out: Path) -> Recordings:
+    config = simulated({"sinks": ["zenoh", MCAP]})
+    return Recordings(config.model_copy(update={"sinks": below(config.sinks, out)}), out)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory) -> bytes:
+    return Recording(tmp_path_factory.mktemp("drive")).steps(5).close().read_bytes()
+
+
+def lay(out: Path, content: bytes, name: str = NAME) -> Path:
+    (out / "recordings").mkdir(exist_ok=True)
+    path = out / "recordings" / name
+    path.write_bytes(content)
+    return path
+
+
+def test_where_nothing_records_nothing_is_held(tmp_path):
+    recordings = Recordings(simulated(), tmp_path)
+    recordings.look()
+    assert recordings.judge() == {}
+    assert recordings.problem == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_folder_is_the_soaks_and_all_else_stays(tmp_path):
+    zenoh, mcap = below((Sink(kind="zenoh"), Sink(**MCAP)), tmp_path)
+    assert zenoh == Sink(kind="zenoh")
+    assert mcap.options == {"folder": str(tmp_path / "recordings"), "keep_mb": 512}
+
+
+def test_nothing_recorded_is_told_at_the_end(tmp_path):
+    recordings = recorded(tmp_path)
+    recordings.look()
+    assert recordings.problem == ""
+    recordings.judge()
+    assert recordings.problem == "nothing was recorded"
+
+
+def test_a_file_is_read_once_it_is_complete_and_the_first_outlives_it(tmp_path, drive):
+    recordings = recorded(tmp_path)
+    path = lay(tmp_path, drive, NAME + PARTIAL)
+    recordings.look()
+    assert recordings.files == 0
+    path.rename(path.with_suffix(""))
+    for _ in range(2):
+        recordings.look()
+        assert recordings.files == 1
+    assert recordings.messages > 5
+    files_of(path.parent)[0].unlink()
+    told = recordings.judge()
+    assert (tmp_path / FIRST).read_bytes() == drive
+    assert (told["ticks"], told["differing"], told["ended"]) == (5, 0, "")
+    assert recordings.problem == ""
+
+
+def test_one_that_was_given_up_is_read_and_replayed_as_far_as_it_goes(tmp_path, drive):
+    recordings = recorded(tmp_path)
+    lay(tmp_path, drive[: len(drive) // 2], NAME + PARTIAL)
+    recordings.look()
+    told = recordings.judge()
+    assert (told["files"], told["cut"]) == (1, 1)
+    assert told["ended"].endswith("cut off")
+
+
+def flipped(drive: bytes) -> bytes:
+    """With a bit of what was recorded another."""
+    at = len(drive) // 2
+    return drive[:at] + bytes([drive[at] ^ 1]) + drive[at + 1 :]
+
+
+@pytest.mark.parametrize(
+    ("content", "name", "problem"),
+    [
+        (lambda drive: drive[:-40], NAME, f"{NAME}: "),
+        (flipped, NAME, f"{NAME}: "),
+        (lambda drive: b"", NAME + PARTIAL, "not an MCAP file"),
+        (lambda drive: os.urandom(4096), NAME + PARTIAL, "not an MCAP file"),
+    ],
+    ids=["no end", "damaged", "empty", "noise"],
+)
+def test_what_cannot_be_read_is_told(tmp_path, drive, content, name, problem):
+    recordings = recorded(tmp_path)
+    lay(tmp_path, content(drive), name)
+    recordings.look()
+    recordings.judge()
+    assert problem in recordings.problem
+
+
+def test_a_folder_that_is_too_large_is_told(tmp_path):
+    recordings = recorded(tmp_path)
+    path = lay(tmp_path, b"", NAME + PARTIAL)
+    os.truncate(path, 513_000_000)  # a hole
+    recordings.look()
+    assert recordings.problem == ""
+    os.truncate(path, 515_000_000)
+    recordings.look()
+    assert recordings.problem == "515.0 MB, keep_mb is 512"

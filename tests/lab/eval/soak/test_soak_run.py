@@ -1,0 +1,89 @@
+"""`edge soak` as a whole: real processes, real faults; and that what breaks is told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from edge_processes import write_config
+from live_patience import eventually
+
+from edge.errors import FAILED, FileError
+from edge.lab.eval.soak.run import make_empty
+
+pytestmark = pytest.mark.timeout(900)
+
+TWO = "controller-killed,reload"
+
+
+def rows(folder: Path) -> list[dict]:
+    text = (folder / "record.jsonl").read_text(encoding="utf-8")
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def of(kind: str, record: list[dict]) -> list[dict]:
+    return [row for row in record if row["kind"] == kind]
+
+
+def small(folder: Path, **sections: dict) -> Path:
+    """A robot that costs little to simulate."""
+    camera = {"width_px": 64, "height_px": 48, "rate_hz": 5}
+    return write_config(folder, sensors={"camera": camera, "odometry_hz": 20}, **sections)
+
+
+def test_a_folder_is_made_and_one_with_something_in_it_is_not_written_into(tmp_path):
+    make_empty(tmp_path / "a/b")
+    make_empty(tmp_path / "a/b")
+    with pytest.raises(FileError, match=r"--out .*a: there is something in it"):
+        make_empty(tmp_path / "a")
+    (tmp_path / "file").touch()
+    with pytest.raises(FileError, match=r"--out .*file: File exists"):
+        make_empty(tmp_path / "file")
+
+
+@pytest.mark.slow
+def test_seconds_with_two_faults(edge, tmp_path):
+    out = tmp_path / "out"
+    soak = edge("soak", small(tmp_path), "--minutes", "0.3", "--faults", TWO, "--out", out)
+    assert soak.wait() == 0, soak.output
+    assert soak.lines[-1].startswith("all held for ")
+    record = rows(out)
+    faults, samples = of("fault", record), of("sample", record)
+    assert {fault["name"] for fault in faults} <= set(TWO.split(","))
+    assert faults
+    assert len(samples) > 10
+    assert {sample["healthz"] for sample in samples} == {200}
+    assert max(sample["ticks"] or 0 for sample in samples if "ticks" in sample) > 0
+    assert samples[-1]["service"]["memory_mb"] > 20
+    assert any(line.startswith(faults[0]["name"]) for line in soak.lines)
+
+
+@pytest.mark.slow
+def test_five_minutes_of_all_faults(edge, tmp_path):
+    out = tmp_path / "out"
+    soak = edge("soak", "--minutes", "4.5", "--out", out)
+    assert soak.wait(900) == 0, soak.output
+    assert len({fault["name"] for fault in of("fault", rows(out))}) > 10
+
+
+@pytest.mark.slow
+def test_a_service_that_is_killed_is_told_of(edge, tmp_path):
+    out = tmp_path / "out"
+    soak = edge("soak", small(tmp_path), "--minutes", "5", "--faults", TWO, "--out", out)
+    soak.until(lambda: (out / "record.jsonl").exists() and of("sample", rows(out)))
+    (service,) = [c for c in soak.children() if " run " in " ".join(c.cmdline())]
+    service.kill()
+    assert soak.wait() == FAILED
+    assert "service lives: it ended with -9" in soak.lines[-1]
+
+
+@pytest.mark.slow
+def test_a_soak_that_is_killed_leaves_nothing_behind(edge, tmp_path):
+    out = tmp_path / "out"
+    soak = edge("soak", small(tmp_path), "--minutes", "5", "--faults", TWO, "--out", out)
+    soak.until(lambda: (out / "record.jsonl").exists() and of("sample", rows(out)))
+    assert len(soak.children()) >= 3
+    soak.process.kill()
+    soak.wait()
+    eventually(lambda: not soak.orphans(), "its processes go on")

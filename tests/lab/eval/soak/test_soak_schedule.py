@@ -1,0 +1,91 @@
+"""The order of faults, and one within another."""
+
+from __future__ import annotations
+
+from itertools import islice
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edge.errors import UserError
+from edge.lab.eval.soak.faults import FAULTS, Fault
+from edge.lab.eval.soak.schedule import SECOND, Drawn, make, rounds
+
+
+def drawn(seed: int, n: int) -> list[tuple[Drawn, ...]]:
+    return list(islice(rounds(FAULTS, np.random.default_rng(seed)), n))
+
+
+def test_nothing_is_made_of_nothing():
+    assert run([]) == ([], "")
+
+
+def test_every_round_has_all_faults_and_each_seed_another_order():
+    n = len(FAULTS)
+    first = [drawn[0].fault.name for drawn in drawn(1, 2 * n)]
+    assert sorted(first[:n]) == sorted(first[n:]) == sorted(fault.name for fault in FAULTS)
+    assert first[:n] != first[n:]
+    assert drawn(1, n) == drawn(1, n) != drawn(2, n)
+
+
+def test_now_and_then_there_are_two_of_different_parts():
+    found = drawn(3, 2000)
+    pairs = [pair for pair in found if len(pair) == 2]
+    assert 0.8 * SECOND < len(pairs) / len(found) < 1.2 * SECOND
+    assert all(first.fault.part != second.fault.part for first, second in pairs)
+    assert all(d.fault.lasts_s[0] <= d.lasts_s <= d.fault.lasts_s[1] for p in found for d in p)
+    (alone,) = next(rounds(FAULTS[:1], np.random.default_rng(0)))
+    assert alone.fault is FAULTS[0]
+
+
+def run(faults: list[Fault]) -> tuple[list[str], str]:
+    """What was said of them, and what came of it."""
+    watch = SimpleNamespace(mutes=False)
+    steps = make([Drawn(fault, 0.0) for fault in faults], None, watch, None)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            assert watch.mutes == any(fault.mutes for fault in faults)
+            return SAID[:], end.value
+
+
+SAID: list[str] = []
+
+
+def fault(name: str, error: str = "", **more) -> Fault:
+    def made(stage, rng):
+        SAID.append(f"{name} begins")
+        try:
+            yield
+            if error:
+                raise UserError(error)
+            while True:
+                yield
+        finally:
+            SAID.append(f"{name} ends")
+
+    return Fault(name, name, name, made, **more)
+
+
+@pytest.fixture(autouse=True)
+def nothing_said():
+    SAID.clear()
+
+
+def test_a_second_lies_within_the_first():
+    said, why = run([fault("a"), fault("b", mutes=True)])
+    assert said == ["a begins", "b begins", "b ends", "a ends"]
+    assert why == ""
+
+
+def test_what_was_not_shown_or_could_not_be_made_is_told():
+    hidden = fault("a", shows=(lambda stage, watch, when: "nothing shows",))
+    assert run([hidden])[1] == "nothing shows"
+    SAID.clear()
+    said, why = run([fault("a", lasts_s=(9, 9)), fault("b", "no process")])
+    assert said == ["a begins", "b begins", "b ends", "a ends"]
+    assert why == ""
+    assert run([fault("c", "no process"), fault("d")])[1].endswith("or ended: no process")
+    assert SAID[-2:] == ["c ends", "d ends"]

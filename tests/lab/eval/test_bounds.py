@@ -1,0 +1,122 @@
+"""Policies that go by the simulator's truth: what they know, and that no robot gets one."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from small_house import small_house
+
+from edge.config import PolicyOwn
+from edge.errors import ConfigError
+from edge.geometry import SE2
+from edge.lab.eval import bounds
+from edge.lab.eval.bounds import FAR_M, KnownPlace, KnownRoom
+from edge.lab.eval.columns import make_columns
+from edge.lab.eval.drive import in_process, run_episode
+from edge.lab.eval.episodes import plan
+from edge.lab.sim.worlds import load_world
+from edge.policies import find_policy, make_policy
+from edge.policies.base import FRONTIER, INSTANCE, LOOK, Candidates, Context
+
+RADIUS_M = 0.2
+PLACE, ROOM = "edge.lab.eval.bounds:KnownPlace", "edge.lab.eval.bounds:KnownRoom"
+# The house's bed stands at (6.8, 2.0) in room two, behind the door at (4, 2); its sofa in room one.
+
+
+@pytest.fixture
+def world(tmp_path):
+    return load_world(small_house(tmp_path))
+
+
+def context(target: str, *candidates: tuple[int, float, float, float, float]) -> Context:
+    """Candidates as kind, x, y, way there [m] and what is to be seen there [m²]."""
+    c = Candidates(8)
+    c.n = len(candidates)
+    for k, (kind, x, y, path_m, gain_m2) in enumerate(candidates):
+        c.kind[k], c.xy_m[k], c.path_m[k], c.gain_m2[k] = kind, (x, y), path_m, gain_m2
+    nowhere = (0, 0, 0, 0)
+    at = SE2(0.0, 0.0, 0.0)
+    return Context(None, at, None, nowhere, c.read_only(), None, None, (target,), target, 0)
+
+
+@pytest.mark.parametrize("kind", [PLACE, ROOM])
+def test_no_robot_gets_one(kind):
+    with pytest.raises(ConfigError, match=r"policy\.options: missing a required argument: 'world'"):
+        find_policy(PolicyOwn(kind=kind), "my-robot.yaml")
+
+
+@pytest.mark.parametrize("make", [KnownPlace, KnownRoom])
+def test_no_candidates_no_scores(world, make):
+    assert len(make(world, RADIUS_M).score(context("bed"))) == 0
+
+
+def test_where_rooms_are_unknown_none_is_known():
+    with pytest.raises(ValueError, match="garage: nobody knows its rooms"):
+        KnownRoom(SimpleNamespace(name="garage", rooms=()), RADIUS_M)
+
+
+@pytest.mark.parametrize(
+    ("target", "best"), [("bed", (4.0, 2.0)), ("sofa", (2.0, 2.0)), ("piano", (2.0, 2.0))]
+)
+def test_a_known_place_is_gone_to_the_shortest_way(world, target, best):
+    """What no world has leads nowhere: then the nearest frontier is as good as any."""
+    policy = KnownPlace(world, RADIUS_M)
+    seen = [(FRONTIER, 0.5, 0.5, 1.6, 9.0), (FRONTIER, 4.0, 2.0, 3.0, 1.0),
+            (FRONTIER, 2.0, 2.0, 1.0, 0.0)]  # fmt: skip
+    score = policy.score(context(target, *seen))
+    assert seen[int(score.argmax())][1:3] == best
+
+
+def test_a_known_place_looks_round_first_and_goes_to_no_look_alike(world):
+    seen = [(FRONTIER, 4.0, 2.0, 3.0, 1.0), (INSTANCE, 2.0, 3.0, 1.0, 0.0),
+            (INSTANCE, 6.0, 2.0, 5.0, 0.0), (LOOK, 1.0, 2.0, 0.1, 4.0)]  # fmt: skip
+    score = KnownPlace(world, RADIUS_M).score(context("bed", *seen))
+    assert score[3] > score[0] > 0.0
+    assert score[2] > score[1] == 0.0
+    assert np.isfinite(score).all()
+
+
+def test_in_a_known_room_it_searches_and_to_it_the_shortest_way_leads(world):
+    policy = KnownRoom(world, RADIUS_M)
+    seen = [(FRONTIER, 0.5, 0.5, 1.6, 9.0), (FRONTIER, 3.5, 2.0, 2.5, 0.1),
+            (FRONTIER, 5.0, 0.5, 9.0, 0.5), (FRONTIER, 5.0, 3.5, 9.0, 2.0)]  # fmt: skip
+    score = policy.score(context("bed", *seen))
+    assert np.argsort(-score).tolist() == [3, 2, 1, 0]
+    assert score[2] > 1000.0 * score[1]
+    assert policy.score(context("sofa", *seen)).argmax() == 0
+
+
+def test_a_field_goes_on_where_no_robot_fits(world):
+    goal = np.zeros(world.plan.grid.cells.shape, bool)
+    assert (bounds.everywhere(world, goal, RADIUS_M) == FAR_M).all()
+    goal[world.plan.grid.cell_of(1.0, 1.0)] = True
+    left_m = bounds.everywhere(world, goal, RADIUS_M)
+    assert np.isfinite(left_m).all()
+    assert left_m[world.plan.grid.cell_of(0.02, 1.0)] == pytest.approx(0.75, abs=0.1)
+
+
+def test_things_are_of_the_room_that_they_stand_in(world):
+    sofa, bed = world.objects
+    assert [bounds.room_of(world, thing) for thing in (sofa, bed)] == list(world.rooms)
+    here = bounds.inside(world, [world.rooms[1]])
+    cells = [world.plan.grid.cell_of(x, 2.0) for x in (1.0, 3.9, 4.1, 7.9)]
+    assert [bool(here[cell]) for cell in cells] == [False, False, True, True]
+
+
+@pytest.mark.parametrize("kind", [PLACE, ROOM])
+def test_evaluations_drive_with_the_truth(tmp_path, kind):
+    config = small_house(tmp_path, mission={"time_limit_s": 60.0})
+    (column,) = make_columns(config, {"bound": {"policy": {"kind": kind, "look_round": True}}})
+    (episode,) = plan(config, [], ["bed"], 1, 0, 4.0)
+    outcome = run_episode(column, episode, in_process)
+    assert outcome.success, outcome.reason
+    assert outcome.path_m < 1.3 * outcome.shortest_m
+
+
+def test_what_is_given_is_not_asked_for_again_as_an_option(world):
+    given = {"world": world, "robot_radius_m": RADIUS_M}
+    assert make_policy(PolicyOwn(kind=PLACE), "x", given).score(context("bed")).size == 0
+    with pytest.raises(ConfigError, match="multiple values for keyword argument 'world'"):
+        make_policy(PolicyOwn(kind=PLACE, options={"world": 3}), "x", given)

@@ -1,0 +1,81 @@
+"""A robot that obeys a service, in one process: it replays the same, with what sensors it has."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_house import small_house
+
+from edge.config import parse
+from edge.lab.eval.closed_loop import ClosedLoop, wants_colour
+
+LIDAR = {
+    "sensors": {
+        "lidar": {"rings": 16, "columns": 360, "vfov_deg": 60, "z_m": 0.6, "pitch_deg": 23},
+    },
+    "mapping": {"input": "cloud"},
+}
+ONE_RING = {  # of config/turtlebot4.yaml
+    "sensors": {"lidar": {"rings": 1, "columns": 640, "x_m": -0.04, "z_m": 0.1929, "yaw_deg": 90}},
+    "mapping": {"input": "cloud"},
+}
+OPENAI = {"kind": "openai", "url": "http://127.0.0.1:1/v1", "model": "m"}
+
+
+def trail(loop: ClosedLoop, seconds: float) -> list[tuple[float, float, float]]:
+    poses = []
+    while loop.seconds < seconds and not loop.service.status.done:
+        loop.step()
+        pose = loop.drive.motion.pose
+        poses.append((pose.x_m, pose.y_m, pose.yaw_rad))
+    return poses
+
+
+def test_no_time_is_no_step(tmp_path):
+    loop = ClosedLoop(small_house(tmp_path)).run(0.0)
+    assert loop.drive.motion.path_m == 0.0
+
+
+@pytest.mark.parametrize("sections", [{}, LIDAR, ONE_RING], ids=["depth", "lidar", "one ring"])
+def test_it_replays_the_same_and_gets_there(tmp_path, sections):
+    config = small_house(tmp_path, mission={"target": "bed"}, **sections)
+    loops = [ClosedLoop(config, colour=colour) for colour in (True, False)]
+    one, other = (trail(loop, 60.0) for loop in loops)
+    assert one == other
+    assert loops[0].service.status.phase == "reached"
+    assert loops[0].distance_m("bed") <= 1.0
+
+
+def test_a_world_can_be_shared_and_a_start_is_the_loops_own(tmp_path):
+    config = small_house(tmp_path)
+    first = ClosedLoop(config)
+    moved = config.model_copy(update={"sim": config.sim.model_copy(update={"start": (3, 1, 1)})})
+    second = ClosedLoop(moved, world=first.world)
+    assert second.world is first.world
+    assert second.drive.motion.pose.x_m == 3.0
+    assert first.world.start.x_m == 1.0
+
+
+def test_without_colour_there_is_no_picture(tmp_path):
+    loop = ClosedLoop(small_house(tmp_path), colour=False)
+    seen = loop.observe()
+    assert seen.rgb is None
+    assert np.isfinite(seen.depth_m).any()
+
+
+@pytest.mark.parametrize(
+    ("sections", "wants"),
+    [
+        ({"perception": {"detector": {"kind": "sim"}}}, False),
+        ({"perception": {"detector": {"kind": "onnx"}}}, True),
+        ({"perception": {"detector": {"kind": "sim"}, "similarity": "x"}}, True),
+        ({"perception": {"detector": {"kind": "sim"}, "choice": OPENAI}}, True),
+        (
+            {"perception": {"detector": {"kind": "sim"}, "choice": {**OPENAI, "kind": "text"}}},
+            False,
+        ),
+        ({"perception": {"detector": {"kind": "sim"}}, "policy": {"kind": "own:Policy"}}, True),
+    ],
+)
+def test_pictures_are_taken_where_something_looks_at_them(sections, wants):
+    assert wants_colour(parse(sections)) == wants

@@ -1,0 +1,250 @@
+"""Which episodes are planned, and the file that holds them."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from simulated import simulated
+from small_house import small_house
+
+from edge.errors import UserError
+from edge.lab.eval import episodes, world_list
+from edge.lab.eval.episodes import COMMON, Episode, make_episode, plan, read, write
+
+HOUSE = simulated()
+
+
+def test_no_targets_give_no_episodes():
+    assert plan(HOUSE, [], [], 4, 0, 3.0) == []
+
+
+def test_episodes_are_seeded_free_and_far():
+    planned = plan(HOUSE, [], ["television", "bed"], 2, 0, 2.0)
+    assert [e.target for e in planned] == ["television"] * 2 + ["bed"] * 2
+    assert all(e.shortest_m >= 2.0 for e in planned)
+    assert planned == plan(HOUSE, [], ["television", "bed"], 2, 0, 2.0)
+    assert planned != plan(HOUSE, [], ["television", "bed"], 2, 1, 2.0)
+    assert len({e.id for e in planned}) == 4
+
+
+def test_too_few_starts_are_told():
+    with pytest.raises(UserError, match="only 0 of 1 starts lie 500 m"):
+        plan(HOUSE, [], ["bed"], 1, 0, 500.0)
+
+
+def blocked(tmp_path, **sim):
+    """A house whose own start lies in a sofa."""
+    corners = [(0, 0), (8, 0), (8, 6), (0, 6)]
+    walls = [
+        {"start": a, "end": b} for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+    ]
+    objects = [{"category": "sofa", "at": [1, 3]}, {"category": "bed", "at": [7, 3]}]
+    house = {"name": "blocked", "start": [1, 3, 0], "walls": walls, "objects": objects}
+    house["rooms"] = [{"name": "hall", "rect": [0, 0, 8, 6]}]
+    path = tmp_path / "blocked.json"
+    path.write_text(json.dumps(house))
+    world = {"kind": "house", "house": str(path)}
+    return simulated({"sim": {"world": world, **sim}})
+
+
+def test_a_blocked_start_is_told_and_another_takes_its_place(tmp_path):
+    with pytest.raises(UserError, match=r"around the start \(1\.00, 3\.00\): .* in sim\.start$"):
+        plan(blocked(tmp_path), [], ["bed"], 1, 0, 2.0)
+    planned = plan(blocked(tmp_path, start=[4, 3, 0]), [], ["bed"], 1, 0, 2.0)
+    assert [e.target for e in planned] == ["bed"]
+
+
+def test_of_several_worlds_one_with_a_blocked_start_is_left_out_and_told(tmp_path, caplog):
+    worlds = [blocked(tmp_path).sim.world.model_dump(), {"kind": "house", "house": "demo"}]
+    planned = plan(HOUSE, worlds, ["bed"], 1, 0, 2.0)
+    assert [e.world["house"] for e in planned] == ["demo"]
+    assert "left out: blocked: no free space" in caplog.text
+
+
+def test_planning_says_how_far_it_is(monkeypatch, capsys):
+    monkeypatch.setattr("edge.host.bars.LOG_PERIOD_S", 0.0)
+    plan(HOUSE, [], ["bed", "sofa"], 1, 0, 2.0)
+    assert re.search(r"targets: .* 1/2 ", capsys.readouterr().err)
+
+
+def test_of_several_worlds_each_gives_what_it_has(tmp_path):
+    small = small_house(tmp_path).sim.world.model_dump()
+    worlds = [{"kind": "house", "house": "demo"}, small]
+    planned = plan(HOUSE, worlds, ["bed", "television", "sofa"], 1, 0, 2.0)
+    by_world = {name: [e.target for e in planned if e.id.startswith(name)] for name in "ds"}
+    assert by_world["d"] == ["bed", "television", "sofa"]
+    assert by_world["s"] == ["bed", "sofa"]  # it has no television
+    assert {e.world["house"] for e in planned} == {"demo", small["house"]}
+    with pytest.raises(UserError, match="none of the worlds"):
+        plan(HOUSE, worlds, ["bathtub", "bed"], 1, 0, 90.0)
+
+
+def test_of_each_world_so_many_are_drawn(tmp_path):
+    worlds = [{"kind": "house", "house": "demo"}]
+    whole = plan(HOUSE, worlds, COMMON, 1, 0, 2.0)
+    drawn = plan(HOUSE, worlds, COMMON, 1, 0, 2.0, per_world=3)
+    assert len(drawn) == 3 < len(whole)
+    assert [e for e in whole if e in drawn] == drawn
+    assert drawn == plan(HOUSE, worlds, COMMON, 1, 0, 2.0, per_world=3)
+
+
+def test_missions_are_planned_in_each_world():
+    worlds = [{"kind": "generated", "seed": seed} for seed in (3, 4)]
+    config = simulated()
+    targets = ("bed", "sofa", "toilet", "oven", "unicorn")
+    planned = episodes.plan_missions(config, worlds, targets, 3, 0, 4.0)
+    assert planned == episodes.plan_missions(config, worlds, targets, 3, 0, 4.0)
+    assert [episode.world["seed"] for episode in planned] == [3, 3, 3, 4, 4, 4]
+    assert len({episode.id for episode in planned}) == 6
+    for episode in planned:
+        assert episode.target is None
+        assert episode.instruction.startswith("Reach")
+        assert episode.shortest_m >= 4.0
+    with pytest.raises(UserError, match="none of the worlds has two"):
+        episodes.plan_missions(config, [], ["unicorn"], 3, 0, 4.0)
+
+
+def test_the_sensors_go_with_an_episode_and_its_id_tells_them():
+    (here,) = plan(HOUSE, [], ["bed"], 1, 0, 2.0)
+    wide = simulated({"sensors": {"camera": {"hfov_deg": 100}}})
+    (there,) = plan(wide, [], ["bed"], 1, 0, 2.0)
+    assert (here.start, here.sensing["sensors"]["camera"]["hfov_deg"]) == (there.start, 75.0)
+    assert here.id != there.id
+
+
+# -- files ----------------------------------------------------------------------------------------
+
+
+def test_a_file_of_no_episodes_has_none(tmp_path):
+    write(tmp_path / "none.jsonl", [])
+    assert read(tmp_path / "none.jsonl") == []
+
+
+numbers = st.floats(-50, 50, allow_nan=False)
+
+
+@given(
+    start=st.tuples(numbers, numbers, numbers),
+    target=st.text(min_size=1, max_size=20),
+    shortest_m=st.floats(0, 90),
+)
+def test_what_is_written_is_read(tmp_path_factory, start, target, shortest_m):
+    path = tmp_path_factory.getbasetemp() / "some.jsonl"
+    world = {"kind": "house", "house": "demo"}
+    some = [
+        make_episode(world, "demo", start, shortest_m, {"robot": {}}, target),
+        make_episode(world, "demo", start, shortest_m, {}, instruction=f"go to {target}"),
+    ]
+    write(path, some)
+    assert read(path) == some
+
+
+EPISODE = {
+    "id": "a", "world": {"kind": "house"}, "start": [0, 0, 0], "target": "bed",
+    "instruction": None, "shortest_m": 3.0, "sensing": {},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"start": [0, 0]}, "line 1: not an episode"),
+        ({"target": None}, "line 1: not an episode: target or instruction"),
+        ({"shortest_m": -1}, "shortest_m: expected a length"),
+        ({"world": "demo"}, "expected sections"),
+    ],
+)
+def test_lines_that_are_no_episodes_are_refused(tmp_path, change, message):
+    path = tmp_path / "some.jsonl"
+    path.write_text(json.dumps({**EPISODE, **change}))
+    with pytest.raises(UserError, match=message):
+        read(path)
+
+
+def test_files_that_are_none_are_refused(tmp_path):
+    with pytest.raises(UserError, match=r"nowhere.jsonl: .*--plan writes it"):
+        read(tmp_path / "nowhere.jsonl")
+    path = tmp_path / "twice.jsonl"
+    path.write_text(2 * (json.dumps(EPISODE) + "\n"))
+    with pytest.raises(UserError, match="line 2: a second a"):
+        read(path)
+    path.write_text("{")
+    with pytest.raises(UserError, match="line 1: not an episode: not JSON"):
+        read(path)
+
+
+def test_an_episode_says_what_it_asks_of_a_configuration():
+    there = Episode("a", {}, (1.0, 2.0, 0.5), "bed", None, 3.0)
+    assert there.settings["mission"]["target"] == "bed"
+    assert there.settings["mission"]["instruction"] is None
+    told = Episode("a", {}, (1.0, 2.0, 0.5), None, "go to the bed", 3.0)
+    assert told.settings["mission"]["instruction"] == "go to the bed"
+    assert told.settings["sim"]["start"] == [1.0, 2.0, 0.5]
+
+
+# -- lists of worlds ------------------------------------------------------------------------------
+
+
+def houses(tmp_path, count: int):
+    path = tmp_path / "some.jsonl"
+    path.write_text("".join(json.dumps({"name": f"house-{k}"}) + "\n" for k in range(count)))
+    return path
+
+
+def test_no_lists_name_no_worlds():
+    assert world_list.sections([]) == []
+
+
+@pytest.mark.parametrize(
+    ("ranged", "chosen"),
+    [("", [0, 1, 2, 3]), ("[1:3]", [1, 2]), ("[2:]", [2, 3]), ("[:2]", [0, 1]), ("[3]", [3])],
+)
+def test_houses_of_a_file_are_chosen_by_their_places(tmp_path, ranged, chosen):
+    path = houses(tmp_path, 4)
+    found = world_list.sections([f"{path}{ranged}"])
+    assert found == [{"kind": "procthor", "file": str(path), "name": f"house-{k}"} for k in chosen]
+
+
+def test_other_worlds_have_forms_of_their_own():
+    named = ["generated[5:7]", "house:demo", "a.glb,b.json"]
+    assert world_list.sections(named) == [
+        {"kind": "generated", "seed": 5},
+        {"kind": "generated", "seed": 6},
+        {"kind": "house", "house": "demo"},
+        {"kind": "mesh", "mesh": "a.glb", "objects": "b.json"},
+    ]
+
+
+@pytest.mark.parametrize(
+    "spec", ["demo", "generated", "generated[3:3]", "generated[3:]", "a.glb", "a.glb,", "house:"]
+)
+def test_what_names_no_worlds_is_refused(spec):
+    with pytest.raises(UserError, match="--worlds"):
+        world_list.sections([spec])
+
+
+def test_a_range_beyond_a_file_is_refused(tmp_path):
+    with pytest.raises(UserError, match="has 2 houses"):
+        world_list.sections([f"{houses(tmp_path, 2)}[5:9]"])
+
+
+def test_a_world_is_loaded_once_and_again_for_another_robot(tmp_path):
+    config = small_house(tmp_path)
+    elsewhere = config.model_copy(
+        update={"sim": config.sim.model_copy(update={"start": (3.0, 1.0, 0.0)})}
+    )
+    world = world_list.load(config)
+    assert world_list.load(elsewhere) is world
+    tall = small_house(tmp_path, robot={"height_m": 1.3})
+    assert world_list.load(tall) is not world
+
+
+def test_objects_are_told_where_there_is_none():
+    world = world_list.load(HOUSE)
+    assert {o.label for o in episodes.objects_of(world, "tv")} == {"television"}
+    with pytest.raises(UserError, match="has no 'unicorn'"):
+        episodes.objects_of(world, "unicorn")

@@ -1,0 +1,168 @@
+"""What a mission's searches see again, and how straight known things are driven to."""
+
+from __future__ import annotations
+
+import math
+from itertools import takewhile
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated import simulated
+
+from edge.geometry import Grid
+from edge.lab.eval.closed_loop import ClosedLoop
+from edge.lab.eval.legs import PLACE_M, Leg, Legs, SeenFloor
+from edge.lab.sim.base import FloorPlan, free_poses
+from edge.lab.sim.worlds import load_world
+
+RANGE_M = 5.0
+
+
+def floor_of(cells: np.ndarray, hfov_deg: float = 90.0, range_m: float = 3.0) -> SeenFloor:
+    plan = FloorPlan(Grid(cells.astype(np.uint8), (0.0, 0.0), 0.05))
+    return SeenFloor(plan, math.radians(hfov_deg), range_m)
+
+
+def test_a_look_shows_the_sector_once():
+    floor = floor_of(np.zeros((200, 200)))
+    new_m2, again_m2 = floor.look(5.0, 5.0, 0.3)
+    assert new_m2 == pytest.approx(0.25 * math.pi * 3.0**2, rel=0.06)
+    assert again_m2 == 0.0
+    assert floor.look(5.0, 5.0, 0.3) == (0.0, 0.0)
+
+
+def test_only_what_was_seen_before_the_leg_is_seen_again_and_that_once():
+    floor = floor_of(np.zeros((200, 200)))
+    first, _ = floor.look(5.0, 5.0, 0.0)
+    floor.begin()
+    assert floor.look(5.0, 5.0, 0.0) == pytest.approx((0.0, first))
+    assert floor.look(5.0, 5.0, 0.0) == (0.0, 0.0)
+    new_m2, again_m2 = floor.look(5.0, 5.0, math.pi)
+    assert new_m2 == pytest.approx(first, rel=0.06)
+    assert again_m2 == pytest.approx(0.0, abs=0.1)
+
+
+def test_what_stands_there_hides_what_is_behind():
+    cells = np.zeros((200, 200))
+    cells[:, 120] = 1  # a wall at x = 6 m
+    new_m2, _ = floor_of(cells).look(5.0, 5.0, 0.0)
+    assert new_m2 == pytest.approx(1.0, abs=0.15)  # the triangle before it
+
+
+@settings(max_examples=30)
+@given(
+    cells=st.lists(st.booleans(), min_size=64, max_size=64),
+    x=st.floats(-1, 5),
+    y=st.floats(-1, 5),
+    yaw=st.floats(-7, 7),
+)
+def test_looks_count_each_place_once(cells, x, y, yaw):
+    """Off the plan and inside things as well."""
+    floor = floor_of(np.kron(np.array(cells).reshape(8, 8), np.ones((10, 10))))
+    total = sum(floor.look(x, y, yaw + turn)[0] for turn in (0.0, 0.5, 0.0))
+    assert total == pytest.approx((floor._seen > 0).sum() * PLACE_M**2)
+    assert not (floor._seen[floor._closed] > 0).any()
+
+
+def driven(instruction: str, seed: int, start=None, **more) -> tuple[ClosedLoop, list[Leg]]:
+    """A mission in a generated house, and its legs."""
+    world = {"kind": "generated", "seed": seed}
+    sim = {"world": world, "start": start, "lockstep": True, "step_s": 0.2}
+    mission = {"instruction": instruction, **more}
+    loop_section, policy = {"lockstep": True}, {"kind": "search"}
+    config = simulated({"mission": mission, "sim": sim, "loop": loop_section, "policy": policy})
+    loop = ClosedLoop(config, colour=False)
+    legs = Legs(config, loop.world, RANGE_M)
+    while not loop.service.status.done:
+        loop.step()
+        run, motion = loop.service.mission, loop.drive.motion
+        known = [i.center_m[:2] for i in loop.service.map.tracker.of(run.target, sure=True)]
+        pose = motion.pose.x_m, motion.pose.y_m, motion.pose.yaw_rad
+        legs.update(run.turns, run.target, np.reshape(known, (-1, 2)), *pose, motion.path_m)
+    return loop, legs.legs
+
+
+def facing(seed: int, label: str, away_m: float) -> list[float]:
+    """A place from where such a thing is about so far away, and straight ahead."""
+    world = load_world(simulated({"sim": {"world": {"kind": "generated", "seed": seed}}}))
+    thing = next(o for o in world.objects if o.label == label)
+    off = [
+        (abs(thing.distance_m(p.x_m, p.y_m) - away_m), p) for p in free_poses(world, 500, 0, 0.2)
+    ]
+    pose = min(off, key=lambda pair: pair[0])[1]
+    x, y = thing.center_m[:2]
+    return [pose.x_m, pose.y_m, math.atan2(y - pose.y_m, x - pose.x_m)]
+
+
+def test_what_was_seen_while_another_thing_was_searched_for_is_driven_to_straight():
+    start = facing(4, "bed", 1.6)
+    loop, legs = driven("Reach a refrigerator, then a bed.", 4, start)
+    assert loop.service.status.phase == "reached"
+    search, rest = legs
+    assert (search.target, search.known, rest.target, rest.known) == (
+        "refrigerator", False, "bed", True,
+    )  # fmt: skip
+    assert search.searched_m > 3.0
+    assert (rest.searched_m, rest.new_m2, rest.again_m2) == (0.0, 0.0, 0.0)
+    assert rest.driven_m < 1.3 * rest.direct_m + 1.0
+
+
+def looks(instruction: str, seed: int, start=None) -> list[tuple[int, bool, tuple]]:
+    """Of each tick of a mission: its turn, whether the target is known, and the true pose."""
+    found = []
+    sim = {"world": {"kind": "generated", "seed": seed}, "start": start, "lockstep": True}
+    mission = {"instruction": instruction}
+    config = simulated({"mission": mission, "sim": sim, "loop": {"lockstep": True}})
+    loop = ClosedLoop(config, colour=False)
+    while not loop.service.status.done:
+        loop.step()
+        run, pose = loop.service.mission, loop.drive.motion.pose
+        known = len(loop.service.map.tracker.of(run.target, sure=True)) > 0
+        found.append((run.turns, known, (pose.x_m, pose.y_m, pose.yaw_rad)))
+    assert loop.service.status.phase == "reached"
+    return found
+
+
+def again_m2(seed: int, before: list[tuple], search: list[tuple]) -> float:
+    """Floor that a search saw, until its target was known, of what was seen before."""
+    config = simulated({"sim": {"world": {"kind": "generated", "seed": seed}}})
+    hfov_rad = math.radians(config.sensors.camera.hfov_deg)
+    floor = SeenFloor(load_world(config).plan, hfov_rad, RANGE_M)
+    for pose in before:
+        floor.look(*pose)
+    floor.begin()
+    until_known = takewhile(lambda look: not look[1], search)
+    return sum(floor.look(*pose)[1] for _, _, pose in until_known)
+
+
+def again_and_forgetful_m2(seed: int, first: str, second: str) -> tuple[float, float]:
+    """What a mission's second search saw again, and what a robot would that begins there, and does
+    not know what the other had seen."""
+    mission = looks(f"Reach a {first}, then a {second}.", seed)
+    turn = mission[0][0]
+    before = [pose for t, _, pose in mission if t == turn]
+    after = [look for look in mission if look[0] != turn]
+    forgetful = looks(f"Reach a {second}.", seed, list(before[-1]))
+    return again_m2(seed, before, after), again_m2(seed, before, forgetful)
+
+
+def test_a_mission_that_turns_to_another_target_does_not_explore_again_what_it_saw():
+    again, forgetful = again_and_forgetful_m2(5, "bed", "toilet")
+    assert forgetful > 8.0
+    assert again < 0.5 * forgetful
+
+
+@pytest.mark.slow
+def test_in_no_house_does_a_mission_explore_more_than_a_robot_that_forgets():
+    """The way to the next frontier leads through what was seen: so it is not nothing."""
+    found = [
+        again_and_forgetful_m2(2, "toilet", "refrigerator"),
+        again_and_forgetful_m2(5, "bed", "toilet"),
+        again_and_forgetful_m2(8, "sofa", "bed"),
+        again_and_forgetful_m2(11, "refrigerator", "toilet"),
+        again_and_forgetful_m2(14, "toilet", "bed"),
+    ]
+    assert all(again <= forgetful + 0.5 for again, forgetful in found)
+    assert sum(again for again, _ in found) < 0.6 * sum(forgetful for _, forgetful in found)

@@ -1,0 +1,128 @@
+"""Missions over what a world has, and the shortest way to fulfil them."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated import simulated
+
+from edge.lab.eval import geodesic, missions
+from edge.lab.eval.missions import Fields, cells_to_go, draw_missions, plan_missions
+from edge.lab.sim.worlds import load_world
+from edge.mission.automaton import compile_formula
+from edge.mission.brief import prepare
+from edge.mission.ltl import parse, propositions
+
+THINGS = ("bed", "chair", "house plant", "sofa", "television", "toilet", "oven", "armchair")
+RADIUS_M = 0.2
+
+
+@pytest.fixture(scope="module")
+def world():
+    return load_world(simulated({"sim": {"world": {"kind": "generated", "seed": 3}}}))
+
+
+@pytest.mark.parametrize("targets", [[], ["bed"], ["tv", "television"]])
+def test_there_is_no_mission_over_fewer_than_two_things(targets):
+    assert draw_missions(targets, 5, 0) == []
+
+
+@pytest.mark.parametrize("count", [2, 3, 8])
+def test_missions_name_two_to_four_of_the_things(count):
+    drawn = draw_missions(THINGS[:count], 40, 1)
+    assert len(drawn) > 5
+    assert drawn == draw_missions(THINGS[:count], 40, 1)
+    assert len({mission.formula for mission in drawn}) == len(drawn)
+    for mission in drawn:
+        named = propositions(mission.formula)
+        assert 2 <= len(named) <= 4
+        assert "" not in named
+
+
+def test_the_service_understands_each_sentence_as_it_is_meant():
+    drawn = draw_missions(THINGS, 60, 2)
+    assert {mission.family for mission in drawn} == {f.name for f in missions.FAMILIES}
+    for mission in drawn:
+        brief = prepare(simulated({"mission": {"instruction": mission.instruction}}).mission)
+        assert brief.translation.formula == mission.formula, mission.instruction
+
+
+def test_missions_are_planned_over_what_a_robot_gets_to(world):
+    planned = plan_missions(world, [*THINGS, "unicorn"], 6, 0, RADIUS_M, min_distance_m=3.0)
+    assert len(planned) == 6
+    assert planned == plan_missions(world, [*THINGS, "unicorn"], 6, 0, RADIUS_M, 3.0)
+    for item in planned:
+        assert item.shortest_m >= 3.0
+        assert "unicorn" not in propositions(item.mission.formula)
+        assert world.plan.clearance_at(*item.start[:2]) > RADIUS_M
+    assert plan_missions(world, ["unicorn", "dragon"], 3, 0, RADIUS_M) == []
+
+
+def test_one_thing_is_as_far_as_by_the_distance_field(world):
+    fields = Fields(world, RADIUS_M)
+    things = [o for o in world.objects if o.label == "toilet"]
+    far = geodesic.distance_field(world.plan, things, RADIUS_M, missions.REACHED_M)
+    mine = fields.to_go_m(compile_formula(parse("F toilet")))
+    reachable = world.plan.reachable(world.start.x_m, world.start.y_m, RADIUS_M)
+    np.testing.assert_allclose(mine[reachable], far[reachable])
+
+
+# --- the shortest way, against Dijkstra over (place, state) ---
+
+
+def shortest(automaton, near, free, start):
+    best = {(*start, 0): 0.0}
+    heap = [(0.0, *start, 0)]
+    while heap:
+        d, r, c, s = heapq.heappop(heap)
+        if d > best[r, c, s]:
+            continue
+        if automaton.accepting[s]:
+            return d
+        after = [(d, r, c, automaton.step(s, ""))]
+        after += [(d, r, c, automaton.step(s, x)) for x in automaton.letters if near[x][r, c]]
+        for dr, dc in itertools.product((-1, 0, 1), repeat=2):
+            q, p = r + dr, c + dc
+            if 0 <= q < free.shape[0] and 0 <= p < free.shape[1] and free[q, p]:
+                after.append((d + math.hypot(dr, dc), q, p, s))
+        for node in after:
+            if node[0] < best.get(node[1:], math.inf) - 1e-12:
+                best[node[1:]] = node[0]
+                heapq.heappush(heap, node)
+    return math.inf
+
+
+@settings(max_examples=40)
+@given(
+    data=st.data(),
+    text=st.sampled_from(
+        [
+            "F a",
+            "F a & F b",
+            "F (a & F b)",
+            "F ((a | b) & F c)",
+            "F a & F b & !b W c",
+            "F (a & F b) | F c",
+            "F (a & F (b & F a))",
+            "F a & !a W b & F c",
+            "X F a",
+        ]
+    ),
+)
+def test_the_shortest_way_is_that_of_the_best_order(data, text):
+    automaton = compile_formula(parse(text))
+    cells = data.draw(st.lists(st.sampled_from("....#abc"), min_size=30, max_size=30))
+    plan = np.array(cells).reshape(5, 6)
+    free = plan != "#"
+    near = {x: plan == x for x in automaton.letters}
+    mine = cells_to_go(automaton, near, free)
+    for start in zip(*np.nonzero(free), strict=True):
+        start = tuple(map(int, start))
+        assert mine[start] == pytest.approx(shortest(automaton, near, free, start))
+    assert np.isinf(mine[~free]).all()

@@ -1,0 +1,74 @@
+"""Outdoor episodes: the reference does what was said and collides with nothing."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from edge.lab.eval.outdoor import LEAST_POINTS, ROBOT_M, outdoor_episode
+from edge.lab.eval.trajectories.meaning import KINDS
+from edge.lab.eval.trajectory_metrics import likeness
+from edge.tasks.refine import refine
+from edge.tasks.value_map import Body
+from edge.trajectory.pursuit import MotionLimits
+
+NUMBERS = range(16)
+LIMITS = MotionLimits(1.5, 1.0, 0.8, 3.0)
+episode = cache(outdoor_episode)
+
+
+def test_a_number_is_an_episode():
+    first, again = outdoor_episode(5), outdoor_episode(5)
+    assert first.task.instruction == again.task.instruction
+    np.testing.assert_array_equal(first.task.reference_m, again.task.reference_m)
+    np.testing.assert_array_equal(first.cloud_m, again.cloud_m)
+    np.testing.assert_array_equal(first.scene.occupancy.cells, again.scene.occupancy.cells)
+
+
+def test_kinds_take_turns():
+    assert [episode(k).task.kind for k in range(4)] == list(KINDS)
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_the_scene_is_whole(number):
+    scene = episode(number).scene
+    assert scene.rgb is None
+    assert list(scene.objects) == list(range(1, len(scene.objects) + 1))
+    assert set(np.unique(scene.regions_grid.cells)) <= {0, *scene.regions}
+    assert set(np.unique(scene.occupancy.cells)) == {0, 100}
+    for item in scene.objects.values():
+        assert len(item.points_m) >= LEAST_POINTS
+        assert item.points_m.dtype == np.float32
+        # A tree's crown reaches farther than its trunk.
+        reach = np.hypot(*(item.points_m[:, :2] - item.position_m[:2]).T).max()
+        assert reach <= 0.5 * math.hypot(*item.size_m[:2]) + (1.8 if item.label == "tree" else 0.1)
+        for region, point in item.nearest_m.items():
+            assert scene.regions_grid.cells[scene.regions_grid.cell_of(*point)] == region
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_the_scan_is_a_lidars(number):
+    cloud_m = episode(number).cloud_m
+    assert cloud_m.dtype == np.float32
+    assert 40_000 < len(cloud_m) <= 64 * 1024
+    elevation = np.arctan2(cloud_m[:, 2] - 1.73, np.hypot(*cloud_m[:, :2].T))
+    assert len(np.unique(np.round(np.degrees(elevation) / (26.8 / 63), 2))) <= 64 * 3
+    assert cloud_m[:, 2].min() > -0.01
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_what_the_rule_leads_by_can_be_refined(number):
+    this = episode(number)
+    got = refine(this.scene, this.task.segments, (), Body(ROBOT_M, 1.0), LIMITS)
+    like = likeness(got.poses[:, :2], this.task.reference_m, this.scene.occupancy, ROBOT_M)
+    assert (like.success, like.contacts) == (True, 0)
+    assert got.off_region_m == 0.0
+
+
+@pytest.mark.slow
+def test_there_are_two_hundred():
+    names = {outdoor_episode(number).name for number in range(200)}
+    assert len(names) == 200

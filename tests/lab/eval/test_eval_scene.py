@@ -1,0 +1,39 @@
+"""Scenes of a simulated robot's depth camera."""
+
+from __future__ import annotations
+
+from small_house import small_house
+
+from edge import names
+from edge.lab.eval.closed_loop import ClosedLoop
+from edge.tasks.chain import open_chain
+from edge.tasks.survey import Survey, scene_of_map
+
+
+def test_a_robot_describes_where_it_is(tmp_path):
+    """By what it adds up itself, and by what its service knows: every thing lies where the world
+    has one of its name, and one can get to it."""
+    config = small_house(tmp_path, mission={"target": "bed"})
+    loop = ClosedLoop(config)
+    words = tuple(dict.fromkeys(loop.labels))
+    with open_chain(config.perception, words, loop.truth) as chain:
+        survey = Survey(chain, config.mapping, config.robot.radius_m)
+        while not loop.service.status.done and loop.seconds < 60.0:
+            for _ in range(15):
+                loop.step()
+            survey.add(loop.observe())
+    by_survey = survey.scene()
+    kept, seen = loop.service.map, loop.observe()
+    of_service = scene_of_map(kept.view, seen, kept.tracker.all, config.robot.radius_m)
+    for scene in (by_survey, of_service):
+        assert "bed" in {thing.label for thing in scene.objects.values()}
+        assert scene.regions
+        for thing in scene.objects.values():
+            x_m, y_m = thing.position_m[:2]
+            apart = [
+                one.distance_m(x_m, y_m)
+                for one in loop.world.objects
+                if names.same(one.label, thing.label)
+            ]
+            assert min(apart) < 0.5, thing.caption
+            assert thing.nearest_m, thing.caption

@@ -1,0 +1,209 @@
+"""Trajectories compared: known answers, and what holds of any."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge.geometry import Grid
+from edge.lab.eval.trajectory_metrics import (
+    contacts,
+    evenly,
+    frechet_m,
+    likeness,
+    navigation_error_m,
+    ndtw,
+    point_contacts,
+)
+from edge.trajectory.smoothing import resample
+
+POINT = st.tuples(*[st.floats(-20, 20).map(lambda x: round(x, 3))] * 2)
+PATH = st.lists(POINT, min_size=1, max_size=7).map(lambda points: np.array(points))
+LINE = [[0, 0], [10, 0]]
+
+
+def path(points) -> np.ndarray:
+    return np.reshape(np.array(points, float), (-1, 2))
+
+
+@pytest.mark.parametrize("measure", [navigation_error_m, frechet_m, ndtw])
+@pytest.mark.parametrize("bad", [[], [[math.nan, 0.0]], [[0.0, math.inf]]])
+def test_what_is_no_trajectory_is_refused(measure, bad):
+    with pytest.raises(ValueError, match="expected finite points"):
+        measure(path(bad), path(LINE))
+    with pytest.raises(ValueError, match="expected finite points"):
+        measure(path(LINE), path(bad))
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "expected"),
+    [
+        ([[1, 2]], [[1, 2]], 0.0),
+        ([[0, 0]], [[3, 4]], 5.0),
+        (LINE, LINE, 0.0),
+        # A point more on the way changes nothing; nor does waiting.
+        (LINE, [[0, 0], [4, 0], [10, 0]], 0.0),
+        (LINE, [[0, 0], [4, 0], [4, 0], [10, 0]], 0.0),
+        (LINE, [[0, 2], [10, 2]], 2.0),
+        (LINE, [[5, 0]], 5.0),
+        # The other way round, however near the curves are.
+        (LINE, LINE[::-1], 10.0),
+        # A detour to the side; a loop that a dog may run while its owner waits in the middle.
+        (LINE, [[0, 0], [5, 3], [10, 0]], 3.0),
+        # Back and forth by 4 along the line: the owner waits half way, 2 from either end.
+        (LINE, [[0, 0], [7, 0], [3, 0], [10, 0]], 2.0),
+        # Alt & Godau's own difference from Hausdorff's distance, which is 1 here.
+        ([[0, 0], [10, 0], [0, 1], [10, 1]], [[0, 0], [10, 1]], math.hypot(5, 0.5)),
+    ],
+)
+def test_frechet(a, b, expected):
+    assert frechet_m(path(a), path(b)) == pytest.approx(
+        expected, abs=0.15 if expected == 5.0 else 2e-4
+    )
+
+
+@pytest.mark.parametrize(
+    ("a", "reference", "expected"),
+    [
+        ([[1, 2]], [[1, 2]], 1.0),
+        ([[3, 4]], [[0, 0]], math.exp(-5.0)),
+        (LINE, LINE, 1.0),
+        # 21 points each, all 2 m from their partner: exp(-21 * 2 / 21).
+        ([[0, 2], [10, 2]], LINE, math.exp(-2.0)),
+        # A single point against 21: the mean distance is 2.5 m and 1/84 of it more.
+        ([[5, 0]], LINE, math.exp(-2 * sum(0.5 * k for k in range(11)) / 21)),
+        # The reference is one point: all are matched with it, and |R| is 1.
+        ([[0, 0], [1, 0]], [[0, 0]], math.exp(-(0.0 + 0.5 + 1.0))),
+    ],
+)
+def test_ndtw(a, reference, expected):
+    assert ndtw(path(a), path(reference)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("a", "clearance_m", "expected"),
+    [
+        ([[-5, 0]], 0.0, 0),
+        ([[0, 0]], 0.0, 1),
+        ([[-5, 0], [5, 0]], 0.0, 1),
+        # In and out, and in again; along the side, and nearer than the robot is wide.
+        ([[-5, 0], [5, 0], [-5, 0.5]], 0.0, 2),
+        ([[-5, 1.2], [5, 1.2]], 0.0, 0),
+        ([[-5, 1.2], [5, 1.2]], 0.4, 1),
+        ([[-50, -50], [-40, -50]], 0.4, 0),
+        ([[0, 0], [50, 0]], 0.0, 1),
+    ],
+)
+def test_contacts(a, clearance_m, expected):
+    grid = Grid(np.zeros((100, 100), np.int8), (-10.0, -10.0), 0.2)
+    grid.cells[45:55, 45:55] = 100  # from -1 to 1
+    assert contacts(path(a), grid, clearance_m) == expected
+
+
+@pytest.mark.parametrize(("end", "success"), [((9.0, 0.0), True), ((8.9, 0.0), False)])
+def test_success_ends_within_a_metre(end, success):
+    empty = Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), 0.2)
+    got = likeness(path([[0, 0], end]), path(LINE), empty)
+    assert (got.success, got.error_m, got.contacts) == (success, pytest.approx(10 - end[0]), 0)
+    assert got.frechet_m == pytest.approx(10 - end[0])
+    assert 0.0 < got.ndtw < 1.0
+
+
+def by_points_twin(a: np.ndarray, b: np.ndarray) -> float:
+    """Eiter & Mannila's recursion, as it is written."""
+    d = np.hypot(*(a[:, None] - b[None]).transpose(2, 0, 1))
+    reach = np.full(d.shape, math.inf)
+    for i, j in np.ndindex(d.shape):
+        before = [
+            reach[k, m] for k, m in ((i - 1, j), (i, j - 1), (i - 1, j - 1)) if min(k, m) >= 0
+        ]
+        reach[i, j] = max(d[i, j], min(before, default=0.0))
+    return float(reach[-1, -1])
+
+
+def ndtw_twin(a: np.ndarray, reference: np.ndarray) -> float:
+    a, reference = evenly(a, 0.5), evenly(reference, 0.5)
+    d = np.hypot(*(reference[:, None] - a[None]).transpose(2, 0, 1))
+    total = np.full(np.add(d.shape, 1), math.inf)
+    total[0, 0] = 0.0
+    for i, j in np.ndindex(d.shape):
+        total[i + 1, j + 1] = d[i, j] + min(total[i, j + 1], total[i + 1, j], total[i, j])
+    return math.exp(-total[-1, -1] / len(reference))
+
+
+@settings(max_examples=60, deadline=None)
+@given(PATH, PATH)
+def test_frechet_agrees_with_the_twin(a, b):
+    """By points half a metre apart it is too long by at most half a metre."""
+    fine = by_points_twin(resample(a, 0.5), resample(b, 0.5))
+    assert fine - 0.5 - 1e-3 <= frechet_m(a, b) <= fine + 1e-3
+
+
+@settings(deadline=None)
+@given(PATH, PATH)
+def test_ndtw_agrees_with_the_twin(a, reference):
+    assert ndtw(a, reference) == pytest.approx(ndtw_twin(a, reference))
+
+
+@pytest.mark.parametrize(
+    ("a", "expected"),
+    [
+        ([[1, 2]], [[1, 2]]),
+        ([[1, 2], [1, 2]], [[1, 2]]),
+        ([[0, 0], [0.4, 0]], [[0, 0], [0.4, 0]]),
+        ([[0, 0], [0.1, 0], [0.3, 0], [1.5, 0]], [[0, 0], [0.5, 0], [1, 0], [1.5, 0]]),
+        ([[0, 0], [0.75, 0], [0.75, 0.75]], [[0, 0], [0.5, 0], [0.75, 0.25], [0.75, 0.75]]),
+    ],
+)
+def test_points_spaced_evenly(a, expected):
+    np.testing.assert_allclose(evenly(path(a), 0.5), expected)
+
+
+@settings(deadline=None)
+@given(PATH, PATH, st.floats(0.05, 0.5))
+def test_how_densely_a_path_was_written_decides_nothing(a, reference, spacing_m):
+    """But for a point more or less where a length is a whole number of spacings."""
+    dense = resample(a, spacing_m)
+    if len(evenly(dense, 0.5)) == len(evenly(a, 0.5)):
+        assert ndtw(dense, reference) == pytest.approx(ndtw(a, reference), rel=1e-6)
+
+
+@settings(deadline=None)
+@given(PATH, PATH, PATH)
+def test_frechet_is_a_metric(a, b, c):
+    ab = frechet_m(a, b)
+    assert frechet_m(a, a) == 0.0
+    assert frechet_m(b, a) == pytest.approx(ab, abs=2e-4)
+    assert frechet_m(a[::-1], b[::-1]) == pytest.approx(ab, abs=2e-4)
+    assert ab <= frechet_m(a, c) + frechet_m(c, b) + 4e-4
+    assert ab >= max(math.dist(a[0], b[0]), math.dist(a[-1], b[-1]))
+
+
+@settings(deadline=None)
+@given(PATH, POINT)
+def test_frechet_of_a_shifted_path_is_the_shift(a, shift):
+    assert frechet_m(a, a + shift) == pytest.approx(math.hypot(*shift), abs=2e-4)
+
+
+@settings(deadline=None)
+@given(PATH, PATH)
+def test_ndtw_is_1_for_the_same_and_less_for_others(a, b):
+    assert ndtw(a, a) == 1.0
+    assert 0.0 <= ndtw(a, b) <= 1.0
+    if ndtw(a, b) == 1.0:
+        # Corners between two points are not looked at.
+        assert frechet_m(a, b) <= 0.5
+
+
+@pytest.mark.parametrize(
+    ("solid", "expected"),
+    [([], 0), ([[5.0, 1.1]], 0), ([[5.0, 0.9]], 1), ([[5.0, 0.9], [5.5, -0.9]], 1),
+     ([[2.0, 0.9], [8.0, 0.0]], 2)],
+)  # fmt: skip
+def test_contacts_with_points_are_no_coarser_than_these(solid, expected):
+    solid_m = np.array(solid, np.float64).reshape(-1, 2)
+    assert point_contacts(path([[0, 0], [10, 0]]), solid_m, 1.0) == expected

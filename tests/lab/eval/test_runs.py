@@ -1,0 +1,272 @@
+"""Columns on episodes: the same outcomes from whoever runs them, and each only once."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import threading
+from typing import Any
+
+import pytest
+from small_house import small_house
+
+from edge.cli.main import main
+from edge.errors import UserError
+from edge.lab.eval import drive, workers
+from edge.lab.eval.columns import make_columns
+from edge.lab.eval.drive import in_process, run_episode
+from edge.lab.eval.episodes import plan, read, write
+from edge.lab.eval.outcome import TIMINGS, Outcome, OutcomeFile
+from edge.lab.eval.runs import changed, run_all
+from edge.lab.eval.workers import Task, by_ray, by_workers, one_by_one
+
+COLUMNS = {"hvl": {}, "near": {"policy": {"kind": "nearest_frontier"}}}
+
+
+def exact(outcome: Outcome) -> dict[str, Any]:
+    """All that does not depend on how fast the computer is."""
+    return {k: v for k, v in dataclasses.asdict(outcome).items() if k not in TIMINGS}
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    """With a camera of 5 Hz, which sees enough."""
+    folder = tmp_path_factory.mktemp("house")
+    return small_house(folder, mission={"time_limit_s": 60.0}, sim={"step_s": 0.2})
+
+
+@pytest.fixture(scope="module")
+def tasks(config):
+    episodes = plan(config, [], ["bed", "sofa"], 1, 0, 2.0)
+    return [Task(column, e) for e in episodes for column in make_columns(config, COLUMNS)]
+
+
+@pytest.fixture(scope="module")
+def alone(tasks):
+    """Their outcomes in this process, one after the other."""
+    return list(one_by_one(tasks, threading.Event()))
+
+
+def test_no_tasks_have_no_outcomes():
+    stop = threading.Event()
+    assert list(one_by_one([], stop)) == []
+    assert list(by_workers([], 2, stop)) == []
+
+
+def test_an_episode_replays_the_same_and_tells_its_story(tasks, alone):
+    task, first = tasks[0], alone[0]
+    assert exact(run_episode(task.column, task.episode, in_process)) == exact(first)
+    assert first.success
+    assert (first.failure, first.wrong_stops, first.left_m) == (None, 0, 0.0)
+    assert first.path_m >= first.shortest_m > 0.0
+    assert first.distance_m <= 1.0
+    assert 0.0 <= first.first_sight_s <= first.elapsed_s
+    assert first.first_sight_path_m <= first.path_m
+    assert first.trail[0] == pytest.approx(task.episode.start[:2], abs=1e-3)
+    assert len(first.goal_xy) == first.goals > 0
+    assert first.tick_ms["p50"] <= first.tick_ms["p95"] <= first.tick_ms["max"]
+
+
+def test_processes_give_the_same_outcomes(tasks, alone):
+    shared = {o.key: exact(o) for o in by_workers(tasks, 2, threading.Event())}
+    assert shared == {o.key: exact(o) for o in alone}
+    assert len(shared) == len(tasks)
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_outcomes(tasks, alone):
+    pytest.importorskip("ray", reason="needs the extra `ray`")
+    shared = {o.key: exact(o) for o in by_ray(tasks, "local", threading.Event())}
+    assert shared == {o.key: exact(o) for o in alone}
+
+
+def test_a_cluster_that_is_not_there_is_told(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "ray", None)
+    with pytest.raises(UserError, match=r"pip install 'edge-vln\[ray\]'"):
+        list(by_ray([], "local", threading.Event()))
+
+
+def fallen(task: Task) -> Outcome:
+    """What a worker runs instead: it falls over at the sofa."""
+    if task.episode.target == "sofa":
+        os._exit(7)
+    return run_episode(task.column, task.episode, in_process)
+
+
+def serve_fallen(pipe):
+    workers.run_task = fallen
+    workers._serve(pipe)
+
+
+def test_a_process_that_falls_over_fails_its_episode_only(tasks, monkeypatch):
+    # A child imports this module by its name, and knows nothing of what is patched here.
+    real, started = workers.get_context("spawn"), []
+
+    class Context:
+        Pipe = staticmethod(real.Pipe)
+
+        @staticmethod
+        def Process(target, **options):
+            started.append(target)
+            return real.Process(target=serve_fallen, **options)
+
+    monkeypatch.setattr(workers, "get_context", lambda kind: Context)
+    some = [tasks[0], tasks[2], tasks[3]]
+    outcomes = list(by_workers(some, 1, threading.Event()))
+    assert [(o.target, o.success) for o in outcomes] == [
+        ("bed", True), ("sofa", False), ("sofa", False),
+    ]  # fmt: skip
+    assert outcomes[1].reason == "crashed: its process ended (exit code 7)"
+    assert len(started) == 2
+
+
+def test_an_error_fails_its_episode_only(tasks, monkeypatch):
+    real = drive.ClosedLoop
+
+    def broken(config, **options):
+        if config.mission.target == "sofa":
+            raise RuntimeError("out of order")
+        return real(config, **options)
+
+    monkeypatch.setattr(drive, "ClosedLoop", broken)
+    outcomes = list(one_by_one([tasks[0], tasks[2]], threading.Event()))
+    assert [o.failure for o in outcomes] == [None, "crashed"]
+    assert "out of order" in outcomes[1].reason
+
+
+def test_an_episode_ends_though_its_mission_does_not(tasks, monkeypatch):
+    monkeypatch.setattr("edge.mission.run.MissionRun.check_limits", lambda *_: None)
+    monkeypatch.setattr("edge.loop.service.Service._select", lambda *_: None)
+    column, episode = tasks[0].column, tasks[0].episode
+    outcome = run_episode(column, episode, in_process)
+    assert outcome.reason == "no end after 66 s"
+    assert (outcome.success, outcome.failure) == (False, "stuck")
+    assert outcome.elapsed_s == pytest.approx(66.0, abs=0.21)  # a step
+
+
+def test_after_a_stop_nothing_begins_and_nothing_is_kept(config, tasks, tmp_path):
+    stop = threading.Event()
+    stop.set()
+    assert list(one_by_one(tasks, stop)) == []
+    assert list(by_workers(tasks, 2, stop)) == []
+    episodes = plan(config, [], ["bed"], 1, 0, 2.0)
+    assert run_all(make_columns(config, {}), episodes, tmp_path / "out", stop=stop) == []
+    assert OutcomeFile(tmp_path / "out").known == {}
+
+
+def test_a_run_goes_on_where_it_was_broken_off(config, tmp_path):
+    episodes, out = plan(config, [], ["bed", "sofa"], 1, 0, 2.0), tmp_path / "out"
+    stop, told = threading.Event(), []
+
+    def tell(number, total, outcome):
+        told.append((number, total, outcome.key))
+        stop.set()
+
+    columns = make_columns(config, COLUMNS)
+    first = run_all(columns, episodes, out, tell=tell, stop=stop)
+    assert [(number, total) for number, total, _ in told] == [(1, 4)]
+    rest = run_all(columns, episodes, out, tell=lambda *news: told.append(news))
+    assert len({news[2] if i == 0 else news[2].key for i, news in enumerate(told)}) == 4
+    assert len(first) == 1
+    assert [(o.episode, o.column) for o in rest] == [
+        (e.id, c.name) for e in episodes for c in columns
+    ]
+    assert read(out / "episodes.jsonl") == episodes
+    run_all(columns, episodes, out, tell=lambda *news: pytest.fail("run again"))
+
+
+def test_a_column_that_was_changed_is_run_anew_and_a_crash_as_well(config, tmp_path, monkeypatch):
+    episodes, out = plan(config, [], ["bed"], 1, 0, 2.0), tmp_path / "out"
+    (column,) = make_columns(config, {"it": {}})
+    with monkeypatch.context() as patched:
+        patched.setattr(drive, "ClosedLoop", lambda *_, **__: 1 / 0)
+        (crash,) = run_all([column], episodes, out)
+    assert crash.failure == "crashed"
+    (good,) = run_all([column], episodes, out)
+    assert good.success
+    (other,) = make_columns(config, {"it": {"policy": {"kind": "nearest_frontier"}}})
+    assert changed([column], out) == {}
+    assert changed([other], out) == {"it": 1}
+    (anew,) = run_all([other], episodes, out)
+    assert anew.column_id == other.id != good.column_id
+
+
+def test_a_mission_of_several_things_is_judged_at_each(config):
+    (there,) = plan(config, [], ["bed"], 1, 0, 2.0)
+    told = dataclasses.replace(
+        there, target=None, instruction="go to the sofa, then go to the bed", shortest_m=4.0
+    )
+    (column,) = make_columns(config, {})
+    outcome = run_episode(column, told, in_process)
+    assert outcome.success, outcome.reason
+    assert (outcome.target, outcome.distance_m) == (None, None)
+    assert outcome.reason == "sofa, then bed"
+
+
+# -- the command ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def yaml_path(config, tmp_path):
+    path = tmp_path / "small.yaml"
+    path.write_text(
+        "perception: {detector: {kind: sim}}\n"
+        f"sim: {{world: {{kind: house, house: {config.sim.world.house}}}, step_s: 0.2}}\n"
+    )
+    return str(path)
+
+
+COMMAND = ["eval", "episodes"]
+
+
+def test_the_simple_use_prints_a_table(yaml_path, capsys):
+    asked = ["--targets", "sofa,bed", "--starts", "1", "--min-distance", "2"]
+    assert main([*COMMAND, yaml_path, *asked]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("  1/2 ok   hvl")
+    assert lines[3:5] == ["Columns", lines[4]]
+    assert lines[4].split()[:4] == ["column", "n", "SR,", "%"]
+    assert lines[5].split()[:3] == ["hvl", "2", "100.0"]
+    assert {"By target", "Failures", "On the way"} <= set(lines)
+
+
+def test_a_plan_is_written_and_run_in_columns(yaml_path, tmp_path, capsys):
+    file, out = tmp_path / "episodes.jsonl", tmp_path / "out"
+    asked = ["--targets", "bed", "--starts", "2", "--min-distance", "2", "--plan", str(file)]
+    assert main([*COMMAND, yaml_path, *asked]) == 0
+    assert capsys.readouterr().out == f"{file}: 2 episodes\n"
+    run = [*COMMAND, yaml_path, "--episodes", str(file), "--limit", "1", "--out", str(out)]
+    columns = ["--column", "hvl", "--column", "near", "policy.kind=nearest_frontier"]
+    assert main([*run, *columns]) == 0
+    assert [o.column for o in OutcomeFile(out).known.values()] == ["hvl", "near"]
+    capsys.readouterr()
+    assert main([*run, "--column", "hvl", "policy.w_dist=1.5"]) == 0
+    printed = capsys.readouterr().out
+    assert "hvl: its settings have changed; 1 outcomes of before do not count" in printed
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--targets", " , "], "--targets: name at least one"),
+        (["--column", "a", "--column", "a"], "--column a: there is a column of that name"),
+        (["--column", "a", "policy.kind=b"], "unknown 'b'"),
+        (["--episodes", "nowhere.jsonl"], "nowhere.jsonl"),
+        (["--worlds", "demo"], "--worlds demo: not understood"),
+    ],
+)
+def test_what_cannot_be_run_is_told_at_once(yaml_path, capsys, options, message):
+    assert main([*COMMAND, yaml_path, *options]) != 0
+    assert message in capsys.readouterr().err
+
+
+def test_a_report_of_every_episode(yaml_path, tmp_path, config):
+    (there,) = plan(config, [], ["bed"], 1, 0, 2.0)
+    write(tmp_path / "e.jsonl", [there])
+    folder = tmp_path / "pages"
+    run = ["--episodes", str(tmp_path / "e.jsonl"), "--report", str(folder)]
+    assert main([*COMMAND, yaml_path, *run]) == 0
+    assert len(OutcomeFile(folder).known) == 1
+    assert [page.parent.name for page in folder.glob("*/*.html")] == [
+        f"{there.id.replace('/', '-')}-hvl"
+    ]

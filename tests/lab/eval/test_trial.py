@@ -1,0 +1,257 @@
+"""`edge trajectory`: one command from a picture, a scan and a sentence to a trajectory."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from chat_server import saying, send, serving
+from made_sequence import write
+
+from edge.cli.main import main
+from edge.config import load
+from edge.lab.eval.trial.trial import carry_out, ground_heights_m
+from edge.lab.eval.trial.views import street_view
+from edge.tasks.value_map import closed_cells
+
+PICTURES = ["objects.png", "camera.png", "map.png", "scene.html"]
+GOOD = """The red car is the first that det_object gives.
+```python
+car = det_object("car")[0]
+region, end = next(iter(car["nearest_reachable"].items()))
+give_trajectory([a_star_plan(robot()["position"], end)], [region], 0.4)
+```"""
+
+
+@cache
+def seen():
+    return street_view(3, load("street"))
+
+
+def trajectory(tmp_path, *args):
+    """The exit code of the command, and its folder."""
+    out = tmp_path / "out"
+    return main(["trajectory", *args, "--out", str(out)]), out
+
+
+@pytest.mark.parametrize("words", ["", " \n", "go " * 1000])
+def test_without_a_sentence_nothing_is_made(tmp_path, capsys, words):
+    code, out = trajectory(tmp_path, "street:3", words)
+    assert code == os.EX_DATAERR
+    assert capsys.readouterr().err.startswith("the instruction ")
+    assert not out.exists()
+
+
+def test_a_street_is_seen_as_it_is():
+    """Things lie where the simulator has them, ground is of its kind, heights are the ground's."""
+    scene = seen().scene
+    car = next(thing for thing in scene.objects.values() if thing.caption.startswith("red car"))
+    np.testing.assert_allclose(car.position_m[:2], [20.3, -4.0], atol=0.5)
+    assert {"road", "sidewalk", "parking"} == {region.label for region in scene.regions.values()}
+    assert set(scene.contours) <= set(scene.objects)
+    ahead_m = np.column_stack([np.linspace(0.0, 15.0, 31), np.full(31, -0.5)])
+    np.testing.assert_allclose(ground_heights_m(seen(), ahead_m), 0.0, atol=0.05)
+
+
+def test_a_trajectory_leads_to_what_the_sentence_names():
+    outcome, failed = carry_out("go to the red car", seen(), load("street"))
+    assert failed is None
+    (car,) = outcome.named()
+    assert outcome.ends_at()[0] is car
+    assert outcome.ends_at()[1] < 1.5
+    scene, poses = outcome.view.scene, outcome.refined.poses
+    closed = closed_cells(scene.occupancy, load("street").tasks.trajectory.clearance_m)
+    assert not any(closed[scene.occupancy.cell_of(x, y)] for x, y in poses[:, :2])
+    np.testing.assert_allclose(poses[:, 2], 0.0, atol=0.05)
+
+
+def test_the_command_leaves_pictures_page_and_trajectory(tmp_path, capsys):
+    code, out = trajectory(tmp_path, "street:3", "go to the red car")
+    said = capsys.readouterr().out
+    assert code == os.EX_OK
+    assert "to car" in said
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        [*PICTURES, "trajectory.csv", "trajectory.json"]
+    )
+    told = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))
+    rows = list(csv.DictReader((out / "trajectory.csv").open(encoding="utf-8")))
+    assert len(rows) == len(told["poses"]) == len(told["times_s"]) > 20
+    assert [float(rows[-1][key]) for key in ("x_m", "y_m", "z_m", "heading_rad")] == (
+        told["poses"][-1]
+    )
+    assert float(rows[-1]["speed_mps"]) == 0.0
+    assert told["instruction"] == "go to the red car"
+    assert told["frame"] == "map"
+    for name in PICTURES[:3]:
+        assert cv2.imread(str(out / name)).std() > 10.0
+    assert "go to the red car" in (out / "scene.html").read_text(encoding="utf-8")
+
+
+def test_what_is_refused_is_shown_and_leaves_no_trajectory_of_before(tmp_path, capsys):
+    assert trajectory(tmp_path, "street:3", "go to the red car")[0] == os.EX_OK
+    code, out = trajectory(tmp_path, "street:3", "go to the <b>\x1b[31m fountain")
+    said = capsys.readouterr().err
+    assert code == os.EX_DATAERR
+    assert "did not understand" in said
+    assert "\x1b" not in said
+    assert sorted(path.name for path in out.iterdir()) == ["map.png", "objects.png", "scene.html"]
+    assert "<b>" not in (out / "scene.html").read_text(encoding="utf-8")
+
+
+def test_what_cannot_be_reached_is_told(tmp_path, capsys):
+    code, _ = trajectory(tmp_path, "street:3", "go straight for 300 metres")
+    assert code == os.EX_DATAERR
+    assert "the way straight on is blocked" in capsys.readouterr().err
+
+
+def test_the_detector_of_the_configuration_looks_for_what_is_named(tmp_path, capsys):
+    code, _ = trajectory(tmp_path, "street:3", "go to the red car", "--objects", "detector")
+    assert code == os.EX_OK
+    assert "by the simulated detector" in capsys.readouterr().out
+
+
+def test_a_detector_needs_an_image_and_a_scan_and_no_labels(tmp_path, capsys, monkeypatch):
+    """The shipped detector sees nothing there; the ground is what is flat."""
+    folder = write(tmp_path / "sequence", points=20_000)
+    (folder / "labels/000000.label").unlink()
+    detector = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "background": ["chair"]}
+    monkeypatch.setenv("EDGE__PERCEPTION__DETECTOR", json.dumps(detector))
+    options = "--config", "kitti", "--objects", "detector"
+    code, out = trajectory(tmp_path, str(folder), "go straight for 8 metres", *options)
+    said = capsys.readouterr()
+    assert code == os.EX_OK, said.err
+    assert "0 things by mini-house-256x320-int8-cpu, 1 regions of ground" in said.out
+    poses = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))["poses"]
+    np.testing.assert_allclose(poses[-1][:2], (8.0, 0.0), atol=0.3)
+
+
+def test_a_chain_of_ones_own_sees_in_place_of_the_detector(tmp_path, capsys, monkeypatch):
+    """It calls the car a mailbox, and says that it is yellow."""
+    folder = write(tmp_path / "sequence", points=20_000)
+    chain = {"kind": "own_chain:make", "options": {"box": [35, 15, 65, 50]}}
+    monkeypatch.setenv("EDGE__TASKS__CHAIN", json.dumps(chain))
+    options = "--config", "kitti", "--objects", "detector"
+    code, out = trajectory(tmp_path, str(folder), "go to the mailbox", *options)
+    said = capsys.readouterr()
+    assert code == os.EX_OK, said.err
+    assert "1 things by own_chain:make" in said.out
+    assert "a yellow box, " in said.out
+    end = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))["poses"][-1]
+    assert np.hypot(end[0] - 10.0, end[1]) < 2.5
+
+
+@pytest.mark.parametrize(
+    ("chain", "line"),
+    [
+        ({"kind": "mine"}, "tasks.chain.kind: expected module:Class"),
+        ({"kind": "own_chain:nothing"}, "tasks.chain.kind: 'own_chain:nothing': AttributeError"),
+        ({"kind": "own_chain:make"}, "tasks.chain.options: missing a required argument: 'box'"),
+        ({"kind": "own_chain:made_of_nothing"}, "own_chain:made_of_nothing is no chain"),
+        (
+            {"kind": "own_chain:make", "options": {"box": [0, 0, 9, 9], "fails": "no\nmemory"}},
+            "tasks.chain: own_chain:make: boxes: RuntimeError: no memory",
+        ),
+    ],
+)
+def test_a_chain_that_is_none_is_one_line(tmp_path, capsys, monkeypatch, chain, line):
+    folder = write(tmp_path / "sequence")
+    monkeypatch.setenv("EDGE__TASKS__CHAIN", json.dumps(chain))
+    options = "--config", "kitti", "--objects", "detector"
+    assert trajectory(tmp_path, str(folder), "go to the mailbox", *options)[0] != os.EX_OK
+    said = capsys.readouterr().err
+    assert line in said
+    assert said.count("\n") == 1
+
+
+WRONG = {
+    "no such place": (["nowhere", "go to the car"], os.EX_DATAERR, "nowhere: no frame with"),
+    "no number of a street": (["street:-1", "go to the car"], os.EX_DATAERR,
+                              "street:-1: no street; give it a number, as street:3"),
+    "frames of a street": (["street:3", "go to the car", "--frames", "1"], os.EX_DATAERR,
+                           "street:3: it has no frames"),
+    "no such configuration": (["street:3", "go to the car", "--config", "x.yaml"], os.EX_CONFIG,
+                              "x.yaml"),
+    "a robot without a LiDAR": (["street:3", "go to the car", "--config", "demo"], os.EX_DATAERR,
+                                "sensors.lidar: a street is seen with a LiDAR"),
+    "no URL": (["street:3", "go to the car", "--url", "ftp://x"], os.EX_UNAVAILABLE,
+               "not the URL of a chat server: 'ftp://x'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_cannot_be_used_is_one_line(tmp_path, capsys, case):
+    args, code, line = WRONG[case]
+    assert trajectory(tmp_path, *args)[0] == code
+    said = capsys.readouterr().err
+    assert line in said
+    assert said.count("\n") == 1
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys):
+    (tmp_path / "out").write_text("a file")
+    assert trajectory(tmp_path, "nowhere", "go to the car")[0] == os.EX_IOERR
+    assert "out: cannot be written: File exists: give another --out" in capsys.readouterr().err
+
+
+def test_a_model_leaves_what_it_was_told_and_what_it_said(tmp_path, capsys):
+    answers = ("```python\nimport os\n```", GOOD)
+    with serving(saying(*answers)) as server:
+        code, out = trajectory(
+            tmp_path, "street:3", "go to the red car", "--url", server.url, "--model", "m"
+        )
+        first = server.requests[0][2]
+    assert code == os.EX_OK, capsys.readouterr().err
+    assert first["model"] == "m"
+    text, image = first["messages"][1]["content"]
+    prompt = (out / "model/prompt.txt").read_text(encoding="utf-8")
+    assert first["messages"][0]["content"] in prompt
+    assert text["text"] in prompt
+    assert image["image_url"]["url"].startswith("data:image/jpeg")
+    assert cv2.imread(str(out / "model/picture.jpg")).shape == (540, 960, 3)
+    assert sorted(path.name for path in (out / "model").iterdir()) == [
+        "picture.jpg", "prompt.txt", "round-1-answer.txt", "round-1-code.py", "round-1-error.txt",
+        "round-2-answer.txt", "round-2-code.py",
+    ]  # fmt: skip
+    speeds = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))["speeds_mps"]
+    assert max(speeds) <= 0.4
+
+
+MISBEHAVING = {
+    "lies": (lambda handler: send(handler, b"<html>"), "the answer is not JSON"),
+    "sends a lot": (lambda handler: send(handler, b"x" * (1 << 20)), "more than 256 KB"),
+    "only chats": (saying("Hello!"), "the answer has no ```python block"),
+}
+
+
+@pytest.mark.parametrize("case", MISBEHAVING)
+def test_a_server_that_misbehaves_is_one_line(tmp_path, capsys, case):
+    behave, line = MISBEHAVING[case]
+    with serving(behave) as server:
+        code, out = trajectory(tmp_path, "street:3", "go to the red car", "--url", server.url)
+    said = capsys.readouterr().err
+    assert code != os.EX_OK
+    assert line in said
+    assert said.count("\n") == 1
+    assert not (out / "trajectory.json").exists()
+
+
+def test_a_recorded_street_with_its_frames(tmp_path, capsys, shared_dir):
+    """SemanticKITTI 05: to the van behind the pillar; the folder itself is told where a frame is
+    not there."""
+    folder = str(shared_dir / "logs" / "semantic_kitti_05")
+    code, _ = trajectory(tmp_path, folder, "go to the truck", "--frames", "3")
+    assert code == os.EX_DATAERR
+    assert "no frame 3 with image, scan and labels (0, 2, 4, 6, 8)" in capsys.readouterr().err
+    code, out = trajectory(tmp_path, folder, "go to the truck", "--frames", "0", "2", "4")
+    assert code == os.EX_OK
+    told = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))
+    assert told["place"] == "semantic_kitti_05, frames 0, 2, 4"
+    assert np.hypot(*(np.array(told["poses"][-1][:2]) - (36.9, 6.2))) < 3.0
+    code, _ = trajectory(tmp_path, folder, "go to the truck", "--objects", "detector")
+    assert code == os.EX_DATAERR
+    assert "sim sees nothing in a real picture" in capsys.readouterr().err

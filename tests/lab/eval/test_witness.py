@@ -1,0 +1,197 @@
+"""The verdict on an episode: what was so, whatever the service said."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_house import small_house
+
+from edge.lab.eval.witness import Truth, Witness, mask_of, named, visible_px
+from edge.lab.sim.worlds import load_world
+from edge.types import Goal, Instance, MissionStatus, Observation, Step
+
+BED = (6.8, 2.0)  # its middle
+SECOND_NS = 1_000_000_000
+
+
+class Stage:
+    """Lets a witness see ticks that a test makes up."""
+
+    def __init__(self, tmp_path, targets=("bed",)):
+        self.targets = targets
+        config = small_house(tmp_path)
+        self.world = load_world(config)
+        self.witness = Witness(config, self.world, lambda stamp_ns: self._truth)
+        self._steps = []
+        self.tick(0.0)
+
+    def tick(
+        self, at_s, xy=(1.0, 2.0), *, shown=(), near_m=2.0, phase="searching", reason="",
+        reached=None, instances=(), target="bed",
+    ):  # fmt: skip
+        """One tick; `shown` are the labels in the picture, `near_m` away."""
+        ids = np.zeros((20, 20), np.uint16)
+        for k, label in enumerate(shown):
+            ids[10 * k : 10 * k + 10] = next(o.id for o in self.world.objects if o.label == label)
+        self._truth = Truth(*xy, 0.0, at_s, 0, ids)
+        if reached is not None:
+            self._steps.append(Step(0, "reached", reached, 0, ""))
+        seen = Observation(0, int(at_s * SECOND_NS), np.eye(4), depth_m=np.full((20, 20), near_m))
+        self.witness.tick(
+            SimpleNamespace(
+                targets=self.targets,
+                goals=(Goal(0, None, "frontier", 0, (0.0, 0.0), 0.0, "bed"),),
+                status=MissionStatus(target, phase, reason),
+                observation=seen,
+                events=() if reached is None else ("reached",),
+                mission=lambda: SimpleNamespace(steps=tuple(self._steps)),
+                instances=lambda: list(instances),
+            )
+        )
+
+    def failure(self):
+        return self.witness.failure("bed")
+
+
+def instance(number, xy, state="confirmed"):
+    center = np.array([*xy, 0.3], np.float32)
+    return Instance(number, "bed", center, center[None], 0.9, 9, 0, 0, state)
+
+
+@pytest.fixture
+def stage(tmp_path):
+    return Stage(tmp_path)
+
+
+def test_an_episode_that_reaches_the_thing_is_no_failure(stage):
+    stage.tick(5.0, shown=["bed"])
+    stage.tick(9.0, (5.2, 2.0), phase="reached", reached="bed")
+    assert stage.failure() is None
+    assert stage.witness.wrong_stops == []
+
+
+def test_a_stop_far_from_it_is_the_wrong_thing(stage):
+    stage.tick(5.0, shown=["bed"])
+    stage.tick(9.0, (2.0, 2.0), phase="reached", reached="bed")
+    assert stage.failure() == "wrong thing"
+    assert [label for label, _ in stage.witness.wrong_stops] == ["bed"]
+
+
+def test_what_never_came_into_view_was_never_seen(stage):
+    stage.tick(5.0, (3.0, 2.0), shown=["sofa"], phase="failed", reason="nothing left to search")
+    assert stage.failure() == "never seen"
+    assert stage.witness.first_sight() is None
+
+
+def test_what_was_in_view_and_not_confirmed(stage):
+    stage.tick(5.0, (3.0, 2.0), shown=["bed"])
+    stage.tick(9.0, (3.0, 2.0), phase="failed", reason="path limit of 100 m")
+    assert stage.failure() == "seen, not confirmed"
+
+
+def test_a_limit_before_it_was_seen_is_the_budget(stage):
+    stage.tick(9.0, (3.0, 2.0), phase="failed", reason="time limit of 9 s")
+    assert stage.failure() == "budget"
+
+
+def test_a_limit_on_the_way_to_a_confirmed_one_is_the_budget(stage):
+    stage.tick(5.0, (3.0, 2.0), shown=["bed"], instances=[instance(1, BED)])
+    stage.tick(9.0, (3.0, 2.0), phase="failed", reason="path limit of 9 m")
+    assert stage.failure() == "budget"
+
+
+def test_a_mission_without_an_end_is_out_of_budget(stage):
+    stage.tick(9.0, (3.0, 2.0))
+    assert stage.failure() == "budget"
+
+
+def test_a_minute_in_one_place_is_stuck(stage):
+    stage.tick(30.0, (3.0, 2.0))
+    stage.tick(95.0, (3.4, 2.0), phase="failed", reason="time limit of 95 s")
+    assert stage.witness.standing_s == pytest.approx(65.0)
+    assert stage.failure() == "stuck"
+
+
+def test_a_confirmed_one_that_was_given_up_is_stuck(stage):
+    stage.tick(5.0, (3.0, 2.0), shown=["bed"], instances=[instance(1, BED)])
+    stage.tick(9.0, (5.0, 2.0), phase="failed", reason="no way to it")
+    assert stage.failure() == "stuck"
+
+
+@pytest.mark.parametrize(("near_m", "seen"), [(2.0, True), (6.0, True), (6.1, False)])
+def test_it_is_seen_within_the_detectors_range(stage, near_m, seen):
+    stage.tick(5.0, shown=["bed"], near_m=near_m)
+    stage.tick(7.0, shown=["bed"], near_m=2.0)
+    assert stage.witness.first_sight().seconds == (5.0 if seen else 7.0)
+
+
+def test_confirmed_instances_that_are_no_such_thing_are_counted_once(stage):
+    for at_s in (1.0, 2.0):
+        some = [instance(1, BED), instance(2, (2.0, 3.4)), instance(3, (1.0, 1.0), "seen")]
+        stage.tick(at_s, instances=some)
+    assert stage.witness.mistaken == {2}
+    assert stage.witness.confirmed["bed"] == {1}
+
+
+def test_the_trail_has_a_point_every_quarter_of_a_metre(stage):
+    for k in range(1, 11):
+        stage.tick(0.1 * k, (1.0 + 0.1 * k, 2.0))
+    assert stage.witness.trail == [[1.0, 2.0], [1.3, 2.0], [1.6, 2.0], [1.9, 2.0]]
+    assert len(stage.witness.goals) == 11
+
+
+def test_an_error_of_its_own_is_kept(stage):
+    stage.witness._truth = None
+    with pytest.raises(TypeError):
+        stage.tick(1.0)
+    assert isinstance(stage.witness.fault, TypeError)
+
+
+def test_things_are_those_of_the_name_else_of_the_noun(tmp_path):
+    world = load_world(small_house(tmp_path))
+    for target in ("bed", "double bed", "soft red bed"):
+        assert [o.label for o in named(world, target)] == ["bed"]
+    assert named(world, "unicorn") == []
+
+
+def test_no_things_are_no_mask():
+    assert not mask_of([], 3).any()
+
+
+@given(seed=st.integers(0, 2**32), range_m=st.floats(0.5, 9.0))
+def test_visible_px_agrees_with_a_plain_one(seed, range_m):
+    rng = np.random.default_rng(seed)
+    ids = rng.integers(0, 5, (9, 7)).astype(np.uint16)
+    depth = rng.uniform(0.1, 9.0, ids.shape).astype(np.float32)
+    depth[rng.random(ids.shape) < 0.2] = np.nan
+    mine = rng.random(5) < 0.5
+    expected = int((mine[ids] & (depth <= range_m)).sum())
+    assert visible_px(ids, depth, mine, range_m) == expected
+
+
+def test_a_single_target_is_never_searched_for_again(stage):
+    stage.tick(1.0)
+    assert stage.witness.revisited_m2 is None
+
+
+def test_what_one_search_saw_and_the_next_sees_too_is_seen_again(tmp_path):
+    stage = Stage(tmp_path, ("bed", "sofa"))
+    (first,) = stage.witness.legs
+    assert first.new_m2 > 1.0
+    assert stage.witness.revisited_m2 == 0.0
+    stage.tick(1.0, target="sofa")
+    assert stage.witness.revisited_m2 == pytest.approx(first.new_m2)
+    stage.tick(2.0, target="sofa")
+    assert stage.witness.revisited_m2 == pytest.approx(first.new_m2)
+
+
+def test_what_is_known_already_is_not_searched_for(tmp_path):
+    stage = Stage(tmp_path, ("sofa", "bed"))
+    stage.tick(1.0, target="sofa")
+    stage.tick(2.0, target="bed", instances=[instance(1, BED)])
+    assert [leg.known for leg in stage.witness.legs] == [False, False, True]
+    assert stage.witness.legs[-1].again_m2 == 0.0

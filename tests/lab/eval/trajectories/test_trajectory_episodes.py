@@ -1,0 +1,64 @@
+"""Episodes of each source: what is named is in the scene, and what is meant can be driven."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from edge.lab.eval.trajectories.episodes import episodes
+from edge.lab.eval.trajectory_metrics import contacts
+from edge.tasks.chain import Chain, boxes_alone
+from edge.types import Detections
+
+SOURCES = {
+    "streets": "streets[0:4]",
+    "house": "house:demo",
+    "kitti": "kitti:{}/logs/semantic_kitti_05",
+}
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_an_episode_is_whole(source, request):
+    shared = request.getfixturevalue("shared_dir") if source == "kitti" else ""
+    found = list(islice(episodes([SOURCES[source].format(shared)]), 4))
+    assert len({one.id for one in found}) == 4
+    for one in found:
+        scene, task = one.scene, one.task
+        assert one.source == source
+        assert contacts(task.reference_m, one.truth, one.robot_m) == 0
+        np.testing.assert_allclose(task.reference_m[0], (scene.pose.x_m, scene.pose.y_m))
+        labels = [thing.label for thing in scene.objects.values()]
+        things = {thing.id: thing for thing in one.things}
+        for number in task.things:
+            assert things[number].label in labels
+            assert things[number].label in task.instruction
+
+
+def test_frames_of_different_sequences_are_different_places(shared_dir):
+    specs = [f"kitti:{shared_dir}/logs/semantic_kitti_{n}" for n in ("05", "06")]
+    worlds = [one.world for one in episodes(specs, limit=1)]
+    assert len(set(worlds)) == 2
+    assert all(world.startswith("kitti-semantic_kitti_0") for world in worlds)
+
+
+def test_no_more_than_asked_for_of_each():
+    assert len(list(episodes(["streets[0:9]", "streets[20:30]"], limit=2))) == 4
+
+
+def test_what_a_detector_misses_is_not_in_the_scene_but_meant(shared_dir):
+    """A chain that sees nothing: the same tasks and references, no things, ground without kinds."""
+
+    def boxes(observation, tags):
+        none = np.zeros(0, np.float32)
+        return Detections(observation, none.reshape(0, 4), none, none.astype(np.int32), tuple(tags))
+
+    spec = [SOURCES["kitti"].format(shared_dir)]
+    blind = Chain(lambda observation: ("car",), boxes, boxes_alone)
+    (told,), (seen,) = (list(episodes(spec, 1, chain)) for chain in (None, blind))
+    assert (seen.id, seen.task.instruction) == (told.id, told.task.instruction)
+    np.testing.assert_array_equal(seen.truth.cells, told.truth.cells)
+    assert told.scene.objects
+    assert not seen.scene.objects
+    assert [region.label for region in seen.scene.regions.values()] == ["ground"]

@@ -1,0 +1,108 @@
+"""The rule for references: whom a name means, where one stops, on which side one passes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from made_episodes import ROBOT_M, place, thing
+
+from edge.lab.eval.trajectories.meaning import ABOUT_M, ASIDE_M, KINDS, called, tasks
+from edge.lab.eval.trajectory_metrics import contacts
+from edge.lab.sim.generator.draws import Dice
+
+CAR, VAN = thing(1, "car", 10.0, 0.0), thing(2, "van", 16.0, 3.0)
+
+
+def all_of(kind, *things, walls=()):
+    return list(tasks(place(*things, walls=walls), kind, Dice(1)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_empty_place_has_no_tasks(kind):
+    assert all_of(kind) == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_who_is_shut_in_has_no_tasks(kind):
+    assert all_of(kind, CAR, VAN, walls=[(-3, 3, -3, 3)]) == []
+
+
+@pytest.mark.parametrize(
+    ("others", "words"),
+    [
+        ([], "the car"),
+        ([thing(2, "van", 6, 4)], "the car"),
+        ([thing(2, "car", 6, 4, "blue")], "the red car"),
+        ([thing(2, "car", 6, 4, "red")], "the second car on the left"),
+        ([thing(2, "car", 6, -4, "red")], "the nearest car on the left"),
+        ([thing(2, "car", 13, 8, "red")], "the nearest car on the left"),
+        # As far as the other, or where nobody would count it, or not: no name is clear.
+        ([thing(2, "car", 8.2, 5.8, "red")], None),
+        ([thing(2, "car", 6, 0, "red")], None),
+        ([thing(2, "car", -3, 4, "red")], None),
+        ([thing(k, "car", k, k, "red") for k in (2, 3, 4)], None),
+    ],
+)
+def test_a_name_means_one_thing(others, words):
+    red = thing(1, "car", 8.0, 6.0, "red")
+    assert called(place(red, *others), red) == words
+
+
+@pytest.mark.parametrize(("at", "label"), [((0.0, 9.0), "car"), ((2.0, 1.0), "car")])
+def test_what_is_aside_or_at_hand_is_not_gone_to(at, label):
+    assert all_of("to", thing(1, label, *at)) == []
+
+
+def test_one_stops_before_a_thing_where_one_comes_from():
+    (task,) = all_of("to", CAR)
+    assert (task.instruction, task.category, task.things) == ("go to the car", "specific", (1,))
+    x_m, y_m = task.reference_m[-1]
+    assert 9.0 - x_m == pytest.approx(ROBOT_M + ABOUT_M, abs=0.3)
+    assert abs(y_m) < 0.2
+    np.testing.assert_array_equal(task.reference_m[0], (0.0, 0.0))
+
+
+def test_one_does_not_stop_behind_a_fence():
+    """One stands before two sides of the car: the nearest point from which it is seen counts."""
+    (task,) = all_of("to", CAR, walls=[(8.2, 8.5, -6.0, 6.0), (8.2, 14.0, -1.7, -1.4)])
+    x_m, y_m = task.reference_m[-1]
+    assert (8.5 < x_m < 9.5, 1.0 < y_m < 2.0) == (True, True)
+
+
+def test_what_cannot_be_got_near_is_no_task():
+    walls = [(4.0, 4.4, -20, 20)]
+    assert all_of("to", CAR, walls=walls) == []
+
+
+@pytest.mark.parametrize("kind", ["past", "around"])
+def test_one_passes_on_the_side_that_is_said(kind):
+    found = all_of(kind, CAR, VAN)
+    assert found
+    for task in found:
+        k = task.things[0] - 1
+        sign = 1.0 if f"the left of the {('car', 'van')[k]}" in task.instruction else -1.0
+        first = (CAR, VAN)[k].at_m
+        beside = task.segments[0][-1 if kind == "past" else 1]
+        across = first[0] * (beside - first)[1] - first[1] * (beside - first)[0]
+        assert sign * across > 0.0
+        assert np.hypot(*(task.reference_m - beside).T).min() < 0.2
+
+
+def test_past_keeps_off_the_side():
+    task = next(t for t in all_of("past", CAR, VAN) if t.things == (1, 2))
+    assert abs(task.segments[0][0, 1]) == pytest.approx(1.0 + ASIDE_M + ROBOT_M, abs=1e-6)
+
+
+def test_around_is_asked_where_the_next_thing_is_behind():
+    """The van lies behind the car, the car before the van."""
+    assert {task.things for task in all_of("around", CAR, VAN)} == {(1, 2)}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_reference_runs_into_nothing(kind):
+    here = place(CAR, VAN, walls=[(12.0, 13.0, -4.0, -1.0)])
+    for task in tasks(here, kind, Dice(2)):
+        assert contacts(task.reference_m, here.occupancy, ROBOT_M) == 0
+        assert math.dist(task.reference_m[-1], task.segments[-1][-1]) < 1e-6

@@ -1,0 +1,177 @@
+"""`edge eval trajectories`: what methods make, what is kept, what is told."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from chat_server import saying, serving
+from made_episodes import episode
+
+from edge.cli.main import main
+from edge.config import Tasks, WriterModel
+from edge.errors import UnavailableError, UserError
+from edge.lab.eval.trajectories import methods
+from edge.lab.eval.trajectories.episodes import episodes
+from edge.lab.eval.trajectories.methods import METHODS, make, methods_of
+from edge.lab.eval.trajectories.outcomes import Folder, gather, outcome_of
+from edge.lab.eval.trajectories.run import run_all
+
+RULES = Tasks()
+PAST = "drive past the left of the van, then stop at the gate"
+SCRIPT = """```python
+way = a_star_plan(robot()["position"], det_object("gate")[0]["nearest_reachable"][1])
+give_trajectory([way], [1])
+```"""
+
+
+def ran(found, names, folder, config=RULES):
+    return [folder.outcomes[key] for key in run_all(found, names, config, folder)]
+
+
+def test_no_episodes(tmp_path):
+    folder = Folder(tmp_path / "new")
+    assert ran([], ["ours"], folder) == []
+    assert gather([], []).methods == ()
+
+
+def test_each_method_does_what_it_is_told():
+    made = make(episode(PAST), methods_of(RULES), RULES)
+    assert "llm_tg" not in made
+    assert not any(one.refused for one in made.values())
+    ways = {name: one.path_m for name, one in made.items()}
+    over = {name: way[:, 1].max() for name, way in ways.items()}
+    assert min(over[name] for name in ("ours", "ours, not refined", "vlt_code")) > 1.2
+    ends = np.array([way[-1] for way in ways.values()])
+    assert np.ptp(ends, axis=0).max() < 1.0
+    # A* takes the shortest way round the van; without a map a way is straight from point to point.
+    lengths = {name: np.hypot(*np.diff(way, axis=0).T).sum() for name, way in ways.items()}
+    assert lengths["a_star"] < lengths["ours"] + 0.1
+    turns = np.diff(np.unwrap(np.arctan2(*np.diff(ways["vlt_code"], axis=0).T[::-1])))
+    assert (np.abs(turns) > 1e-6).sum() <= 6
+
+
+def test_without_a_map_ways_lead_through_things():
+    there = episode("go to the gate")
+    made = make(there, ["vlt_code", "ours"], RULES)
+    straight, ours = (outcome_of(there, name, "rules", one) for name, one in made.items())
+    assert straight.contacts > 0
+    assert ours.contacts == 0
+
+
+def test_a_refusal_is_a_failure_and_the_robot_stays(tmp_path):
+    folder = Folder(tmp_path)
+    there = episode("go to the elephant", to_m=(0.5, 0.0))
+    for outcome in ran([there], list(methods_of(RULES)), folder):
+        assert (outcome.success, outcome.refused) == (False, "not understood")
+        assert outcome.path == [[0.0, 0.0]]
+        assert outcome.error_m == pytest.approx(0.5)
+        assert "elephant" in outcome.reason
+
+
+def test_what_is_there_is_not_run_again(tmp_path, monkeypatch):
+    first = ran([episode(PAST)], ["ours"], Folder(tmp_path))
+    text = (tmp_path / "outcomes.jsonl").read_bytes()
+    (tmp_path / "outcomes.jsonl").write_bytes(text + b'{"episode": "bro')
+    monkeypatch.setattr("edge.lab.eval.trajectories.run.make", None)
+    assert ran([episode(PAST)], ["ours"], Folder(tmp_path)) == first
+    assert (tmp_path / "outcomes.jsonl").read_bytes() == text
+
+
+def test_a_crash_is_told_and_run_again(tmp_path, monkeypatch):
+    def broken(*args, **options):
+        raise RuntimeError("a bug\nof two lines")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(methods, "write", broken)
+        (outcome,) = ran([episode(PAST)], ["ours"], Folder(tmp_path))
+    assert (outcome.refused, outcome.success) == ("crashed", False)
+    assert "\n" not in outcome.reason
+    (outcome,) = ran([episode(PAST)], ["ours"], Folder(tmp_path))
+    assert outcome.refused == ""
+
+
+def test_a_model_writes_with_a_picture_and_without(tmp_path):
+    with serving(saying(SCRIPT)) as server:
+        config = Tasks(planner=WriterModel(url=server.url, model="small"))
+        found = ran([episode("go to the gate")], list(METHODS), Folder(tmp_path), config)
+        asked = [request["messages"][1]["content"] for _, _, request in server.requests]
+    assert {outcome.writer for outcome in found} == {"small"}
+    assert [outcome.refused for outcome in found] == [""] * len(METHODS)
+    # Ours, without a picture, without a map: what two methods share is asked once.
+    assert sorted(isinstance(content, str) for content in asked) == [False, False, True]
+
+
+def test_a_server_that_is_not_there_ends_it(tmp_path):
+    config = Tasks(planner=WriterModel(url="http://127.0.0.1:9/v1"))
+    with pytest.raises(UnavailableError, match=r"127\.0\.0\.1:9"):
+        run_all([episode(PAST)], ["ours"], config, Folder(tmp_path))
+    assert Folder(tmp_path).outcomes == {}
+
+
+def test_an_answer_that_comes_too_late_is_a_failure(tmp_path):
+    with serving(lambda handler: server.stopping.wait(20.0)) as server:
+        config = Tasks(planner=WriterModel(url=server.url, time_limit_s=0.2))
+        (outcome,) = ran([episode(PAST)], ["ours"], Folder(tmp_path), config)
+    assert (outcome.refused, outcome.success) == ("too late", False)
+    assert "no whole answer within 0.2 s" in outcome.reason
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("", "not understood"),
+        ("streets", "forms: streets"),
+        ("streets[5:5]", "empty range"),
+        ("kitti:", "not understood"),
+        ("kitti:/nowhere", "no frame with image_2/"),
+        ("house:/nowhere.yaml", "nowhere.yaml"),
+    ],
+)
+def test_places_that_are_none_are_told_in_a_line(spec, words):
+    with pytest.raises(UserError, match=words) as told:
+        next(episodes(["streets[0:1]", spec]))
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--methods", "our"], "no 'our' (there are: ours; "),
+        (["--methods", "llm_tg"], "the rules see no picture"),
+        (["--model", "x"], "say with --url"),
+        (["--url", "nonsense"], "not the URL of a chat server"),
+        (["--detector", "street"], "sim sees nothing in a real picture"),
+    ],
+)
+def test_options_that_are_wrong_are_told_in_a_line(tmp_path, capsys, options, words):
+    command = ["eval", "trajectories", "streets[0:1]", "--out", str(tmp_path), *options]
+    assert main(command) != 0
+    told = capsys.readouterr().err
+    assert words in told
+    assert told.count("\n") == 1
+
+
+def test_outcomes_say_who_saw(tmp_path):
+    folder = Folder(tmp_path)
+    run_all([episode(PAST)], ["ours"], RULES, folder, seen_by="my detector")
+    run_all([episode(PAST)], ["ours"], RULES, folder)
+    assert [one.writer for one in folder.outcomes.values()] == ["rules, by my detector", "rules"]
+
+
+def test_a_place_that_is_known_is_seen_by_no_detector():
+    with pytest.raises(UserError, match=r"a detector sees kitti:FOLDER only"):
+        next(episodes(["streets[0:1]"], chain=object()))
+
+
+def test_the_command(tmp_path, capsys):
+    out = tmp_path / "out"
+    command = ["eval", "trajectories", "streets[1:3]", "--out", str(out)]
+    assert main([*command, "--limit", "1"]) == 0
+    printed = capsys.readouterr().out
+    for words in ("OpenNav table I", "OpenNav table II", "a_star", "NE", "episodes.svg"):
+        assert words in printed
+    lines = (out / "outcomes.jsonl").read_text().splitlines()
+    assert [json.loads(line)["method"] for line in lines] == list(methods_of(RULES))
+    assert (out / "episodes.svg").read_bytes().startswith(b"<?xml")

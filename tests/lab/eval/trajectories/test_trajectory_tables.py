@@ -1,0 +1,116 @@
+"""Tables, pictures and sections of documents, of outcomes made by hand."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+
+import pytest
+from made_episodes import facts, outcome
+
+from edge.errors import UserError
+from edge.lab.eval.trajectories import pictures, tables
+from edge.lab.eval.trajectories.chapter import shown
+from edge.lab.eval.trajectories.meaning import CATEGORIES
+from edge.lab.eval.trajectories.outcomes import Folder, gather
+from edge.lab.eval.trajectories.tables import NAMES
+
+FACTS = [facts(k, CATEGORIES[k % 3], ("to", "past", "then")[k % 3]) for k in range(12)]
+OURS = [outcome(k, error_m=0.5 + (k % 4)) for k in range(12)]
+A_STAR = [outcome(k, "a_star", 3.0, frechet_m=6.0, contacts=k % 2) for k in range(12)]
+
+
+def table(name, outcomes, of=FACTS):
+    found = {t.name: t for t in tables.tables(gather(of, outcomes))}
+    return [dict(enumerate(row)) for row in found[name].rows] if name in found else None
+
+
+def folder_of(path, outcomes, of=FACTS):
+    path.mkdir()
+    for name, items in (("episodes", of), ("outcomes", outcomes)):
+        text = "".join(f"{json.dumps(asdict(item))}\n" for item in items)
+        (path / f"{name}.jsonl").write_text(text)
+    return path
+
+
+def test_of_nothing_there_are_no_tables(tmp_path):
+    assert all(not t.rows for t in tables.tables(gather([], [])))
+    assert pictures.images(gather([], []), "svg") == {}
+    assert shown(tmp_path / "none", NAMES, ["episodes"]) is None
+
+
+def test_a_task_a_row_beside_the_paper():
+    rows = table("tasks", OURS + A_STAR)
+    assert [row[0] for row in rows] == [*CATEGORIES, "total"]
+    total = rows[-1]
+    assert total[1] == "12"
+    assert total[2].startswith("2.00 [")
+    assert total[3].startswith("25 [")
+    assert [total[k] for k in (4, 5, 6, 7)] == ["4.91", "53", "1.68", "84"]
+
+
+def test_a_method_a_row_beside_the_paper():
+    ours, a_star = table("shapes", OURS + A_STAR)
+    assert (ours[0], ours[4], ours[12]) == ("ours", "0/12", "2/30")
+    assert (a_star[0], a_star[4], a_star[10]) == ("a_star", "6/12", "24.20")
+    assert a_star[2] == "6.00 [6.00, 6.00]"
+
+
+def test_pairs_are_of_the_episodes_that_both_ran():
+    (row,) = table("paired", OURS + A_STAR[:5])
+    assert row[1] == "5"
+    assert row[4] == "-4.00 [-4.00, -4.00]"
+    assert table("paired", A_STAR) is None
+
+
+def test_refusals_are_counted_by_cause():
+    assert table("refusals", OURS) is None
+    refused = [replace(one, refused="not understood", success=False) for one in A_STAR[:3]]
+    rows = table("refusals", OURS + refused)
+    assert [list(row.values()) for row in rows] == [["ours", "12", "0"], ["a_star", "3", "3"]]
+
+
+def test_few_places_have_intervals_of_episodes():
+    few = [replace(one, world="w0") for one in FACTS]
+    notes = [t.note for t in tables.tables(gather(few, OURS)) if t.note]
+    assert all("they say nothing of others" in note for note in notes)
+
+
+def test_two_writers_are_told_apart():
+    other = [replace(one, writer="small") for one in OURS]
+    assert gather(FACTS, OURS + other).methods == ("ours (rules)", "ours (small)")
+
+
+def test_a_section_shows_what_is_wanted(tmp_path):
+    path = folder_of(tmp_path / "out", OURS + A_STAR[:5])
+    made = shown(path, ["shapes", "refusals"], ["episodes"])
+    assert made.words == "12 episodes in 12 places. Of these ran fewer: a_star 5."
+    assert [t.name for t in made.tables] == ["shapes"]
+    assert made.images["episodes"][1].startswith(b"\x89PNG")
+
+
+def test_pictures_take_hostile_words_as_they_are():
+    (content,) = pictures.images(gather(FACTS, OURS), "svg").values()
+    assert b"go to &lt;b&gt;$x$&lt;/b&gt;" in content
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("outcomes.jsonl", b"{}"),
+        ("outcomes.jsonl", b'{"episode": 1}'),
+        ("episodes.jsonl", b"[1]"),
+        ("episodes.jsonl", json.dumps({**asdict(FACTS[0]), "category": "x"}).encode()),
+        ("outcomes.jsonl", json.dumps({**asdict(OURS[0]), "error_m": "far"}).encode()),
+    ],
+)
+def test_a_folder_of_something_else_is_told_in_a_line(tmp_path, name, line):
+    (tmp_path / name).write_bytes(line + b"\n")
+    with pytest.raises(UserError, match=f"{name}: line 1: not an") as told:
+        Folder(tmp_path)
+    assert "\n" not in str(told.value)
+
+
+def test_outcomes_of_no_episode_are_told():
+    with pytest.raises(UserError, match="lacks the episode e0"):
+        gather(FACTS[1:], OURS)

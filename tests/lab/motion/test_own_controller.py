@@ -1,0 +1,46 @@
+"""docs/controllers.md: its controller, word for word, drives the simulated robot to its target."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from edge_processes import edge, endpoint, write_config  # noqa: F401, fixtures
+
+ROOT = Path(__file__).parents[3]
+PAGE = (ROOT / "docs" / "controllers.md").read_text("utf-8")
+MAX_LINES = 20
+SMALL = {"sensors": {"camera": {"width_px": 160, "height_px": 128, "rate_hz": 10}}}
+
+
+@pytest.fixture
+def code() -> str:
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    return code
+
+
+def test_it_is_as_short_as_it_says(code):
+    lines = [line for line in code.splitlines() if line and not re.match("import|from", line)]
+    assert len(lines) <= MAX_LINES
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_controller_of_ones_own_drives_the_robot_to_its_target(code, edge, endpoint, tmp_path):  # noqa: F811
+    (tmp_path / "my_controller.py").write_text(code, "utf-8")
+    config = write_config(tmp_path, zenoh={"endpoint": endpoint}, **SMALL)
+    service = edge("run", config, "--once").says("ready:")
+    edge("sim", config, "--no-motion")
+    environ = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "my_controller.py", endpoint]
+    with subprocess.Popen(command, cwd=tmp_path, env=environ) as controller:
+        try:
+            assert service.wait() == 0, service.output
+            assert "reached: television" in service.output
+            assert controller.poll() is None
+        finally:
+            controller.kill()

@@ -1,0 +1,30 @@
+"""Runs to report on; see `report_runs`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from report_runs import flat_run, mission_run
+from results import result
+from simulated import simulated
+
+from edge.lab.report.record import RunRecord
+from edge.lab.report.recorder import Recorder
+
+
+@pytest.fixture(scope="session")
+def long_run() -> RunRecord:
+    return mission_run()
+
+
+@pytest.fixture(scope="session")
+def run() -> RunRecord:
+    return flat_run()
+
+
+@pytest.fixture(scope="session")
+def empty_run() -> RunRecord:
+    """A run that ended before anything arrived."""
+    record = Recorder(simulated()).record(result(), {})
+    return replace(record, map=None, story=None)

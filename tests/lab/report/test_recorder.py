@@ -1,0 +1,294 @@
+"""What a run leaves behind: bounded, cheap, and the right frames kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from results import facts, result
+from simulated import simulated
+
+from edge.geometry import SE2
+from edge.lab.report import story
+from edge.lab.report.album import MAX_FRAME_PX
+from edge.lab.report.record import RunRecord
+from edge.lab.report.recorder import Ends, Recorder, detector_name
+from edge.live.trail import STEP_M, Trail
+from edge.loop.result import Event, facts_of
+from edge.mission.brief import prepare
+from edge.mission.run import MissionRun
+from edge.types import Detections, Goal, MissionStatus, Observation
+
+S = 1_000_000_000
+MS = 1_000_000
+
+
+def make(frames: int = 8) -> Recorder:
+    return Recorder(simulated({"report": {"frames": frames}}))
+
+
+def finish(recorder: Recorder, target: str = "chair", **more: object) -> RunRecord:
+    return recorder.record(result(status=MissionStatus(target, "reached"), **more), {})
+
+
+def drive(recorder: Recorder, stamp_ns: int, x_m: float, yaw_rad: float = 0.0) -> None:
+    pose = SE2(x_m, 0.0, yaw_rad).matrix()
+    recorder.tick(result(observation=Observation(0, stamp_ns, pose)))
+
+
+def show(recorder: Recorder, detections: Detections, *targets: str) -> None:
+    recorder.tick(result(detections=detections, targets=targets or ("chair",)))
+
+
+def seen(stamp_ns: int, scores: dict[str, float], size: tuple[int, int] = (16, 20)) -> Detections:
+    rgb = np.full((*size, 3), stamp_ns // S % 200, np.uint8)
+    boxes = np.tile(np.array([2, 4, 8, 12], np.float32), (len(scores), 1))
+    score = np.array(list(scores.values()), np.float32)
+    class_id = np.arange(len(scores), dtype=np.int32)
+    return Detections(
+        Observation(0, stamp_ns, np.eye(4), rgb=rgb), boxes, score, class_id, tuple(scores)
+    )
+
+
+def test_empty():
+    record = finish(make())
+    assert record.trajectory.shape == (0, 3)
+    assert record.frontiers_m.shape == (0, 2)
+    assert (record.frames, record.goals, record.events) == ((), (), ())
+    assert record.title == "Find the chair"
+
+
+def test_trajectory_keeps_steps_and_counts_from_the_start():
+    recorder = make()
+    for k in range(100):  # 1 cm each 10 ms: every fifth is 5 cm on
+        drive(recorder, 5 * S + k * 10 * MS, 0.0100001 * k, 0.25)
+    record = finish(recorder)
+    np.testing.assert_allclose(record.trajectory[:, 0], np.arange(0, 100, 5) * 0.01, atol=1e-4)
+    np.testing.assert_allclose(record.trajectory_t_s, np.arange(0, 100, 5) * 0.01, atol=1e-9)
+    np.testing.assert_array_equal(record.trajectory[:, 2], 0.25)
+
+
+def test_a_standing_robot_leaves_a_pose_each_tenth_of_a_second():
+    recorder = make()
+    for k in range(61):
+        drive(recorder, k * S // 60, 0.0)
+    assert len(finish(recorder).trajectory) == 11
+
+
+@given(n=st.integers(1, 900), capacity=st.integers(4, 40))
+@settings(max_examples=40)
+def test_a_trail_of_any_length_fits_and_spans_it_all(n, capacity):
+    trail = Trail(capacity)
+    for k in range(n):
+        trail.append(k * S, SE2(float(k), 0.0, 0.0))
+    poses, stamps_ns = trail.arrays()
+    assert 1 <= len(poses) <= capacity
+    np.testing.assert_array_equal(poses[:, 0], stamps_ns // S)
+    gaps = np.diff(poses[:, 0])
+    assert poses[0, 0] == 0
+    assert (gaps > 0).all()
+    assert n - 1 - poses[-1, 0] < max(1.0, STEP_M * trail._stride), "within a step of the end"
+
+
+@given(n=st.integers(0, 60), first=st.integers(0, 10), last=st.integers(1, 10))
+def test_ends(n, first, last):
+    ends: Ends[int] = Ends(first, last)
+    for k in range(n):
+        ends.append(k)
+    everything = list(range(n))
+    expected = everything if n <= first + last else everything[:first] + everything[-last:]
+    assert list(ends.items()) == expected
+    assert (ends.count, ends.left_out) == (n, n - len(expected))
+
+
+def test_goals_are_counted_from_the_start():
+    recorder = make()
+    for stamp in (1, 2):
+        drive(recorder, stamp * S, 0.0)
+        goal = Goal(stamp * S, SE2(0, 0, 0), "frontier", stamp, (1.0, 1.0), 0.5, "chair")
+        recorder.tick(result(goals=(goal,)))
+    record = finish(recorder)
+    assert [g.candidate_id for g in record.goals] == [1, 2]
+    assert record.counters["goals"] == 2
+    assert record.seconds(2 * S) == 1.0
+
+
+def test_events_in_order_of_time():
+    recorder = make()
+    recorder.tick(result(events=(Event(10 * S, "begin"), Event(12 * S, "late"))))
+    events = finish(recorder, events=(Event(11 * S, "early"),)).events
+    assert events == ((0.0, "begin"), (1.0, "early"), (2.0, "late"))
+
+
+def test_events_without_end_are_counted():
+    recorder = make()
+    for k in range(2000):
+        recorder.tick(result(events=(Event(k, f"{k}"),)))
+    record = finish(recorder)
+    assert len(record.events) == 500
+    assert record.counters["events not shown"] == 1500
+
+
+def test_frames_are_spaced_and_copied():
+    recorder = make()
+    shared = seen(0, {"chair": 0.5})
+    show(recorder, shared)
+    shared.observation.rgb[:] = 255
+    shared.xyxy_px[:] = -1
+    for k in range(1, 30):  # no better, within the second
+        show(recorder, seen(k * S // 30, {"chair": 0.5}))
+    show(recorder, seen(S, {"sofa": 0.5}))
+    frames = finish(recorder).frames
+    assert [f.stamp_ns for f in frames] == [0, S]
+    assert frames[0].rgb.max() == 0
+    np.testing.assert_array_equal(frames[0].xyxy_px, [[2, 4, 8, 12]])
+    assert (frames[0].target_score, frames[1].target_score) == (0.5, 0.0)
+
+
+def test_a_clearly_better_view_within_the_second_takes_the_place():
+    recorder = make()
+    for k, score in enumerate((0.3, 0.32, 0.6, 0.5)):
+        show(recorder, seen(k * S // 10, {"chair": score}))
+    assert [f.stamp_ns for f in finish(recorder).frames] == [2 * S // 10]
+
+
+def test_half_are_the_best_of_the_target_and_half_the_newest():
+    scores = [0.1, 0.9, 0.2, 0.8, 0.1, 0.1, 0.3, 0.2, 0.1]
+    recorder = make(frames=4)
+    for k, score in enumerate(scores):
+        show(recorder, seen(k * S, {"sofa": 0.9, "chair": score}))
+    assert [f.stamp_ns // S for f in finish(recorder).frames] == [1, 3, 7, 8]
+
+
+def test_frames_with_boxes_outlast_frames_without():
+    recorder = make(frames=3)
+    for k in range(9):
+        show(recorder, seen(k * S, {"sofa": 0.5} if k in (1, 2) else {}))
+    assert [f.stamp_ns // S for f in finish(recorder).frames] == [1, 2, 8]
+
+
+@pytest.mark.parametrize("frames", [0, 1, 2])
+def test_few_or_no_frames_wanted(frames):
+    recorder = make(frames)
+    for k in range(6):
+        show(recorder, seen(k * S, {"chair": 0.1 * k}))
+    show(recorder, Detections(Observation(0, 9 * S, np.eye(4)), *[np.zeros(0)] * 3, ("chair",)))
+    assert len(finish(recorder).frames) == frames
+
+
+def test_another_word_for_the_target_is_the_target():
+    recorder = make()
+    show(recorder, seen(0, {"sofa": 0.7, "chair": 0.9}), "couch")
+    record = finish(recorder, "couch")
+    assert record.frames[0].is_target.tolist() == [True, False]
+    assert record.is_target("sofas")
+    assert not record.is_target("chair")
+
+
+def test_each_target_has_its_best_view():
+    """One target is seen well in many images; another only once, and badly."""
+    recorder = make(frames=4)
+    for k in range(12):
+        scores = {"chair": 0.9 - 0.01 * k, "sofa": 0.3} if k == 5 else {"chair": 0.8}
+        show(recorder, seen(k * S, scores), "chair", "sofa")
+    frames = finish(recorder).frames
+    assert [f.stamp_ns // S for f in frames if "sofa" in f.best] == [5]
+    assert next(iter(frames[0].best.values())) == pytest.approx(0.85)
+    assert [f.stamp_ns // S for f in frames[-2:]] == [10, 11]
+
+
+def test_targets_may_change_with_the_mission():
+    recorder = make()
+    show(recorder, seen(0, {"chair": 0.5, "sofa": 0.6}))
+    show(recorder, seen(S, {"chair": 0.5, "sofa": 0.6}), "sofa")
+    record = finish(recorder, "sofa")
+    assert [list(f.best) for f in record.frames] == [["chair"], ["sofa"]]
+    assert record.targets == ("sofa",)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "backend", "title"),
+    [
+        ("chair", "target", "Find the chair"),
+        ("go to the tv", "grammar", "go to the tv"),
+        ("x\0" * 500, "grammar", "x\ufffd" * 79 + "x…"),
+        ("go to the bed,\r\n\t  then to the tv", "grammar", "go to the bed, then to the tv"),
+    ],
+)
+def test_a_run_is_called_after_its_instruction(instruction, backend, title):
+    told = facts()
+    translation = replace(told.brief.translation, instruction=instruction, backend=backend)
+    mission = replace(told, brief=replace(told.brief, translation=translation))
+    record = finish(make(), mission=lambda: mission)
+    assert record.title == title
+    assert record.story is mission
+    assert record.simple
+
+
+def under_way(formula: str) -> MissionRun:
+    config = simulated().mission
+    run = MissionRun(prepare(config, formula=formula), config)
+    run.start(0)
+    return run
+
+
+def told_of(run: MissionRun) -> RunRecord:
+    return finish(make(), mission=lambda: facts_of(run))
+
+
+def left_to_reach(record: RunRecord) -> str:
+    _, found, after = story.section(record).partition("<dt>left to reach</dt><dd>")
+    return after.partition("</dd>")[0] if found else ""
+
+
+def test_the_story_of_a_mission_under_way():
+    run = under_way("F(chair & F sofa) & (!bed W sofa)")
+    run.arrive("seen in 9 images", S)
+    record = told_of(run)
+    assert left_to_reach(record) == "sofa"
+    assert [step.label for step in record.reached] == ["chair"]
+    assert [step.kind for step in record.steps] == ["start", "target", "reached", "target"]
+    assert not record.simple
+
+
+def test_the_story_of_a_mission_that_is_over():
+    run = under_way("F chair")
+    run.arrive("seen in 9 images", S)
+    record = told_of(run)
+    assert (left_to_reach(record), record.simple) == ("", True)
+    assert record.steps[-1].kind == "end"
+
+
+def test_the_story_of_a_mission_that_failed_says_what_was_left():
+    run = under_way("F(chair & F sofa)")
+    run.fail("time limit of 45 s", S)
+    assert left_to_reach(told_of(run)) == "chair, then sofa"
+
+
+def test_large_images_are_thinned_with_their_boxes():
+    recorder = make()
+    show(recorder, seen(0, {"chair": 0.5}, size=(1000, 1500)))
+    frame = finish(recorder).frames[0]
+    assert frame.rgb.shape == (334, 500, 3)
+    assert max(frame.rgb.shape) <= MAX_FRAME_PX
+    np.testing.assert_allclose(frame.xyxy_px, [[2 / 3, 4 / 3, 8 / 3, 4]], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("detector", "words"),
+    [
+        ({"kind": "sim"}, "no neural network"),
+        ({"kind": "onnx", "model": "m1"}, "m1 on CPUExecutionProvider"),
+    ],
+)
+def test_a_detector_is_called_what_it_is(detector, words):
+    assert words in detector_name(simulated({"perception": {"detector": detector}}))
+
+
+def test_the_record_knows_the_configuration_but_no_secret():
+    translator = {"kind": "llm", "url": "https://me:s3cret@host/v1?key=s3cret"}
+    record = finish(Recorder(simulated({"mission": {"translator": translator}})))
+    assert record.config["mission"]["translator"]["url"] == "https://host/v1?***"

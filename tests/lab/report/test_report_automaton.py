@@ -1,0 +1,299 @@
+"""Drawings of automata: everything is said once, nothing else, and any name is safe."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from itertools import combinations
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle
+from matplotlib.transforms import Bbox
+
+from edge.lab.report import canvas
+from edge.lab.report.dot import to_dot
+from edge.lab.report.drawing import CURRENT, RADIUS, STYLES, draw, lay_out
+from edge.live.scene import MAX_ARROWS, MAX_PART, MAX_WHOLE, make_scene, wrap
+from edge.mission.automaton import NOTHING, Automaton, compile_formula
+from edge.mission.ltl import parse
+
+CASE_1 = (
+    "(F(toilet & F bed) | F(couch & F chair) | F(plant & F tv)) "
+    "& (!tv W bed) & (!toilet W couch) & (!couch W tv)"
+)
+CASE_2 = (
+    "(F(couch & F(toilet & F(bed & F chair))) | F(bed & F(plant | toilet)) "
+    "| F(tv & F(plant & F couch))) & (!couch W toilet) & (!bed W tv) & (!plant W chair)"
+)
+BAD = "<script>alert(1)</script>"
+FORMULAS = {
+    "true": "true",
+    "false": "a & !a",
+    "one": "F chair",
+    "choice": "F((chair | couch) & F tv)",
+    "case 1": CASE_1,
+    "case 2": CASE_2,
+    "twice": "F(a & X F a) & G(a -> WX !b)",
+    "cycle": "G(a -> X F b) & F c",
+    "twelve": "F(" + " | ".join(f"thing_{i}" for i in range(12)) + ")",
+    "forty": "F(" + " | ".join(f'"some thing number {i}"' for i in range(40)) + ") & !a",
+    "hostile": f'F("{BAD}" & F "{"x" * 200}") & G !"$a^ & b"',
+}
+
+
+def automaton(name: str) -> Automaton:
+    return compile_formula(parse(FORMULAS.get(name, name)))
+
+
+def unordered(n: int) -> Automaton:
+    return compile_formula(parse(" & ".join(f"F {chr(97 + i)}" for i in range(n))))
+
+
+@st.composite
+def automata(draw: st.DrawFn) -> Automaton:
+    n, k = draw(st.integers(1, 10)), draw(st.integers(0, 4))
+    state = st.integers(0, n - 1)
+    rows = st.lists(st.lists(state, min_size=k + 1, max_size=k + 1), min_size=n, max_size=n)
+    delta = np.array(draw(rows), np.int32)
+    accepting = np.array(draw(st.lists(st.booleans(), min_size=n, max_size=n)))
+    left = np.where(accepting, 0, 1000)
+    for _ in range(n):
+        left = np.minimum(left, left[delta].min(axis=1) + 1)
+    letters = tuple("abcd"[:k])
+    return Automaton(parse("true"), letters, delta, accepting, np.where(left > n, -1, left))
+
+
+def draw_svg(*shown) -> bytes:
+    return canvas.svg(draw(make_scene(*shown)))
+
+
+def texts(svg: bytes) -> list[str]:
+    return [e.text or "" for e in ElementTree.fromstring(svg).iter() if e.tag.endswith("}text")]
+
+
+def boxes(axes: Axes) -> list[Bbox]:
+    """Where labels and states lie, in px of the screen."""
+    renderer = axes.figure.canvas.get_renderer()
+    labels = [text.get_window_extent(renderer) for text in axes.texts if text.get_bbox_patch()]
+    circles = [patch for patch in axes.patches if isinstance(patch, Circle)]
+    discs = [disc.get_window_extent(renderer) for disc in circles if disc.radius == RADIUS]
+    return [box.padded(-0.5) for box in (*labels, *discs)]
+
+
+# -- what is shown ------------------------------------------------------------------------------
+
+
+@given(automata())
+@settings(max_examples=150)
+def test_the_titles_say_all_that_the_automaton_does(automaton):
+    """Rebuilt from the drawing's words alone, every step of a state with hope is right."""
+    scene = make_scene(automaton)
+    steps: dict[int, dict[str, int]] = defaultdict(dict)
+    for arrow in scene.arrows:
+        source, target, letters = re.fullmatch(r"(\d+) to (\d+): (.*)", arrow.title).groups()
+        steps[int(source)].update(dict.fromkeys(letters.split(", "), int(target)))
+    for node in scene.nodes:
+        if node.dead:
+            continue
+        fatal = re.search(r"; not ([a-d, nothing]+)", node.title)
+        lost = set(fatal.group(1).split(", ")) if fatal else set()
+        for letter, to in automaton.edges(node.state):
+            word = letter or "nothing"
+            if word in lost:
+                assert automaton.dead(to)
+                assert word not in steps[node.state]
+            else:
+                assert steps[node.state].get(word, node.state) == to
+    shown = {node.state for node in scene.nodes}
+    assert shown == {0, *np.flatnonzero(automaton.steps_left >= 0).tolist()}
+
+
+def test_parallel_edges_are_one_and_loops_are_none():
+    scene = make_scene(automaton("choice"))
+    assert [(a.source, a.target, a.lines) for a in scene.arrows] == [
+        (0, 1, ("chair, couch",)),
+        (1, 2, ("tv",)),
+    ]
+
+
+def test_what_must_not_be_reached_is_listed():
+    nodes = make_scene(automaton("F tv & (!bed W tv)")).nodes
+    assert [node.forbidden for node in nodes] == [("not bed",), ()]
+
+
+def test_the_way_and_the_plan():
+    drawn = make_scene(automaton("case 1"), 2, ("plant", "tv"), ("bed",))
+    roles = {a.role: [] for a in drawn.arrows}
+    for arrow in drawn.arrows:
+        roles[arrow.role].append(arrow.lines)
+    assert roles["visited"] == [("bed",)]
+    assert roles["plan"] == [("plant",), ("tv",)]
+    assert [node.state for node in drawn.nodes if node.current] == [2]
+
+
+def test_a_letter_that_was_taken_is_named_first():
+    arrow = make_scene(automaton("twelve"), 0, ("thing_7",)).arrows[0]
+    assert arrow.lines[0].startswith("thing_7, ")
+    assert arrow.lines[-1].endswith(" …")
+    assert make_scene(automaton("twelve")).arrows[0].lines == ("any of 12",)
+
+
+@pytest.mark.parametrize(("formula", "path"), [("false", ()), ("F tv & G !bed", ("bed",))])
+def test_a_state_without_hope_is_drawn_where_the_robot_is_in_it(formula, path):
+    a = automaton(formula)
+    scene = make_scene(a, a.run(path), (), path)
+    assert [node.state for node in scene.nodes if node.dead] == [a.run(path)]
+    assert "success is impossible" in scene.note
+
+
+@pytest.mark.parametrize("n", [6, 8])
+@pytest.mark.parametrize("reached", [0, 2, 5])
+def test_of_a_large_automaton_the_part_that_matters(n, reached):
+    a = unordered(n)
+    path, plan = a.letters[:reached], a.letters[reached:]
+    scene = make_scene(a, a.run(path), plan, path)
+    states = [node.state for node in scene.nodes]
+    on_the_way = {a.run(a.letters[:k]) for k in range(n + 1)}
+    assert len(states) == len(set(states)) <= MAX_PART < MAX_WHOLE
+    assert set(states) >= on_the_way
+    assert f"{len(states)} of {a.n_states} states shown" in scene.note
+    out = {
+        node.state: len({t for _, t in a.edges(node.state)} - {node.state}) for node in scene.nodes
+    }
+    for i, node in enumerate(scene.nodes):
+        drawn = sum(arrow.source == i for arrow in scene.arrows)
+        assert drawn + node.hidden == out[node.state]
+
+
+@pytest.mark.parametrize(("n", "k"), [(20, 30), (40, 8), (60, 40)])
+@pytest.mark.parametrize("ahead", [0, 20])
+def test_where_everything_leads_everywhere_little_is_drawn(n, k, ahead):
+    delta = np.random.default_rng(n).integers(0, n, (n, k + 1)).astype(np.int32)
+    accepting, left = np.arange(n) == n - 1, np.ones(n, np.int32)
+    letters = tuple(f"thing {i}" for i in range(k))
+    dense = Automaton(parse("true"), letters, delta, accepting, left)
+    scene = make_scene(dense, 3, letters[:ahead], letters[:ahead])
+    assert 5 < len(scene.nodes) <= MAX_PART
+    assert len(scene.arrows) <= MAX_ARROWS
+    assert any(node.current for node in scene.nodes)
+    assert f"{len(scene.nodes)} of {n} states shown" in scene.note
+
+
+@given(st.lists(st.text("abc", min_size=1, max_size=20), min_size=1, max_size=9))
+def test_wrapped_labels_are_small_and_say_that_they_leave_out(items):
+    lines = wrap(", ".join(items), 20)
+    assert 1 <= len(lines) <= 3
+    assert all(len(line) <= 23 for line in lines)
+    assert lines[-1].endswith("…") or " ".join(lines).count(", ") == len(items) - 1
+
+
+# -- pictures -----------------------------------------------------------------------------------
+
+
+@given(automata())
+@settings(max_examples=60)
+def test_every_arrow_goes_column_by_column_and_no_two_things_share_a_place(automaton):
+    scene = make_scene(automaton)
+    layout = lay_out(scene)
+    places = [*layout.nodes, *(stop for route in layout.routes for stop in route)]
+    assert len(places) == len(set(places))
+    for arrow, route in zip(scene.arrows, layout.routes, strict=True):
+        ends = [layout.nodes[i][0] for i in (arrow.source, arrow.target)]
+        xs = [ends[0], *(x for x, _ in route), ends[1]]
+        assert xs == sorted(xs, reverse=ends[0] > ends[1])
+    for x, y in places:
+        assert 0 < x < layout.width
+        assert 0 < y < layout.height
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_no_label_covers_another_or_a_state(name):
+    a = automaton(name)
+    placed = boxes(draw(make_scene(a, 0, a.letters[:1])))
+    assert not any(one.overlaps(other) for one, other in combinations(placed, 2))
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_svg_is_whole_safe_and_always_the_same(name):
+    a = automaton(name)
+    svg = draw_svg(a, 0, a.letters[:1])
+    tags = {e.tag.rpartition("}")[2] for e in ElementTree.fromstring(svg).iter()}
+    assert not tags & {"script", "image", "foreignObject", "a"}
+    assert not re.search(rb'href="[^#]|url\([^#]|<script', svg)
+    assert CURRENT.encode() in svg
+    assert all(len(text) < 60 for text in texts(svg) if "x" * 9 in text)
+    assert len(svg) < 200_000
+    assert svg == draw_svg(a, 0, a.letters[:1])
+
+
+def test_svg_names_states_and_letters():
+    words = texts(draw_svg(automaton("choice"), 1, ("tv",), ("chair",)))
+    assert set(words) >= {"chair, couch", "tv", "0", "1", "2"}
+
+
+def test_accepting_states_have_two_rings():
+    axes = draw(make_scene(automaton("choice")))
+    circles = [patch for patch in axes.patches if isinstance(patch, Circle)]
+    assert [circle.center for circle in circles].count(circles[-1].center) == 2
+    assert len(circles) == 4
+
+
+def test_the_plan_has_a_colour_of_its_own():
+    a = automaton("choice")
+    plain, planned = draw_svg(a, 0), draw_svg(a, 0, ("couch", "tv"))
+    assert STYLES["plan"].colour.encode() not in plain
+    assert STYLES["plan"].colour.encode() in planned
+    assert STYLES["visited"].colour.encode() in draw_svg(a, 1, ("tv",), ("couch",))
+
+
+@pytest.mark.parametrize("name", ["true", "false", "choice", "hostile", "case 1"])
+def test_png(name):
+    a = automaton(name)
+    png = canvas.png(draw(make_scene(a, 0, a.letters[:1])))
+    assert png.startswith(b"\x89PNG")
+    assert png != canvas.png(draw(make_scene(a, None)))
+
+
+# -- other programs -----------------------------------------------------------------------------
+
+
+# Graphviz's grammar, as far as it is used: `name [key="value", …];` and `a -> b [ … ];`.
+QUOTED = r'"(?:[^"\\]|\\.)*"'
+STATEMENT = re.compile(
+    rf'\s*(?:rankdir=LR; )?(?:(\w+)(?: -> (\w+))?)?(?: \[(?:\w+=(?:\w+|{QUOTED})(?:, )?)+\])?;'
+    rf'(?: node \[(?:\w+=(?:\w+|{QUOTED})(?:, )?)+\];)?'
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_dot_is_valid_and_has_every_way(name):
+    a = automaton(name)
+    first, *lines, last = to_dot(a, 0, a.letters[:1]).rstrip("\n").split("\n")
+    assert (first, last) == ("digraph automaton {", "}")
+    ways = set()
+    for line in lines:
+        match = STATEMENT.fullmatch(line)
+        assert match, line
+        if match.group(2) and match.group(1) != "entry":
+            ways.add((int(match.group(1)), int(match.group(2))))
+    assert ways == {(s, t) for s in range(a.n_states) for _, t in a.edges(s) if t != s}
+
+
+def test_dot_escapes_quotes_and_backslashes():
+    a = Automaton(
+        parse("true"), ('a"b\\',), np.array([[1, 0], [1, 1]], np.int32),
+        np.array([False, True]), np.array([1, 0], np.int32),
+    )  # fmt: skip
+    assert r'0 -> 1 [label="a\"b\\"];' in to_dot(a)
+    assert "peripheries" not in to_dot(a)
+    assert 'shape="doublecircle"' in to_dot(a)
+
+
+def test_nothing_is_a_letter_with_a_name():
+    assert 'label="nothing"' in to_dot(automaton("twice"))
+    assert NOTHING not in {a.lines[0] for a in make_scene(automaton("twice")).arrows}

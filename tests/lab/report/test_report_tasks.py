@@ -1,0 +1,114 @@
+"""A task in the report: its words as text, its trajectory on the map and in three dimensions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from report_runs import task_run
+from results import result
+from simulated import simulated
+from task_facts import by_a_model, driving, looking
+
+from edge.lab.report import page, picture, tasks
+from edge.lab.report.record import RunRecord
+from edge.lab.report.recorder import Recorder
+from edge.loop.result import Event
+
+
+@pytest.fixture(scope="module")
+def done() -> RunRecord:
+    return task_run(rounds=by_a_model().rounds, prompt=by_a_model().prompt)
+
+
+def test_a_run_without_a_task_has_no_part_about_one(run, tmp_path):
+    assert tasks.section(run, linked=False) == ""
+    assert tasks.page(run) is None
+    assert page.write_report(run, tmp_path).scene is None
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "report.png"]
+
+
+def test_the_recorder_keeps_the_task_as_it_stood_at_the_end():
+    recorder = Recorder(simulated())
+    recorder.tick(result(task=looking))
+    assert recorder.record(result(task=driving), {}).task.phase == "driving"
+    assert recorder.record(result(), {}).task is None
+
+
+def test_what_was_asked_and_what_became_of_it(done):
+    html = tasks.section(done, linked=True)
+    for words in ("go through the door", "reached", "of it driven", tasks.SCENE_NAME, "Prompt"):
+        assert words in html
+    assert html.count("<details>") == 3
+    assert tasks.SCENE_NAME not in tasks.section(done, linked=False)
+
+
+def test_every_trajectory_is_told_and_drawn(done):
+    """The first step's, the second's, and the rest of that, refined again at its end."""
+    first = driving(understood="past the left of van 1")
+    second = driving(
+        understood="to gate 5", coarse_m=first.coarse_m + 1.0, refined=replace(first.refined)
+    )
+    last = replace(second, phase="reached", refined=replace(first.refined), refinements=3)
+    record = replace(done, task=last, driven=(first, second, last))
+    html = tasks.section(record, linked=False)
+    for words in (
+        "<dt>trajectory 1</dt><dd>past the left of van 1: ", "<dt>trajectory 2</dt><dd>to gate 5: ",
+        "; the rest refined again 1 times",
+    ):  # fmt: skip
+        assert words in html
+    assert "refined 2" in tasks.page(record)
+    assert len(tasks.points_m(record)) == 6
+    looked = replace(record, task=looking(phase="failed"))
+    assert "trajectory 2" in tasks.section(looked, linked=False)
+    assert tasks.page(looked) is not None
+
+
+def test_the_recorder_keeps_each_trajectory():
+    recorder = Recorder(simulated())
+    first, event = driving(), Event(1, "trajectory of 3 m")
+    recorder.tick(result(task=lambda: first, events=(event,)))
+    recorder.tick(result(task=lambda: replace(first, index=50), events=(event,)))
+    recorder.tick(result(task=looking, events=(event,)))
+    kept = recorder.record(result(task=looking), {})
+    assert (kept.task.phase, kept.driven, kept.trajectories) == ("looking", (first,), (first,))
+
+
+def test_a_task_that_was_never_written_says_what_was_missing(done):
+    html = tasks.section(replace(done, task=looking(phase="failed")), linked=False)
+    assert "van, gate" in html
+    assert "<dt>looked for</dt><dd>stop at the gate</dd>" in html
+    assert "trajectory" not in html
+    assert tasks.page(replace(done, task=looking())) is None
+    assert tasks.page(replace(done, map=None)) is None
+
+
+def test_what_a_model_wrote_is_no_markup(done, tmp_path):
+    hostile = replace(done, task=by_a_model())
+    paths = page.write_report(hostile, tmp_path)
+    for path in (paths.html, paths.scene):
+        text = path.read_text()
+        assert "<script>alert" not in text
+        assert "<img src=x" not in text
+    assert "&lt;script&gt;alert(1)" in paths.html.read_text()
+
+
+def test_the_trajectory_is_drawn_and_lies_within_the_picture(done):
+    def violet(record: RunRecord) -> int:
+        image = cv2.imdecode(np.frombuffer(picture.png(record), np.uint8), cv2.IMREAD_COLOR)
+        b, g, r = (image[..., k].astype(int) for k in range(3))
+        return int(np.count_nonzero((b > 225) & (b - g > 40) & (r - g > 5) & (r < 215)))
+
+    assert violet(done) > violet(replace(done, task=None)) + 2000
+    far = replace(done.task, coarse_m=np.array([[0.0, 0.0], [30.0, 5.0]]))
+    x0, x1, *_ = picture._view(replace(done, task=far))
+    assert x0 < 0.0 < 30.0 < x1
+
+
+def test_the_page_in_three_dimensions_shows_map_things_and_lines(done):
+    text = tasks.page(done)
+    for words in ("as it was written", "refined", "driven", "dining table", "go through the door"):
+        assert words in text
+    assert len(text) < 200_000

@@ -1,0 +1,99 @@
+"""A trajectory from above and in the camera's picture."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from task_scenes import STREET, street
+
+from edge.config import load
+from edge.lab.report import trajectory_map
+from edge.lab.report.camera_picture import REFINED_RGB, drawn
+from edge.lab.report.view3d import UNKNOWN_RGB
+from edge.tasks.refine import refine
+from edge.tasks.value_map import Body, value_map
+from edge.trajectory.pursuit import MotionLimits
+
+AHEAD_M = np.column_stack([np.linspace(0.0, 6.0, 60), np.zeros(60), np.zeros(60)])
+
+
+def strip(image, before):
+    """(h, w) bool, the pixels that are redder than they were."""
+    return image[..., 0].astype(int) - before[..., 0] > 20
+
+
+def test_without_a_camera_there_is_no_picture():
+    assert drawn(street(), None, AHEAD_M, 0.3) is None
+
+
+@pytest.mark.parametrize("poses_m", [None, AHEAD_M[:0], AHEAD_M - (9.0, 0.0, 0.0)])
+def test_what_is_not_before_the_camera_is_not_drawn(poses_m):
+    """But for the ground at its feet, where a way from behind may end."""
+    scene = street(picture=True)
+    image = drawn(scene, None, poses_m, 0.3)
+    assert image.shape == (800, 1280, 3)
+    assert (image == 90).all()
+
+
+def test_the_strip_lies_on_the_ground_and_is_as_wide_as_the_robot():
+    scene = street(picture=True)
+    image = drawn(scene, None, AHEAD_M, 0.5)
+    there = strip(image, np.full_like(image, 90))
+    rows = np.flatnonzero(there.any(axis=1))
+    assert rows.min() > 400  # below the horizon
+    assert rows.max() == 799
+    camera, away_m = scene.camera, 3.0
+    row = round(4 * (camera.cy_px + camera.fy_px * 1.0 / away_m))  # the camera is 1 m high
+    assert np.count_nonzero(there[row]) == pytest.approx(4 * camera.fx_px / away_m, abs=6)
+
+
+def test_behind_a_thing_the_strip_is_faint():
+    from dataclasses import replace
+
+    open_way = street(picture=True)
+    van = street(*STREET[:1], picture=True)
+    points = np.array([[2.0, 0.0, 0.5]], np.float32)
+    thing = replace(van.objects[1], points_m=points)
+    outline = [np.array([[0, 0], [319, 0], [319, 199], [0, 199]], np.int32)]
+    before = replace(open_way, objects={1: thing}, contours={1: outline})
+    strong, faint = (drawn(scene, None, AHEAD_M[20:], 0.5) for scene in (open_way, before))
+    assert faint[..., 0].sum() < strong[..., 0].sum()
+    assert not (faint == REFINED_RGB).all(axis=2).all()
+
+
+def png(scene, *args):
+    content = np.frombuffer(trajectory_map.png(scene, *args), np.uint8)
+    return cv2.cvtColor(cv2.imdecode(content, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+
+
+def test_a_scene_alone_is_one_panel():
+    alone = png(street(*STREET), None, None, None)
+    assert alone.shape[1] == pytest.approx(1008, abs=40)
+    limits = MotionLimits.of(load("street").robot)
+    scene, body = street(*STREET), Body(0.3)
+    coarse_m = np.array([[0.0, 0.0], [4.0, -2.5], [14.0, -2.5]])
+    refined = refine(scene, [coarse_m], [1], body, limits)
+    costmap = value_map(scene.occupancy, scene.regions_grid, refined.drivable, coarse_m, body)
+    both = png(scene, coarse_m, refined, costmap)
+    red = np.abs(both.astype(int) - (214, 34, 91)).max(axis=2) < 12
+    assert red.sum() > 200
+    assert green(both).sum() > 2000  # the tube of the value map
+
+
+def green(image):
+    return np.abs(image.astype(int) - (0x8C, 0xE9, 0x9A)).max(axis=2) < 3
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+def test_panels_side_by_side_are_as_large_as_there_is_room():
+    """A way to the left is higher than wide: the keys leave the panels most of the width."""
+    scene, body = street(), Body(0.3)
+    coarse_m = np.array([[0.0, 0.0], [2.0, 12.0], [2.0, 24.0]])
+    costmap = value_map(scene.occupancy, scene.regions_grid, {1}, coarse_m, body)
+    image = png(scene, coarse_m, None, costmap)
+    assert image.shape[1] == pytest.approx(1008, abs=40)
+    rows, columns = np.nonzero(np.abs(image.astype(int) - UNKNOWN_RGB).max(axis=2) < 3)
+    assert np.ptp(columns) > 300
+    rows, _ = np.nonzero(green(image)[:, 504:])
+    assert np.ptp(rows) > 300

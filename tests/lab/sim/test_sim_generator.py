@@ -1,0 +1,189 @@
+"""Houses by seed: what every one of them must be, whatever the seed."""
+
+from __future__ import annotations
+
+import hashlib
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated import simulated
+
+from edge.errors import UserError
+from edge.lab.sim.generator import contents, furnish, layout
+from edge.lab.sim.generator.draws import Dice, Rect
+from edge.lab.sim.generator.house import generated_house
+from edge.lab.sim.house import build_house
+from edge.lab.sim.worlds import load_world
+
+SEEDS = st.integers(0, 10**6)
+MUST_HAVE = {
+    kind: {item.category for item in items if item.p == 1.0 and not item.by}
+    for kind, items in contents.CONTENTS.items()
+}
+STRAYS = {item.category for item in contents.STRAYS}
+MAY_HAVE = {
+    kind: {item.category for item in items} | STRAYS for kind, items in contents.CONTENTS.items()
+}
+
+
+def config_of(seed: int):
+    return simulated({"sim": {"world": {"kind": "generated", "seed": seed}}})
+
+
+def kind_of(room) -> str:
+    return room.name.rpartition(" ")[0]
+
+
+def box_of(thing) -> Rect:
+    a, b = thing.size[1::-1] if thing.yaw_deg % 180 else thing.size[:2]
+    x, y = thing.at
+    return Rect(x - 0.5 * a, y - 0.5 * b, x + 0.5 * a, y + 0.5 * b)
+
+
+def things_in(room, house):
+    return [t for t in house.objects if Rect(*room.rect).grown(0.1).holds(box_of(t))]
+
+
+def standing(things):
+    return [t for t in things if t.z_m == 0 and t.category != "rug"]
+
+
+def test_a_seed_is_the_same_house_everywhere():
+    """The hash is of the text; it may change on purpose only, since results are told by seed."""
+    text = "".join(generated_house(seed).model_dump_json() for seed in range(1000, 1020))
+    assert hashlib.sha256(text.encode()).hexdigest()[:16] == "7f8e646b919ddd80"
+    assert generated_house(1) != generated_house(2)
+
+
+@settings(max_examples=40)
+@given(SEEDS)
+def test_every_house_has_the_rooms_of_a_home(seed):
+    house = generated_house(seed)
+    kinds = [kind_of(room) for room in house.rooms]
+    assert layout.FEWEST_ROOMS <= len(kinds) <= layout.MOST_ROOMS
+    assert {layout.LIVING, layout.KITCHEN, layout.BEDROOM, layout.BATHROOM} <= set(kinds)
+    assert kinds.count(layout.KITCHEN) == 1
+    assert kinds.count(layout.HALLWAY) <= 1
+    for a, b in combinations(house.rooms, 2):
+        assert not Rect(*a.rect).meets(Rect(*b.rect))
+    for room, kind in zip(house.rooms, kinds, strict=True):
+        rect = Rect(*room.rect)
+        assert min(rect.width_m, rect.depth_m) >= layout.LEAST_SIDE_M[kind]
+
+
+@settings(max_examples=40)
+@given(SEEDS)
+def test_rooms_hold_what_their_kind_does(seed):
+    house = generated_house(seed)
+    found = 0
+    for room in house.rooms:
+        inside = [t.category for t in things_in(room, house)]
+        found += len(inside)
+        assert MUST_HAVE[kind_of(room)] <= set(inside)
+        assert set(inside) <= MAY_HAVE[kind_of(room)]
+    assert found == len(house.objects)  # each is in one room, within its walls
+
+
+@settings(max_examples=40)
+@given(SEEDS)
+def test_things_stand_on_the_floor_or_on_something_and_never_in_each_other(seed):
+    house = generated_house(seed)
+    for a, b in combinations(standing(house.objects), 2):
+        assert not box_of(a).meets(box_of(b))
+    for thing in house.objects:
+        assert thing.z_m + thing.size[2] < house.wall_height_m
+        if thing.z_m > 0 and thing.category != "picture":
+            below = [t for t in house.objects if t.z_m == 0 and t.size[2] == thing.z_m]
+            assert any(Rect(*_span(t)).holds(Rect(*_middle(thing))) for t in below)
+
+
+def _span(thing):
+    box = box_of(thing)
+    return box.x0, box.y0, box.x1, box.y1
+
+
+def _middle(thing):
+    x, y = thing.at
+    return x, y, x, y
+
+
+@settings(max_examples=12)
+@given(SEEDS)
+def test_a_robot_gets_into_every_room_and_to_everything(seed):
+    """In the world itself, by its floor plan, with walls and skirtings as they are built."""
+    house = generated_house(seed)
+    world = build_house(house, simulated())
+    reached = world.plan.reachable(world.start.x_m, world.start.y_m, 0.25)
+    assert reached.any()
+    xy = world.plan.grid.centres_m(*np.nonzero(reached))
+    for room in house.rooms:
+        x0, y0, x1, y1 = room.rect
+        inside = (xy > (x0, y0)).all(axis=1) & (xy < (x1, y1)).all(axis=1)
+        assert inside.any(), room.name
+    for item, thing in zip(world.objects, house.objects, strict=True):
+        box = box_of(thing)
+        away = np.maximum(np.maximum((box.x0, box.y0) - xy, xy - (box.x1, box.y1)), 0.0)
+        near = np.hypot(*away.T)
+        assert item.distance_m(*xy[near.argmin()]) < 1.0, item.name
+
+
+@settings(max_examples=40)
+@given(SEEDS)
+def test_doors_are_wide_enough_and_join_all_rooms(seed):
+    plan = layout.draw_layout(Dice(seed))
+    joined = {0}
+    for _ in plan.rooms:
+        joined |= {k for door in plan.doors if joined & set(door.rooms) for k in door.rooms}
+    assert joined == set(range(len(plan.rooms)))
+    for door in plan.doors:
+        assert layout.DOOR_M[0] <= door.width_m <= layout._WIDE_M[1]
+        for k in door.rooms:
+            assert (
+                plan.rooms[k].rect.grown(0.01).holds(Rect(door.x_m, door.y_m, door.x_m, door.y_m))
+            )
+
+
+@settings(max_examples=40)
+@given(SEEDS)
+def test_rooms_are_closed_by_walls(seed):
+    """Each side of each room is covered by stretches of wall, none of them twice."""
+    plan = layout.draw_layout(Dice(seed))
+    length = sum(layout._length(wall) for wall in plan.walls)
+    shared = sum(layout._length(wall) for wall in layout._shared_walls(list(plan.rooms)).values())
+    sides = sum(2 * (r.rect.width_m + r.rect.depth_m) for r in plan.rooms)
+    assert length == pytest.approx(sides - shared)
+
+
+def test_large_homes_have_several_rooms_of_a_kind():
+    kinds = [layout.draw_kinds(Dice(seed)) for seed in range(300)]
+    counts = {len(k) for k in kinds}
+    assert counts == set(range(layout.FEWEST_ROOMS, layout.MOST_ROOMS + 1))
+    for kind in (layout.BEDROOM, layout.BATHROOM):
+        several = np.mean([k.count(kind) > 1 for k in kinds if len(k) >= 7])
+        assert several > 0.5
+
+
+def test_no_way_is_blocked_by_a_thing():
+    """One that fills its room's doorways' width is not put there."""
+    rect = Rect(0.0, 0.0, 1.3, 4.0)
+    doors = [layout.Door((0, 1), 0.65, y, 0.9, False) for y in (0.0, 4.0)]
+    ways = furnish.Ways(rect, doors)
+
+    def crate(x_m: float, wide_m: float, z_m: float = 0.0) -> furnish.Placed:
+        return furnish.Placed("box", x_m, 2.0, 0, (wide_m, 0.4, 0.4), (0, 0, 0), z_m)
+
+    assert ways.left_by([]).any()
+    assert ways.left_by([crate(0.65, 1.0)]) is None
+    assert ways.left_by([crate(0.65, 1.0, z_m=1.0)]) is not None
+    assert ways.left_by([crate(0.25, 0.3)]) is not None
+
+
+def test_the_configuration_names_a_seed():
+    world = load_world(config_of(7))
+    assert world.name == "generated-7"
+    assert len(world.objects) == len(generated_house(7).objects)
+    with pytest.raises(UserError, match="seed"):
+        config_of(-1)

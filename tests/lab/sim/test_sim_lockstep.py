@@ -1,0 +1,63 @@
+"""The simulated robot's clock."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from simulated import simulated
+
+from edge.bus import topics
+from edge.geometry import SE2
+from edge.lab.sim import process
+from edge.lab.sim.robot import Motion
+
+
+class Drive:
+    """A body that only writes down what it was told."""
+
+    def __init__(self, stop: threading.Event, steps: int) -> None:
+        here = SE2(0.0, 0.0, 0.0)
+        self.motion = Motion(0, here, here, 0.0, 0.0, 0, False, 0.0)
+        self.told: list[tuple[float, float]] = []
+        self._stop, self._steps = stop, steps
+
+    def step(self, dt_s: float, v_mps: float, w_radps: float) -> None:
+        self.told.append((v_mps, w_radps))
+        if len(self.told) == self._steps:
+            self._stop.set()
+
+
+class Bus:
+    """Answers an instant when it was sent for the `late`th time."""
+
+    def __init__(self, late: int) -> None:
+        self._late, self.sent = late, 0
+
+    def send(self, batch) -> None:
+        self.sent += any(topic is topics.ODOMETRY for topic, _ in batch)
+
+    def commands(self):
+        return [(0, 0.5, 0.1)] if self.sent >= self._late else []
+
+
+@pytest.mark.parametrize("late", [1, 3])
+def test_in_lockstep_the_clock_stands_still_until_somebody_answers(monkeypatch, caplog, late):
+    stop = threading.Event()
+    for limit in ("REPEAT_S", "TOLD_S", "_POLL_S"):
+        monkeypatch.setattr(process, limit, 0.0)
+    monkeypatch.setattr(process, "make_rigs", lambda *_: [])
+    drive, bus = Drive(stop, 1), Bus(late)
+    process.run_lockstep(simulated(), None, drive, bus, stop)
+    assert drive.told == [(0.5, 0.1)]
+    assert bus.sent == late
+    assert ("is the controller running?" in caplog.text) == (late > 1)
+
+
+def test_in_lockstep_nothing_moves_once_it_is_to_stop(monkeypatch):
+    stop = threading.Event()
+    stop.set()
+    monkeypatch.setattr(process, "make_rigs", lambda *_: [])
+    drive = Drive(stop, 1)
+    process.run_lockstep(simulated(), None, drive, Bus(1), stop)
+    assert drive.told == []

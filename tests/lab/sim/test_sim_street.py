@@ -1,0 +1,96 @@
+"""Streets: the same for a seed, nothing on anything, and drivable as a world."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+
+import numpy as np
+import pytest
+
+from edge.config import parse
+from edge.lab.sim.generator.draws import Rect
+from edge.lab.sim.street import Street, solids, street
+from edge.lab.sim.worlds import load_world
+
+SEEDS = range(12)
+WORLD = {"kind": "street", "seed": 1}
+
+
+def test_a_seed_is_a_street():
+    assert street(3) == street(3)
+    assert street(3) != street(4)
+    assert street(3) != street(3, 1)
+
+
+def test_what_a_seed_means_does_not_change():
+    """Results are told by it."""
+    digest = hashlib.sha256()
+    for seed in range(200):
+        drawn = street(seed, 0)
+        rows = [(g.id, g.label, g.rect.x0, g.rect.y0, g.rect.x1, g.rect.y1) for g in drawn.grounds]
+        rows += [(t.label, t.colour, t.x_m, t.y_m, t.yaw_rad, *t.size_m) for t in drawn.things]
+        rows.append((drawn.start.x_m, drawn.start.y_m, drawn.start.yaw_rad))
+        rounded = [[round(v, 6) if isinstance(v, float) else v for v in row] for row in rows]
+        digest.update(json.dumps(rounded).encode())
+    assert digest.hexdigest()[:16] == "4470662e85ac3c6f"
+
+
+def test_streets_differ_in_what_they_have():
+    drawn = [street(seed) for seed in range(60)]
+    assert {len(s.grounds) for s in drawn} == {3, 4, 5}
+    labels = {thing.label for s in drawn for thing in s.things}
+    assert labels == {"house", "car", "van", "tree", "pole", "trash can", "bench"}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_nothing_stands_on_anything(seed):
+    drawn = street(seed)
+    rects = [thing.rect for thing in drawn.things]
+    robot = Rect(drawn.start.x_m - 1, drawn.start.y_m - 1, drawn.start.x_m + 1, drawn.start.y_m + 1)
+    for k, rect in enumerate(rects):
+        assert not any(rect.meets(other) for other in [robot, *rects[:k]])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_houses_and_trees_stand_off_the_ground_that_is_driven_over(seed):
+    drawn = street(seed)
+    for thing in drawn.things:
+        if thing.label in ("house", "tree"):
+            assert not any(thing.rect.meets(ground.rect) for ground in drawn.grounds)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_frames_are_each_others_inverse(seed):
+    drawn = street(seed)
+    at = drawn.to_map(7.0, -2.0, 0.5)
+    np.testing.assert_allclose(drawn.to_road(np.array([at.x_m, at.y_m])), [7.0, -2.0])
+    start = drawn.to_map(drawn.start.x_m, drawn.start.y_m, drawn.start.yaw_rad)
+    assert (start.x_m, start.y_m, start.yaw_rad) == (0.0, 0.0, 0.0)
+
+
+def lowest_and_highest_m(drawn: Street) -> tuple[float, float]:
+    parts = [part for _, mine in solids(drawn)[1] for part in mine]
+    low = min(part.center_m[2] - 0.5 * part.size_m[2] for part in parts)
+    return low, max(part.center_m[2] + 0.5 * part.size_m[2] for part in parts)
+
+
+def test_all_stands_on_the_ground():
+    low, high = lowest_and_highest_m(street(0))
+    assert low == pytest.approx(0.0, abs=0.02)
+    assert 5.0 <= high < 10.0
+
+
+def test_it_is_a_world_for_the_robot():
+    drawn = street(1)
+    config = parse({"perception": {"detector": {"kind": "sim"}}, "sim": {"world": WORLD}})
+    world = load_world(config)
+    assert len(world.objects) == len(drawn.things)
+    assert world.plan.clearance_at(0.0, 0.0) > 0.5
+    ahead = drawn.to_map(30.0, 0.0)
+    reached = world.plan.reachable(0.0, 0.0, 0.4)
+    assert reached[world.plan.grid.cell_of(ahead.x_m, ahead.y_m)]
+    car = next(item for item in world.objects if item.label == "car")
+    assert world.plan.clearance_at(*car.center_m[:2]) == 0.0
+    assert math.dist(car.size_m, (4.3, 1.8, 1.5)) < 0.5
