@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import faulthandler
 import fcntl
-import gc
 import logging
 import os
 import subprocess
@@ -22,15 +21,10 @@ settings.register_profile(
     "edge",
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],
+    max_examples=50 if os.environ.get("CI") else 15,
     derandomize=bool(os.environ.get("CI")),
 )
 settings.load_profile("edge")
-
-# Where Python may keep no bytecode, each worker rewrites the asserts of all tests once more, and
-# each process that a test starts compiles all of `edge` that it imports. It lies in the folders
-# where numba keeps the kernels.
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-sys.dont_write_bytecode = False
 
 HERE = Path(__file__).resolve().parent
 SHARED = HERE.parents[1] / "shared"
@@ -51,11 +45,6 @@ HARD_EXTRA_S = 60
 
 
 MOST_WORKERS = 8
-
-# Objects made between two looks for garbage; Python's 700 cost a tenth of all tests' time.
-GARBAGE_EVERY = 10_000
-_thaw = gc.unfreeze
-_thawed: list[bool] = []
 
 
 def pytest_xdist_auto_num_workers() -> int:
@@ -128,25 +117,7 @@ def pytest_collection(session: pytest.Session) -> Generator[None, object, object
     if worker != "gw0":
         with open(__file__) as file:
             fcntl.flock(file, fcntl.LOCK_SH)
-    # Modules and tests stay until the end. To look for garbage among them again and again takes a
-    # third of the time of collecting, and would slow every test that makes many objects.
-    gc.disable()
-    try:
-        return (yield)
-    finally:
-        gc.freeze()
-        gc.set_threshold(GARBAGE_EVERY)
-        gc.unfreeze = _unfreeze
-        gc.enable()
-
-
-def _unfreeze() -> None:
-    """As of `gc`; what a service thaws on its way out is frozen again after its test.
-
-    To ask whether it is takes as long as a look for garbage.
-    """
-    _thawed.append(True)
-    _thaw()
+    return (yield)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -188,9 +159,6 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
         return (yield)
     finally:
         faulthandler.cancel_dump_traceback_later()
-        if _thawed:
-            _thawed.clear()
-            gc.freeze()
 
 
 @pytest.hookimpl(trylast=True)

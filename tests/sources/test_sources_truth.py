@@ -22,8 +22,8 @@ class Simulator:
 
     def __init__(self, pictures=(), labels=()) -> None:
         self._sent = {
-            "edge/lab/sim/segmentation": Flooded("edge/lab/sim/segmentation", pictures),
-            "edge/lab/sim/labels": Flooded("edge/lab/sim/labels", labels),
+            "edge/sim/segmentation": Flooded("edge/sim/segmentation", pictures),
+            "edge/sim/labels": Flooded("edge/sim/labels", labels),
         }
 
     def declare_subscriber(self, key: str, ring: object) -> Flooded:
