@@ -65,7 +65,7 @@ class Zenoh(Section):
             taken[key] = name
         return topics
 
-    def key(self, name: str) -> str:
+    def key(self, name: TopicName) -> str:
         """The Zenoh key of a topic, or of a request, that this project calls `name`."""
         return f"{self.prefix}/{self.topics.get(name, name)}"
 

@@ -104,8 +104,9 @@ class Config(Section):
     def observed_hz(self) -> float:
         """How often observations come: as what the map is made of."""
         camera, lidar = self.sensors.camera, self.sensors.lidar
-        by_lidar = self.mapping.input == "cloud" and lidar is not None
-        return lidar.rate_hz if by_lidar else camera.rate_hz
+        if self.mapping.input == "cloud" and lidar is not None:
+            return lidar.rate_hz
+        return camera.rate_hz
 
     @property
     def farthest_depth_m(self) -> float:

@@ -71,6 +71,6 @@ class Ros2(Section):
     topics: dict[RosTopic, RosName] = Field(default_factory=dict)
     adapter: Adapter = Adapter()
 
-    def topic(self, name: str) -> str:
+    def topic(self, name: RosTopic) -> str:
         """What ROS calls the topic, or the action, that this project calls `name`."""
         return self.topics.get(name, DEFAULT_TOPICS[name])

@@ -208,13 +208,13 @@ class Bumps:
             later_ns: how much later it all happened on the clock of now.
         """
         held: dict[Cell, int] = {}
-        for at, heading, half, until_ns, opened, again, cells in zip(
+        for at, heading, half, until_ns, opened, again, (felt, guessed) in zip(
             kept["place_m"], kept["heading_rad"], kept["half_m"], kept["until_ns"],
             kept["opened"], kept["again"], _by_bump(kept["cell"], len(kept["opened"])), strict=True,
         ):  # fmt: skip
             bump = _Bump(
                 (float(at[0]), float(at[1])), float(heading), float(half), int(until_ns) + later_ns,
-                *cells, bool(again),
+                felt, guessed, bool(again),
             )  # fmt: skip
             (self._opened if opened else self._bumps).append(bump)
             for cell in () if opened else bump.cells:

@@ -52,7 +52,7 @@ class Clusters(NamedTuple):
     sample: np.ndarray
     samples: np.ndarray
     free_id: np.ndarray
-    count: np.ndarray
+    count: np.ndarray  # type: ignore[assignment]  # hides tuple.count
     pending: np.ndarray
     queue: np.ndarray
     kept: np.ndarray

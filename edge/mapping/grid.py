@@ -340,11 +340,11 @@ class RollingMap:
         u, v = np.arange(camera.width_px), np.arange(camera.height_px)
         self._column = ((u - camera.cx_px) / camera.fx_px).astype(np.float32)
         self._row = ((v - camera.cy_px) / camera.fy_px).astype(np.float32)
-        u, v = (
-            range(stride // 2, n, stride)
+        taken = [
+            len(range(stride // 2, n, stride))
             for n, stride in zip((camera.width_px, camera.height_px), self._strides, strict=True)
-        )
-        self._n_pixels = len(u) * len(v)
+        ]
+        self._n_pixels = math.prod(taken)
         self._reserve(self._n_pixels)
         self._camera = camera
 

@@ -44,8 +44,9 @@ def warmup(mapping: config.Mapping) -> None:
     grid.values.begin(("x",))
     for depth in (None, np.full((16, 16), 1.0, np.float32)):
         sight = grid.values.sight(Observation(0, 0, T, depth_m=depth, camera=camera))
+        assert sight is not None
         grid.values.write_view(sight, ("x",), np.ones(1, np.float32))
-    grid.values.write_directions(sight, "x", np.ones((1, 2), np.float32), np.ones(1), 1.0)
+        grid.values.write_directions(sight, "x", np.ones((1, 2), np.float32), np.ones(1), 1.0)
     grid.values.best(0, points_m, 1, 0.5, np.zeros(8, np.float32))
     far = grid.window.n * grid.resolution_m
     grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, SE2(far, 0.0, 0.0).matrix(), T)

@@ -85,7 +85,9 @@ class Hvl:
             said = weight * around.score[:, None] * self._related[around.class_id]
             alpha = np.concatenate((alpha, said))
             middle = np.append(middle, 0.5 * (around.xyxy_px[:, 0] + around.xyxy_px[:, 2]))
-        return seen.observation.camera.bearing_of(middle), alpha
+        camera = seen.observation.camera
+        assert camera is not None  # it is what was detected in
+        return camera.bearing_of(middle), alpha
 
     def reset(self, why: Why) -> None:
         """Another mission has other targets, and another map other frontiers."""

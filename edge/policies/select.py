@@ -14,7 +14,7 @@ import numpy as np
 
 from edge.geometry import SE2
 from edge.policies.base import FRONTIER, INSTANCE, LOOK, SNAP_M, Candidates, Context
-from edge.types import Goal, Instance
+from edge.types import CandidateKind, Goal, Instance
 
 # A frontier that vanished while another stands this near was merely redrawn.
 _HEIR_M = 1.0
@@ -27,7 +27,7 @@ ENOUGH, MOST_POINTS = 0.2, 10
 """So many points of its surface, as a share and at most, are to be so near: a few may be another
 thing's, that stands before it."""
 
-_GOAL_KIND = {FRONTIER: "frontier", INSTANCE: "instance", LOOK: "look"}
+_GOAL_KIND: dict[int, CandidateKind] = {FRONTIER: "frontier", INSTANCE: "instance", LOOK: "look"}
 
 Cell = tuple[float, float]
 InstanceOf = Callable[[int], Instance | None]
@@ -95,12 +95,16 @@ def choose(
         cell = _cell(context, index, instance_of)
         if cell is None:
             continue
-        free = index == present or not may_stay
-        if not (free or _beats(index, present, context, score, held, margin)):
+        if (
+            held is not None
+            and may_stay
+            and index != present
+            and not _beats(index, present, context, score, held, margin)
+        ):
             kept = _cell(context, present, instance_of)
             index, cell = (index, cell) if kept is None else (present, kept)
         value = float(score[index])
-        if index != present:
+        if held is None or index != present:
             return _goal(context, index, cell, value), max(0.0, value), False
         goal = held.goal
         if not _serves(goal, cell, context):
