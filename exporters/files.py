@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Callable
 from functools import wraps
@@ -28,6 +29,15 @@ def tells_errors(main: Callable[[list[str] | None], object]) -> Callable[..., in
         return 0
 
     return told
+
+
+def at_least_one(args: argparse.Namespace, *options: str) -> None:
+    """Raise ExportError if one of these options is below 1."""
+    for option in options:
+        if getattr(args, option) < 1:
+            raise ExportError(
+                f"--{option.replace('_', '-')} {getattr(args, option)}: give at least 1"
+            )
 
 
 def sha256_of(path: Path) -> str:

@@ -24,7 +24,7 @@ from edge.perception.cards import (
 from edge.perception.text import MAX_VOCABULARY_BYTES, VOCABULARY_FILE, find_vocabulary
 
 TRAINED = {
-    "mini-house": "python -m exporters.train_mini --out RUN && python -m exporters.mini.export RUN",
+    "mini-house": "python -m exporters.training.mini --out RUN",
 }
 """Families that are not made from weights, and the commands that train them."""
 _QUANTIZE_NEEDS = ("onnx", "onnxruntime")

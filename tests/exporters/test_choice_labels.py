@@ -10,10 +10,10 @@ from hypothesis.extra import numpy as hnp
 
 from edge.perception.card_types import MARK_FIELDS
 from edge.perception.choice.question import MAX_MARKS
-from exporters.choice import labels
-from exporters.choice.collect import BEFORE, NEVER, NOW, Views
 from exporters.files import ExportError
-from exporters.train_choice import seeds
+from exporters.training.choice import labels
+from exporters.training.choice.__main__ import seeds
+from exporters.training.choice.collect import BEFORE, NEVER, NOW, Views
 
 INF = np.inf
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from itertools import pairwise
 
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed (extra `export`)")
 
 from exporters.files import ExportError  # noqa: E402
-from exporters.learning import Learner, average, rate  # noqa: E402
+from exporters.training.learning import Learner, average, rate  # noqa: E402
+from exporters.training.results import auc  # noqa: E402
 
 
 @dataclass(frozen=True)
@@ -23,11 +25,8 @@ class Pace:
 
 
 def test_the_rate_climbs_and_falls():
-    rates = [rate(step, 100, 10) for step in range(120)]
-    assert rates[0] == pytest.approx(0.1)
-    assert rates[10] == pytest.approx(1.0)
-    assert all(a > b for a, b in pairwise(rates[10:101]))
-    assert rates[100:] == [pytest.approx(0.01)] * 20
+    rates = [round(rate(step, 100, 10), 2) for step in (0, 9, 10, 55, 100, 120)]
+    assert rates == [0.1, 1.0, 1.0, 0.5, 0.01, 0.01]
 
 
 def test_the_average_follows_at_once_at_first_and_slowly_later():
@@ -53,12 +52,14 @@ def steps(model, learner, n: int) -> None:
         learner.step(model(torch.randn(4, 3)).square().mean(), 5.0)
 
 
-def test_a_run_that_stopped_goes_on_as_if_it_had_not(tmp_path):
+def test_a_run_that_stopped_goes_on_as_if_it_had_not_and_another_does_not(tmp_path):
     model, learner = learner_of(tmp_path / "whole.pt")
     steps(model, learner, 10)
     first, begun = learner_of(tmp_path / "parts.pt")
     steps(first, begun, 4)
     begun.keep()
+    with pytest.raises(ExportError, match=r"of another run: decay was 0\.0 and is 0\.5"):
+        learner_of(tmp_path / "parts.pt", decay=0.5)
     again, rest = learner_of(tmp_path / "parts.pt")
     assert rest.done == 4
     steps(again, rest, 6)
@@ -66,18 +67,22 @@ def test_a_run_that_stopped_goes_on_as_if_it_had_not(tmp_path):
         torch.testing.assert_close(one, other, rtol=0.0, atol=0.0)
 
 
-def test_another_run_does_not_go_on(tmp_path):
-    _, learner = learner_of(tmp_path / "a.pt")
-    learner.keep()
-    with pytest.raises(ExportError, match=r"of another run: decay was 0\.0 and is 0\.5"):
-        learner_of(tmp_path / "a.pt", decay=0.5)
-
-
 def test_of_tables_nothing_decays(tmp_path):
     model, learner = learner_of(tmp_path / "a.pt", decay=0.5, tables=True)
     before = [p.detach().clone() for p in model.parameters()]
-    for p in model.parameters():
-        p.grad = torch.zeros_like(p)
     learner.step(sum(0.0 * p.sum() for p in model.parameters()), 5.0)
     changed = [not torch.equal(p, q) for p, q in zip(model.parameters(), before, strict=True)]
     assert changed == [True, False, False, False]  # only the first layer's matrix
+
+
+@pytest.mark.parametrize(
+    ("score", "right", "area"),
+    [
+        ([0.1, 0.9], [0, 1], 1.0),
+        ([0.9, 0.1], [0, 1], 0.0),
+        ([0.5, 0.5, 0.5], [0, 1, 1], 0.5),
+        ([0.5], [1], math.nan),
+    ],
+)
+def test_auc(score, right, area):
+    assert auc(np.array(score), np.array(right, float)) == pytest.approx(area, nan_ok=True)

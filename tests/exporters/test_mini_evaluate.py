@@ -13,8 +13,8 @@ pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
 from edge import config
 from edge.lab.bench.boxes import overlaps
 from exporters.files import ExportError
-from exporters.mini import evaluate, looks
-from exporters.mini.evaluate import (
+from exporters.training.mini import evaluate, looks
+from exporters.training.mini.evaluate import (
     DEPLOYED,
     IOU,
     Report,
@@ -24,7 +24,7 @@ from exporters.mini.evaluate import (
     _questions,
     check_gate,
 )
-from exporters.mini.views import OBJECT, WIDTH_PX, Frames
+from exporters.training.mini.views import OBJECT, WIDTH_PX, Frames
 
 CHAIR = 1 + looks.CATEGORIES.index("chair")
 ARMCHAIR = 1 + looks.CATEGORIES.index("armchair")
@@ -53,12 +53,8 @@ def test_average_precision(found, count, ap):
     assert _average_precision(found, count) == pytest.approx(ap)
 
 
-def test_no_things_no_questions():
-    assert _questions(things()) == []
-    assert len(_counts(things())) == 0
-
-
 def test_two_of_a_kind_are_asked_for_by_what_differs():
+    assert _questions(things()) == []
     pair = things((CHAIR, (0, 0, 40, 40), "red", "tall"), (CHAIR, (60, 0, 100, 40), "blue", "tall"))
     asked = [(q.kind, tuple(q.phrase), q.right, q.wrong) for q in _questions(pair)]
     red, blue = (1 + looks.COLORS.index(c) for c in ("red", "blue"))
@@ -116,14 +112,6 @@ def test_phrases_are_judged_at_the_services_threshold():
     summary = report(phrases=np.array([[0.9, 0.1], [0.29, 0.2], [0.31, 0.3]])).summary()
     assert summary["right_above_0.3"] == pytest.approx(0.667)
     assert summary["wrong_below_0.3"] == 1.0
-
-
-@pytest.mark.parametrize(
-    ("kind", "share"),
-    [(None, 0.8), ("color", 0.9), ("size", 0.6), ("cut_off_size", 0.0)],
-)
-def test_pair_share(kind, share):
-    assert report().pair_share(kind) == pytest.approx(share)
 
 
 def test_without_questions_no_share_is_reached():

@@ -13,9 +13,9 @@ from edge.perception.attributes import AttributeEncoder
 from edge.perception.cards import load_card, load_detector_card, verify_model
 from edge.perception.onnx_detector import OnnxDetector
 from edge.types import Observation
-from exporters.mini import looks, views
-from exporters.mini.evaluate import FLOORS, MAX_BYTES, _counts
-from exporters.mini.houses import HELD_OUT
+from exporters.training.mini import looks, views
+from exporters.training.mini.evaluate import FLOORS, MAX_BYTES, _counts
+from exporters.training.mini.houses import HELD_OUT
 
 NAME = "mini-house-256x320-int8-cpu"
 

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from edge.perception.prior import table
-from exporters.prior import learn, study
-from exporters.prior.__main__ import main
-from exporters.prior.counts import count_kinds
-from exporters.prior.explorer import Explorer, paths_m
-from exporters.prior.house import CELL_M, read_plan
-from exporters.prior.samples import Samples, gather, standing
-from exporters.prior.study import reach_m, search
+from exporters.training.prior import learn
+from exporters.training.prior.__main__ import main
+from exporters.training.prior.counts import count_kinds
+from exporters.training.prior.explorer import Explorer, paths_m
+from exporters.training.prior.house import CELL_M, read_plan
+from exporters.training.prior.samples import Samples, gather, standing
 
 
 def house(*things: tuple[str, float, float], door: tuple[float, float] | None = (1.5, 2.5)) -> dict:
@@ -102,15 +101,6 @@ def test_paths_go_through_the_door():
     assert straight < path[cell(plan, 7, 1.9)] < straight + 1.5
     assert path[cell(plan, 1, 1)] == 0
     assert np.isinf(path[cell(plan, 4.0, 0.5)])
-    assert reach_m(plan, path, 0) < path[cell(plan, 7, 1.9)]
-
-
-def test_a_search_ends_beside_its_target():
-    plan = read_plan(house(("bed", 7, 1)))
-    driven = search(plan, cell(plan, 1, 1), 0, None, "both", 0.0, (0,))
-    assert reach_m(plan, paths_m(plan, cell(plan, 1, 1)), 0) - 0.3 <= driven < 12
-    shut = read_plan(house(("bed", 7, 1), door=None))
-    assert search(shut, cell(shut, 1, 1), 0, None, "both", 0.0, (0,)) == np.inf
 
 
 def samples_of(near: np.ndarray, found: np.ndarray, n_houses: int = 100) -> Samples:
@@ -165,24 +155,6 @@ def test_too_few_houses_say_nothing():
     assert learn.cross_fit(samples_of(near, near[:, 1], n_houses=20), 0) is None
 
 
-@pytest.mark.parametrize(
-    ("p", "found", "auc"),
-    [
-        ([0.1, 0.9], [0, 1], 1.0),
-        ([0.9, 0.1], [0, 1], 0.0),
-        ([0.5, 0.5, 0.5], [0, 1, 1], 0.5),
-        ([0.5], [1], math.nan),
-    ],
-)
-def test_auc(p, found, auc):
-    assert learn.auc(np.array(p), np.array(found, float)) == pytest.approx(auc, nan_ok=True)
-
-
-def test_ratio_of_the_same_is_one():
-    a = np.array([0.5, 0.7, 0.2])
-    assert study.ratio(np.array([0, 1, 1]), a, a) == pytest.approx((1, 1, 1))
-
-
 @pytest.fixture(scope="module")
 def houses(tmp_path_factory):
     """Of a toilet with its paper in the bathroom, and a bed in the other room."""
@@ -211,15 +183,3 @@ def test_a_table_is_learned(houses, tmp_path, capsys):
     samples = gather([plan], learned.things, learned.kinds)
     assert samples.wanted[:, 0].sum() == 0
     assert len(samples.house) == len(samples.found)
-
-
-def test_the_study_searches_held_out_houses(houses, capsys):
-    assert study.main([str(houses), "--each", "1", "--powers", "1"]) == 0
-    said = capsys.readouterr().out
-    ways = [line.split()[:3] for line in said.splitlines() if "to none" in line and " w " in line]
-    assert ways == [
-        [by, "w", p]
-        for by, p in (("none", "0.0"), ("cooccurrence", "1.0"), ("rooms", "1.0"), ("both", "1.0"))
-    ]
-    n = int(next(line for line in said.splitlines() if "episodes" in line).split()[0])
-    assert 5 <= n <= 25

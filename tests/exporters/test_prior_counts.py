@@ -10,8 +10,8 @@ import pytest
 
 from edge.lab.sim.procthor import read_houses
 from edge.perception.prior import table
-from exporters.prior.__main__ import main
-from exporters.prior.counts import count, inside
+from exporters.training.prior.__main__ import main
+from exporters.training.prior.counts import count, inside
 
 HOUSES = Path(__file__).parents[3] / "shared/worlds/procthor_train.jsonl.gz"
 SQUARE = [[0, 0], [2, 0], [2, 2], [0, 2]]

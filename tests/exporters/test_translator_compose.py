@@ -7,7 +7,7 @@ from random import Random
 from edge.mission.automaton import compile_formula
 from edge.mission.language.compact import NAMES, OPERATORS, REFUSED, arity, formula_of
 from edge.mission.ltl import propositions
-from exporters.translator.compose import Composer, lifted, load
+from exporters.training.translator.compose import Composer, lifted, load
 
 PHRASES = load()
 THINGS = ("sofa", "bed", "oven", "chair", "desk", "lamp", "door", "window")

@@ -19,9 +19,9 @@ from edge.mission.ltl import parse  # noqa: E402
 from edge.perception.cards import read_card  # noqa: E402
 from edge.perception.onnx_file import check_file  # noqa: E402
 from exporters.files import ExportError  # noqa: E402
-from exporters.train_translator import NAME, main  # noqa: E402
-from exporters.translator.compose import Composer, Pair, load  # noqa: E402
-from exporters.translator.data import (  # noqa: E402
+from exporters.training.translator.__main__ import NAME, main  # noqa: E402
+from exporters.training.translator.compose import Composer, Pair, load  # noqa: E402
+from exporters.training.translator.data import (  # noqa: E402
     UNKNOWN,
     Batcher,
     Source,
@@ -29,8 +29,8 @@ from exporters.translator.data import (  # noqa: E402
     human_pairs,
     vocabulary_of,
 )
-from exporters.translator.export import export, parity  # noqa: E402
-from exporters.translator.training import COMPOSED, train  # noqa: E402
+from exporters.training.translator.export import export, parity  # noqa: E402
+from exporters.training.translator.training import COMPOSED, train  # noqa: E402
 
 pytestmark = pytest.mark.export
 PHRASES = load()
@@ -105,4 +105,4 @@ def test_the_command_leaves_a_file_and_its_card(
     check_file(tmp_path / f"{NAME}.onnx", card)
     assert yaml.safe_load(capsys.readouterr().out) == card.measured
     assert main(["--out", str(tmp_path), "--steps", "0"]) == 1
-    assert "--steps: give at least 1" in capsys.readouterr().err
+    assert "--steps 0: give at least 1" in capsys.readouterr().err

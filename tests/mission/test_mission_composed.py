@@ -9,7 +9,7 @@ from edge.mission.language.compact import NAMES, REFUSED, formula_of
 from edge.mission.language.grammar import TranslationError, readings
 from edge.mission.ltl import to_text
 from edge.mission.readings import distinct
-from exporters.translator.compose import Composer, load
+from exporters.training.translator.compose import Composer, load
 
 THINGS = ("sofa", "bed", "oven", "chair", "desk", "floor lamp", "door", "window")
 DRAWN = 2000

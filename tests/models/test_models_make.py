@@ -133,7 +133,7 @@ def test_what_is_trained_names_the_commands_that_train_it(started, capsys, words
     action, *options = words
     assert main(["models", action, "own", *options]) == os.EX_UNAVAILABLE
     error = capsys.readouterr().err
-    assert "`python -m exporters.train_mini --out RUN && python -m exporters.mini.export" in error
+    assert "`python -m exporters.training.mini --out RUN`" in error
     assert ".pt" not in error
     assert started == []
 
@@ -155,7 +155,7 @@ def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys,
     ("name", "message"),
     [
         ("big", "is not derived from another model; `edge models export big` makes it"),
-        ("own", "is not derived from another model; `python -m exporters.train_mini --out RUN && "),
+        ("own", "is not derived from another model; `python -m exporters.training.mini --out RUN`"),
         ("small", "big.onnx: model big is not there"),
         ("s", "has no file of its own, it uses big"),
         ("rows", "is no detector; make it from its model's folder: `edge models export NAME "),

@@ -2,7 +2,7 @@
 what, and which rooms hold what.
 
 The table beside this file was learned from the 400 training houses of ProcTHOR (AllenAI,
-Apache-2.0), by `exporters.prior`; it names its source and the command.
+Apache-2.0), by `exporters.training.prior`; it names its source and the command.
 """
 
 from __future__ import annotations

@@ -1,0 +1,93 @@
+"""Train the small choice scorer of our own, from nothing but code, the small detector and a seed.
+
+    python -m exporters.training.choice --out RUN
+
+Has a robot explore houses (seconds each, kept in RUN/views), reads what it saw with the detector's
+trunk, and trains; goes on from RUN/checkpoint.pt when stopped. The ONNX file is made and measured
+in RUN, on houses that training never saw, and put into `--models` with its card.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from pathlib import Path
+
+from exporters.files import ExportError, at_least_one, tells_errors
+
+SEED, HOUSES, HELD_OUT_HOUSES, CORES = 0, "0:130", "1000:1020", 2
+STEPS = 1800
+
+
+def seeds(option: str, text: str) -> list[int]:
+    """The numbers of half-open ranges, in their order.
+
+    >>> seeds("--houses", "0:3,7:9")
+    [0, 1, 2, 7, 8]
+    """
+    try:
+        ends = [part.split(":") for part in text.split(",")]
+        ranges = [range(int(first), int(end)) for first, end in ends]
+    except ValueError:
+        ranges = []
+    if not ranges or not all(ranges) or min(r.start for r in ranges) < 0:
+        raise ExportError(f"{option} {text}: give ranges such as 0:60 or 0:10,50:60")
+    return [seed for one in ranges for seed in one]
+
+
+@tells_errors
+def main(argv: list[str] | None) -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m exporters.training.choice",
+        description="train the small choice scorer on what a robot sees in generated houses",
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder of views and weights")
+    parser.add_argument("--models", type=Path, default=Path("models"), help="for file and card")
+    parser.add_argument("--seed", type=int, default=SEED, help="of the training; default: 0")
+    parser.add_argument(
+        "--houses", default=HOUSES,
+        help="seeds of those to train on, as half-open ranges (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--held-out", default=HELD_OUT_HOUSES,
+        help="seeds of those to measure on (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--steps", type=int, default=STEPS, help="default: %(default)s")
+    parser.add_argument("--cores", type=int, default=CORES, help="processes that explore")
+    args = parser.parse_args(argv)
+    at_least_one(args, "steps", "cores")
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
+    _train(args)
+
+
+def _train(args: argparse.Namespace) -> None:
+    import torch
+
+    from edge.lab.sim.generator.house import HELD_OUT
+    from exporters.training.choice import export
+    from exporters.training.choice.collect import load_views, make_views
+    from exporters.training.choice.features import Trunk, make_features
+    from exporters.training.choice.training import Data, Plan, train
+
+    houses, measured = seeds("--houses", args.houses), seeds("--held-out", args.held_out)
+    if max(houses) >= HELD_OUT or min(measured) < HELD_OUT:
+        raise ExportError(f"seeds from {HELD_OUT} on are held out, those below are to train on")
+    paths = make_views(houses, args.out / "views", args.cores)
+    make_views(measured, args.out / "held-out", args.cores)
+    trunk = Trunk(export.DETECTOR_FILE, export.TEXT_FILE)
+    views, features = load_views(paths), make_features(paths, trunk)
+    logging.info("%d views of %d houses", len(views), len(houses))
+    torch.set_num_threads(1)  # tensors this small gain nothing by more
+    data = Data(views, features, trunk.scales, trunk.words)
+    plan = Plan(seed=args.seed, steps=args.steps)
+    train(data, plan, len(trunk.words), args.out / "checkpoint.pt")
+    command = (
+        f"python -m exporters.training.choice --out RUN --seed {args.seed} --steps {args.steps} "
+        f"--houses {args.houses} --held-out {args.held_out}"
+    )
+    export.put_in_place(args.out, args.models, command, len(houses))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,310 @@
+"""What a robot sees while it explores, and which of the frontiers in view leads where.
+
+    views = load_views(make_views(range(100), Path("..."), workers=2))
+
+A house that is explored for a thing that it does not have is explored to the end. In a generated
+house it is known how far every frontier is from every thing.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from multiprocessing import get_context
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from edge import names
+from edge.config import Camera, parse
+from edge.host.files import replace_atomically
+from edge.lab.eval import geodesic
+from edge.lab.eval.closed_loop import ClosedLoop
+from edge.lab.eval.metrics import REACHED_M
+from edge.lab.sim.base import World, free_poses
+from edge.lab.sim.generator.house import HELD_OUT
+from edge.lab.sim.worlds import load_world
+from edge.loop.result import TickResult
+from edge.perception.choice.picture import visible_marks
+from edge.perception.choice.question import MAX_MARKS
+from edge.policies.base import FRONTIER
+from exporters.training.mini import looks
+
+ABSENT = "piano"
+"""No generated house has one."""
+POLICIES = ("nearest_frontier", "search")
+"""Who explores, in turn: the one goes to what is near, the other to what shows much."""
+EXPLORE_S = 200.0
+STEP_S, LOOK_EVERY = 0.1, 8
+"""The controller's period of simulated time; the service looks once in so many of these."""
+HW, COARSE = (256, 320), 2
+"""Size of the images; what the robot maps by is so many times smaller, which is quicker."""
+SNAP_M = 0.6
+"""A frontier lies up to so far from where a robot fits."""
+SEEN_PX, SEEN_M = 10, 6.0
+"""What a thing shows at least on the smaller image, and how near, to count as seen."""
+NEVER, BEFORE, NOW = 0, 1, 2
+_KEY = 31
+
+
+@dataclass(frozen=True, slots=True)
+class Views:
+    """Views of one or more houses, `t` being the things of `looks.CATEGORIES`.
+
+    Attributes:
+        png: (n,) object, the encoded images, BGR as OpenCV writes them.
+        house: (n,) int32, seeds.
+        count: (n,) uint8, how many marks there are, at least 1.
+        marks: (n, MAX_MARKS, 4) float32: u and v [px], bearing [rad], distance [m]; 0 beyond
+            `count`.
+        path_m: (n, MAX_MARKS) float32, driving distance to the mark on the robot's own map.
+        gain_m2: (n, MAX_MARKS) float32, unknown area that a mark is expected to show.
+        others: (n, 3) float32, of the frontiers without a mark: how many, the least of `path_m`
+            (0 where there are none), and the most of `gain_m2`.
+        left_m: (n, MAX_MARKS, t) float32, true driving distance from a mark to the nearest such
+            thing; inf where there is none.
+        else_m: (n, t) float32, the least `left_m` of all frontiers without a mark.
+        else_path_m: (n, t) float32, the least of `path_m` + `left_m` over them.
+        here_m: (n, t) float32, from the robot.
+        seen: (n, t) uint8, whether a thing of the kind was seen: `NEVER`, `BEFORE` or `NOW`.
+        lift: (n, MAX_MARKS, t) float32, what `edge.loop.prior` says of the marks, by what was seen
+            so far, on houses that are held out; 1 elsewhere, since it takes time.
+    """
+
+    png: np.ndarray
+    house: np.ndarray
+    count: np.ndarray
+    marks: np.ndarray
+    path_m: np.ndarray
+    gain_m2: np.ndarray
+    others: np.ndarray
+    left_m: np.ndarray
+    else_m: np.ndarray
+    else_path_m: np.ndarray
+    here_m: np.ndarray
+    seen: np.ndarray
+    lift: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.house)
+
+    def rgb(self, i: int) -> np.ndarray:
+        """(h, w, 3) uint8."""
+        return cv2.cvtColor(cv2.imdecode(self.png[i], cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+
+
+class _Collector:
+    """A sink that keeps views."""
+
+    def __init__(self, seed: int, world: World, radius_m: float) -> None:
+        self._seed, self._world = seed, world
+        self._camera = Camera(height_px=HW[0], width_px=HW[1]).intrinsics()
+        self.loop: ClosedLoop | None = None
+        self._seen = np.zeros(len(looks.CATEGORIES), bool)
+        labels = [names.canonical(o.label) for o in world.objects]
+        self._kind = np.array([looks.CATEGORIES.index(label) for label in labels])
+        self._fields = [
+            geodesic.distance_field(
+                world.plan, [o for o, k in zip(world.objects, self._kind, strict=True) if k == t],
+                radius_m, REACHED_M,
+            )
+            if t in self._kind else None
+            for t in range(len(looks.CATEGORIES))
+        ]  # fmt: skip
+        self.rows: list[tuple] = []
+
+    def tick(self, result: TickResult) -> None:
+        """See `edge.loop.result.Sink`."""
+        observation, loop = result.observation, self.loop
+        if observation is None or loop is None:
+            return
+        now = self._in_view(loop.rig.ids, loop.rig.depth_m)
+        c = loop.service.map.pool.candidates
+        open_ = (c.kind == FRONTIER) & ~c.blocked & np.isfinite(c.path_m)
+        open_ = np.flatnonzero(open_[: c.n])
+        xy_m, ids = c.xy_m[open_], c.id[open_]
+        marks = visible_marks(observation, xy_m, ids)
+        if marks:
+            at = np.array([int(np.flatnonzero(ids == mark.id)[0]) for mark in marks])
+            self._keep(marks, at, xy_m, c.path_m[open_], c.gain_m2[open_], now)
+        self._seen |= now
+
+    def close(self) -> None:
+        """Nothing to let go."""
+
+    def _in_view(self, ids: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
+        near = ids[depth_m < SEEN_M]
+        px = np.bincount(near, minlength=1 + len(self._kind))[1:]
+        now = np.zeros(len(looks.CATEGORIES), bool)
+        now[self._kind[px >= SEEN_PX]] = True
+        return now
+
+    def _keep(
+        self,
+        marks: tuple,
+        at: np.ndarray,
+        xy_m: np.ndarray,
+        path_m: np.ndarray,
+        gain_m2: np.ndarray,
+        now: np.ndarray,
+    ) -> None:
+        loop, t = self.loop, len(looks.CATEGORIES)
+        assert loop is not None
+        rig, pose = loop.rig, loop.drive.motion.pose
+        rgb, T_map_camera = np.empty((*HW, 3), np.uint8), pose.matrix() @ rig.T_base_camera
+        unread = np.empty(HW, np.float32), np.empty(HW, np.uint16)
+        self._world.render(self._camera, T_map_camera, rgb, *unread)
+        bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
+        png = cv2.imencode(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
+        left_m = self._left_m(xy_m)
+        n, others = len(marks), np.setdiff1d(np.arange(len(xy_m)), at)
+        shown, shown_path, shown_gain, shown_left = (
+            np.zeros((MAX_MARKS, 4), np.float32), np.zeros(MAX_MARKS, np.float32),
+            np.zeros(MAX_MARKS, np.float32), np.full((MAX_MARKS, t), np.inf, np.float32),
+        )  # fmt: skip
+        shown[:n] = [mark[1:] for mark in marks]
+        shown[:n, :2] = (shown[:n, :2] + 0.5) * COARSE - 0.5
+        shown_path[:n], shown_gain[:n], shown_left[:n] = path_m[at], gain_m2[at], left_m[at]
+        least_m = path_m[others].min() if len(others) else 0.0
+        rest = (len(others), least_m, gain_m2[others].max(initial=0.0))
+        whole_m = left_m + path_m[:, None]
+        row = (
+            png, self._seed, n, shown, shown_path, shown_gain, rest, shown_left,
+            left_m[others].min(axis=0, initial=np.inf),
+            whole_m[others].min(axis=0, initial=np.inf),
+            self._left_m(np.array([[pose.x_m, pose.y_m]]))[0],
+            np.where(now, NOW, np.where(self._seen, BEFORE, NEVER)),
+            self._lifts(xy_m[at]),
+        )  # fmt: skip
+        self.rows.append(row)
+
+    def _lifts(self, xy_m: np.ndarray) -> np.ndarray:
+        """(MAX_MARKS, t) float32."""
+        n, out = len(xy_m), np.ones((len(looks.CATEGORIES), MAX_MARKS), np.float32)
+        prior = self.loop.service.map.prior
+        if prior is not None:
+            for word, lift in zip(looks.CATEGORIES, out, strict=True):
+                prior.lift(word, np.ascontiguousarray(xy_m, np.float32), n, lift)
+        return out.T
+
+    def _left_m(self, xy_m: np.ndarray) -> np.ndarray:
+        """(n, t) float32, from places to things."""
+        plan, out = self._world.plan, np.full((len(xy_m), len(self._fields)), np.inf, np.float32)
+        resolution_m = plan.grid.resolution_m
+        reach = round(SNAP_M / resolution_m)
+        for i, (x_m, y_m) in enumerate(xy_m.tolist()):
+            cell = plan.grid.cell_of(x_m, y_m)
+            if cell is None:
+                continue
+            r0, c0 = max(cell[0] - reach, 0), max(cell[1] - reach, 0)
+            window = (slice(r0, cell[0] + reach + 1), slice(c0, cell[1] + reach + 1))
+            rows, cols = np.indices(plan.clearance_m[window].shape)
+            away = np.hypot(rows + r0 - cell[0], cols + c0 - cell[1]) * resolution_m
+            for t, field in enumerate(self._fields):
+                if field is not None:
+                    out[i, t] = (field[window] + away).min()
+        return out
+
+
+def collect(seed: int) -> Views:
+    """What a robot sees while it explores the house of a seed; the same each time."""
+    data = {
+        "perception": {
+            "detector": {"kind": "sim"}, "prior": "both" if seed >= HELD_OUT else "none",
+        },
+        "policy": {"kind": POLICIES[seed % len(POLICIES)]},
+        "mission": {"target": ABSENT, "time_limit_s": EXPLORE_S},
+        "sim": {"world": {"kind": "generated", "seed": seed}, "lockstep": True, "step_s": STEP_S},
+        "sensors": {"camera": {"height_px": HW[0] // COARSE, "width_px": HW[1] // COARSE}},
+        "loop": {"lockstep": True},
+        "report": {"map_hz": 1.0},
+    }  # fmt: skip
+    config = parse(data)
+    world, radius_m = load_world(config), config.robot.radius_m
+    start = free_poses(world, 1, _KEY + seed, radius_m)[0]
+    data["sim"]["start"] = (start.x_m, start.y_m, start.yaw_rad)
+    config = parse(data)
+    collector = _Collector(seed, world, radius_m)
+    loop = ClosedLoop(config, sinks=[collector], world=world, colour=False)
+    collector.loop = loop
+    try:
+        while loop.seconds < EXPLORE_S and not loop.service.status.done:
+            loop.step()
+            for _ in range(LOOK_EVERY - 1):
+                _drive_on(loop)
+    finally:
+        loop.close()
+    columns = list(zip(*collector.rows, strict=True)) or [()] * len(fields(Views))
+    return _as_views(columns)
+
+
+def _drive_on(loop: ClosedLoop) -> None:
+    """The controller's next step, without a look."""
+    motion = loop.drive.motion
+    command, answers = loop.controller.step(
+        motion.odometry, motion.v_mps, motion.w_radps, motion.stamp_ns
+    )
+    for answer in answers:
+        loop.service.goal_answered(answer)
+    loop.drive.step(STEP_S, command.v_mps, command.w_radps)
+
+
+_TYPES = {
+    "house": np.int32, "count": np.uint8, "marks": np.float32, "path_m": np.float32,
+    "gain_m2": np.float32, "others": np.float32, "left_m": np.float32, "else_m": np.float32,
+    "else_path_m": np.float32, "here_m": np.float32, "seen": np.uint8, "lift": np.float32,
+}  # fmt: skip
+
+
+def _as_views(columns: Sequence[Sequence]) -> Views:
+    png = np.empty(len(columns[0]), object)
+    png[:] = list(columns[0])
+    named = zip(fields(Views)[1:], columns[1:], strict=True)
+    rest = (np.array(column, _TYPES[f.name]) for f, column in named)
+    return Views(png, *rest)
+
+
+def make_views(seeds: Sequence[int], folder: Path, workers: int = 1) -> list[Path]:
+    """Files with the views of each house; what is there is not made again."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"{seed}.npz" for seed in seeds]
+    jobs = [job for job in zip(seeds, paths, strict=True) if not job[1].is_file()]
+    if workers > 1 and jobs:
+        os.environ.update(dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS"), "1"))
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            list(pool.map(_write, jobs))
+    else:
+        for job in jobs:
+            _write(job)
+    return paths
+
+
+def _write(job: tuple[int, Path]) -> None:
+    cv2.setNumThreads(1)
+    seed, path = job
+    views = collect(seed)
+    ends = np.cumsum([0, *(len(png) for png in views.png)])
+    encoded = np.concatenate([np.zeros(0, np.uint8), *(png.ravel() for png in views.png)])
+    with replace_atomically(path) as part, part.open("wb") as file:
+        rest = {f.name: getattr(views, f.name) for f in fields(Views)[1:]}
+        np.savez(file, encoded=encoded, ends=ends, **rest)
+
+
+def load_views(paths: Sequence[Path]) -> Views:
+    """The views of several files as one."""
+    parts = [_read(path) for path in paths]
+    parts = [part for part in parts if len(part)]
+    joined = (np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Views))
+    return Views(*joined)
+
+
+def _read(path: Path) -> Views:
+    with np.load(path) as data:
+        ends, encoded = data["ends"], data["encoded"]
+        png = np.empty(len(ends) - 1, object)
+        png[:] = [encoded[a:b] for a, b in pairwise(ends)]
+        return Views(png, *(data[f.name] for f in fields(Views)[1:]))

@@ -1,0 +1,124 @@
+"""How well directions are chosen, on houses that training never saw.
+
+Of each view every target is asked that the robot has not seen and that could be reached, where two
+marks or more are there and differ: a choice is right that is as good as the best mark, within
+`labels.RIGHT_M`. Intervals resample whole houses, since views of one are not independent.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from edge.lab.eval.intervals import Interval, bootstrap
+from edge.perception.choice.question import MAX_MARKS
+from exporters.images import as_input
+from exporters.onnx_format import cpu_session
+from exporters.training.choice import labels
+from exporters.training.choice.collect import NEVER, Views
+from exporters.training.choice.net import ChoiceNet
+from exporters.training.choice.training import Data, answers
+from exporters.training.results import auc, took_ms
+
+PARITY_QUESTIONS = 300
+Logits = tuple[np.ndarray, np.ndarray]
+"""(n, t, MAX_MARKS + 1) of the directions and (n, t) of the scene; NaN where it was not asked."""
+
+
+def asked_at(views: Views) -> np.ndarray:
+    """(n, t) bool: targets that count."""
+    return labels.asked(views) & (views.seen == NEVER)
+
+
+def logits_of(net: ChoiceNet, data: Data, views: Views) -> Logits:
+    """What the net answers, by kept features, wherever it counts."""
+    counts = asked_at(views)
+    directions = np.full((*counts.shape, MAX_MARKS + 1), np.nan, np.float32)
+    scene = np.full(counts.shape, np.nan, np.float32)
+    for i in np.flatnonzero(counts.any(axis=1)):
+        targets = np.flatnonzero(counts[i])
+        with torch.no_grad():
+            found, whole = answers(net, data.batch(np.array([i]), targets[None]))
+        directions[i, targets], scene[i, targets] = found[0].numpy(), whole[0].numpy()
+    return directions, scene
+
+
+def parity(model: Path, views: Views, words: np.ndarray, logits: Logits) -> float:
+    """How much an ONNX file's logits differ at most from those, on the images themselves.
+
+    Args:
+        words: (t, text_dim) of `looks.CATEGORIES`.
+    """
+    session, marks, counts = cpu_session(model, 1), labels.marks_of(views), asked_at(views)
+    asked = np.argwhere(counts)
+    chosen = np.random.default_rng(0).permutation(len(asked))[:PARITY_QUESTIONS]
+    worst = 0.0
+    for i, t in asked[chosen]:
+        feed = {
+            "images": as_input(views.rgb(i)), "txt_feats": words[t : t + 1],
+            "marks": marks[i : i + 1], "others": views.others[i : i + 1],
+        }  # fmt: skip
+        found, whole = session.run(["directions", "scene"], feed)
+        there = np.append(labels.shown(views)[i], True)
+        off = np.abs(found[0] - logits[0][i, t])[there].max()
+        worst = max(worst, float(off), abs(float(whole[0, 0] - logits[1][i, t])))
+    return worst
+
+
+def choosers(views: Views, logits: Logits) -> dict[str, np.ndarray]:
+    """Scores of the marks by whoever chooses, (n, t, MAX_MARKS); the highest is chosen."""
+    shape = logits[0][..., :MAX_MARKS].shape
+    near = np.broadcast_to(-views.path_m[:, None], shape)
+    return {
+        "model": logits[0][..., :MAX_MARKS],
+        "nearest_mark": near,
+        "cooccurrence": views.lift.transpose(0, 2, 1) + 1e-6 * near,  # which often has no opinion
+    }
+
+
+def top1(views: Views, logits: Logits) -> dict[str, float | int | str]:
+    """Shares of right choices, with 95 % intervals over houses: of all questions, and of those
+    (`in_view`) in which no frontier without a mark is better than the best mark."""
+    left_m = np.where(labels.shown(views)[:, None], views.left_m.transpose(0, 2, 1), np.inf)
+    best_m = left_m.min(axis=2)
+    right = (left_m <= best_m[..., None] + labels.RIGHT_M) & np.isfinite(left_m)
+    n_marks, n_right = labels.shown(views).sum(axis=1)[:, None], right.sum(axis=2)
+    counts = asked_at(views) & np.isfinite(best_m) & (n_right < n_marks)
+    hits = {"at_random": n_right / n_marks}
+    for name, score in choosers(views, logits).items():
+        score = np.nan_to_num(np.where(labels.shown(views)[:, None], score, -np.inf), nan=-np.inf)
+        pick = score.argmax(axis=2)[..., None]
+        hits[name] = np.take_along_axis(right, pick, 2)[..., 0].astype(float)
+    for name in ("nearest_mark", "cooccurrence"):
+        hits[f"model_minus_{name}"] = hits["model"] - hits[name]
+    houses = np.broadcast_to(views.house[:, None], counts.shape)
+    in_view = counts & (best_m <= views.else_m + labels.RIGHT_M)
+    said: dict[str, float | int | str] = {}
+    for prefix, those in (("", counts), ("in_view_", in_view)):
+        said[f"{prefix}questions"] = int(those.sum())
+        for name, hit in hits.items():
+            mean, low, high = by_house(hit[those], houses[those])
+            said[prefix + name] = f"{mean:.3f} ({low:.3f} to {high:.3f})"
+    return said
+
+
+def scene_auc(views: Views, logits: Logits) -> float:
+    """Return the area under the ROC curve of the scene's answer."""
+    counts = asked_at(views)
+    return auc(logits[1][counts], labels.scene(views)[counts])
+
+
+def by_house(values: np.ndarray, houses: np.ndarray) -> Interval:
+    """Mean over questions and its 95 % interval; `houses` are seeds."""
+    cluster = np.unique(houses, return_inverse=True)[1]
+    return bootstrap(values[None], np.ones((1, len(values))), cluster)[0]
+
+
+def latency_ms(model: Path, runs: int = 100) -> dict[str, float]:
+    """Time one view on 2 threads."""
+    session, rng = cpu_session(model, 2), np.random.default_rng(0)
+    shapes = {value.name: value.shape for value in session.get_inputs()}
+    feed = {name: rng.random(shape, np.float32) for name, shape in shapes.items()}
+    return took_ms(lambda _: session.run(None, feed), runs)

@@ -1,0 +1,169 @@
+"""Trunk and net as one ONNX file, with its card.
+
+They are joined as they are: the trunk INT8, as the quantizer made the detector, and the net
+float32, which has a tenth of its weights and learned from the INT8 trunk.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import onnx
+import torch
+import yaml
+from onnx import compose
+from torch import Tensor, nn
+
+from edge.host.files import replace_atomically
+from edge.perception.card_types import MARK_FIELDS, OTHERS_FIELDS
+from edge.perception.choice.question import MAX_MARKS
+from exporters.files import ExportError, sha256_of
+from exporters.onnx_format import check_format, export_module
+from exporters.training import checkpoint as checkpoints
+from exporters.training.choice import evaluate
+from exporters.training.choice.collect import HW, load_views
+from exporters.training.choice.features import GRID_HW, HEADS, NECK, Trunk, make_features
+from exporters.training.choice.net import FAR, NEAR, ChoiceNet
+from exporters.training.choice.training import Data
+from exporters.training.mini import looks
+from exporters.training.mini.batches import PAD
+from exporters.training.mini.net import EMBED_DIM
+from exporters.training.results import MODELS, publish
+
+NAME, DETECTOR, TEXT = "mini-house-choice", "mini-house-256x320-int8-cpu", "mini-house-text"
+DETECTOR_FILE, TEXT_FILE = MODELS / f"{DETECTOR}.onnx", MODELS / f"{TEXT}.onnx"
+NOTE = "Knows only the built-in world. Written by exporters.training.choice."
+MAX_LOGIT_ERROR = 0.05
+"""What the joined file may differ from the net on kept features, where scores have 8 bits."""
+_PREFIX, _INPUTS = "net/", ("txt_feats", "marks", "others")
+
+
+class Head(nn.Module):
+    """What follows the trunk: the detector's scores in each cell, and the net."""
+
+    def __init__(self, net: ChoiceNet, trunk: Trunk) -> None:
+        super().__init__()
+        self.net, self.scale, self.bias = net, trunk.scale, trunk.bias
+        self.register_buffer("words", torch.from_numpy(trunk.words))
+
+    def forward(
+        self,
+        fine: Tensor,
+        mid: Tensor,
+        coarse: Tensor,
+        near: Tensor,
+        far: Tensor,
+        txt_feats: Tensor,
+        marks: Tensor,
+        others: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        words = torch.cat([self.words, txt_feats])
+        best = None
+        for grid in (fine, mid, coarse):
+            h, w = grid.shape[2:]
+            score = (words @ grid.flatten(2)).reshape(1, -1, h, w)
+            pooled = nn.functional.max_pool2d(score, (h // GRID_HW[0], w // GRID_HW[1]))
+            best = pooled if best is None else torch.maximum(best, pooled)
+        scores = torch.sigmoid(self.scale * best + self.bias)
+        kinds = self.words.shape[0]
+        seen = self.net.read(nn.functional.avg_pool2d(near, 2), far, scores[:, :kinds])
+        target = scores[:, kinds:].flatten(2)
+        directions, scene = self.net(seen, target, txt_feats[None], marks, others)
+        return directions.reshape(1, -1), scene
+
+
+def export(net: ChoiceNet, trunk: Trunk, out: Path) -> None:
+    """Write the joined model."""
+    (h, w), (gh, gw) = HW, GRID_HW
+    shapes = ((EMBED_DIM, h // 8, w // 8), (EMBED_DIM, h // 16, w // 16), (EMBED_DIM, gh, gw),
+              (NEAR, 2 * gh, 2 * gw), (FAR, gh, gw))  # fmt: skip
+    names = ("fine", "mid", "coarse", "near", "far")
+    inputs = {name: torch.zeros(1, *shape) for name, shape in zip(names, shapes, strict=True)}
+    inputs["txt_feats"] = torch.zeros(1, EMBED_DIM)
+    inputs["marks"] = torch.zeros(1, MAX_MARKS, MARK_FIELDS)
+    inputs["others"] = torch.zeros(1, OTHERS_FIELDS)
+    head = out.with_suffix(".head.onnx")
+    export_module(Head(net, trunk).eval(), head, inputs, ("directions", "scene"), {})
+    joined = compose.merge_models(
+        _at_version(trunk.model, onnx.load(head)), compose.add_prefix(onnx.load(head), _PREFIX),
+        [(tensor, _PREFIX + name) for tensor, name in zip((*HEADS, *NECK), names, strict=True)],
+    )  # fmt: skip
+    _rename(joined, {_PREFIX + n: n for n in (*_INPUTS, "directions", "scene")})
+    with replace_atomically(out) as part:
+        onnx.save(joined, part)
+        check_format(part)
+    head.unlink()
+
+
+def _at_version(model: onnx.ModelProto, like: onnx.ModelProto) -> onnx.ModelProto:
+    """A copy with another's versions, which are the same but for the file format's."""
+    copy = onnx.ModelProto()
+    copy.CopyFrom(model)
+    copy.ir_version = like.ir_version
+    del copy.opset_import[:]
+    copy.opset_import.extend(like.opset_import)
+    return copy
+
+
+def _rename(model: onnx.ModelProto, names: dict[str, str]) -> None:
+    graph = model.graph
+    for value in (*graph.input, *graph.output):
+        value.name = names.get(value.name, value.name)
+    for node in graph.node:
+        for ends in (node.input, node.output):
+            ends[:] = [names.get(name, name) for name in ends]
+
+
+def make_card(path: Path, measured: dict[str, dict]) -> dict[str, Any]:
+    """The card of a file."""
+    return {
+        "name": NAME, "task": "marks", "family": "mini-house", "sources": [],
+        "license": "Apache-2.0", "derived_from": None, "parity": None,
+        "file": f"{NAME}.onnx", "sha256": sha256_of(path), "precision": "int8-cpu",
+        "input": {"height": HW[0], "width": HW[1]},
+        "preprocess": {"color": "rgb", "scale": 1 / 255, "letterbox_pad": PAD},
+        "text_dim": EMBED_DIM, "text_encoder": TEXT, "measured": measured,
+    }  # fmt: skip
+
+
+def held_out(net: ChoiceNet, trunk: Trunk, model: Path, paths: list[Path]) -> dict[str, Any]:
+    """What the card says of a file, measured on the views of these files.
+
+    Raises:
+        ExportError: it does not say what the net says.
+    """
+    views = load_views(paths)
+    data = Data(views, make_features(paths, trunk), trunk.scales, trunk.words)
+    logits = evaluate.logits_of(net, data, views)
+    off = evaluate.parity(model, views, trunk.words, logits)
+    if off > MAX_LOGIT_ERROR:
+        raise ExportError(f"{model}: logits differ by {off:.3f} from the net's; not put in place")
+    return {
+        "first_seed": int(views.house.min()), "houses": len(set(views.house.tolist())),
+        "views": len(views), **evaluate.top1(views, logits),
+        "scene_auc": round(evaluate.scene_auc(views, logits), 3),
+        "logit_error": round(off, 4), "bytes": model.stat().st_size,
+        **evaluate.latency_ms(model),
+    }  # fmt: skip
+
+
+def put_in_place(run: Path, out: Path, command: str, houses: int) -> None:
+    """Export the run of a folder, measure it on the views in `held-out`, and publish it.
+
+    Args:
+        command: what repeats the training, `houses` how many those were.
+    """
+    net = ChoiceNet(len(looks.CATEGORIES))
+    kept = checkpoints.averaged(run / "checkpoint.pt", net)
+    trunk, model = Trunk(DETECTOR_FILE, TEXT_FILE), run / f"{NAME}.onnx"
+    paths = [path for path in (run / "held-out").glob("*.npz") if path.stem.isdigit()]
+    export(net, trunk, model)
+    training = {
+        "command": command, "seed": kept["plan"]["seed"], "houses": houses,
+        "views": kept["frames"], "steps": kept["step"], **checkpoints.made_by(kept),
+        "trunk": DETECTOR,
+    }  # fmt: skip
+    measured = {"training": training, "held-out houses": held_out(net, trunk, model, sorted(paths))}
+    publish({f"{NAME}.onnx": model}, [make_card(model, measured)], out, NOTE)
+    print(yaml.safe_dump(measured, sort_keys=False))

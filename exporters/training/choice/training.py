@@ -1,0 +1,184 @@
+"""The training loop: views, each with several targets at once."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from exporters.files import ExportError
+from exporters.training import checkpoint as checkpoints
+from exporters.training.choice import labels
+from exporters.training.choice.collect import Views
+from exporters.training.choice.features import Features
+from exporters.training.choice.net import ChoiceNet
+from exporters.training.learning import Learner
+
+log = logging.getLogger(__name__)
+
+DROP = 0.25
+"""Chance of a mark to be left out, so that there are more ways to ask about a view."""
+CLIP = 5.0
+"""Norm that gradients have at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How long and how fast to learn; a step takes `views` views with `targets` targets each."""
+
+    steps: int = 1800
+    views: int = 24
+    targets: int = 8
+    rate: float = 1.5e-3
+    decay: float = 0.05
+    warm_up: int = 100
+    average: float = 0.998
+    keep_every: int = 100
+    seed: int = 0
+
+
+class Batch(NamedTuple):
+    """Tensors as `ChoiceNet` takes them, and what is right: see `labels`."""
+
+    near: Tensor
+    far: Tensor
+    evidence: Tensor
+    target: Tensor
+    text: Tensor
+    marks: Tensor
+    others: Tensor
+    direction: Tensor
+    among: Tensor
+    scene: Tensor
+
+
+class Data:
+    """Views with their features and labels, of which batches are made.
+
+    Args:
+        scales, words: of the trunk (`features.Trunk`).
+    """
+
+    def __init__(
+        self, views: Views, features: Features, scales: tuple[float, float], words: np.ndarray
+    ) -> None:
+        self._views, self._features, self._scales, self._words = views, features, scales, words
+        self._marks, self._asked = labels.marks_of(views), labels.asked(views)
+        self._scene = labels.scene(views)
+        self.rows = np.flatnonzero(self._asked.any(axis=1))
+
+    def batch(self, rows: np.ndarray, targets: np.ndarray, sides: np.ndarray | int = 0) -> Batch:
+        """Views with targets, as they are.
+
+        Args:
+            rows: (v,) views; targets: (v, t) indices of `looks.CATEGORIES`.
+            sides: (v,) 1 for the mirrored ones.
+        """
+        sides = np.broadcast_to(sides, rows.shape)
+        return self._batch(rows, targets, sides, self._marks[rows, :, -1] > 0.0)
+
+    def disturbed(self, plan: Plan, first: int) -> Iterator[Batch]:
+        """A batch for each step from `first` on: random views and targets, mirrored by half, some
+        marks left out."""
+        for step in range(first, plan.steps):
+            rng = np.random.default_rng([plan.seed, step])
+            rows = rng.choice(self.rows, plan.views)
+            chance = self._asked[rows] / self._asked[rows].sum(axis=1, keepdims=True)
+            targets = np.stack([rng.choice(len(p), plan.targets, p=p) for p in chance])
+            there = self._marks[rows, :, -1] > 0.0
+            kept = there & (rng.random(there.shape) >= DROP)
+            there = np.where(kept.any(axis=1, keepdims=True), kept, there)
+            yield self._batch(rows, targets, rng.integers(0, 2, len(rows)), there)
+
+    def _batch(
+        self, rows: np.ndarray, targets: np.ndarray, sides: np.ndarray, there: np.ndarray
+    ) -> Batch:
+        views, f, each = self._views, self._features, np.arange(len(rows))[:, None]
+        near, far = (
+            torch.from_numpy(x[rows, sides].astype(np.float32) * scale)
+            for x, scale in zip((f.near, f.far), self._scales, strict=True)
+        )
+        evidence = torch.from_numpy(f.evidence[rows, sides].astype(np.float32) / 255.0)
+        marks = self._marks[rows] * there[..., None]
+        marks[..., 0] = np.where(sides[:, None] & there, 1.0 - marks[..., 0], marks[..., 0])
+        marks[..., 2] *= np.where(sides, -1.0, 1.0)[:, None]
+        others = _with_hidden(views.others[rows], self._marks[rows], ~there)
+        left_m = np.take_along_axis(views.left_m[rows], targets[:, None], 2).transpose(0, 2, 1)
+        hidden_m = np.where(there[:, None], np.inf, left_m).min(axis=-1)
+        else_m = np.minimum(np.take_along_axis(views.else_m[rows], targets, 1), hidden_m)
+        left_m = np.where(there[:, None], left_m, np.inf)
+        right = labels.directions(left_m, else_m)
+        among = labels.directions(left_m, np.full_like(else_m, np.inf))[..., :-1]
+        scene = np.take_along_axis(self._scene[rows], targets, 1).astype(np.float32)
+        return Batch(
+            near, far, evidence, evidence.flatten(2)[each, targets],
+            torch.from_numpy(self._words[targets]), torch.from_numpy(marks),
+            torch.from_numpy(others), torch.from_numpy(right), torch.from_numpy(among),
+            torch.from_numpy(scene),
+        )  # fmt: skip
+
+
+def _with_hidden(others: np.ndarray, marks: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """(v, OTHERS_FIELDS) float32: marks that are left out count as frontiers without one."""
+    hidden = hidden & (marks[..., -1] > 0.0)
+    count, least_m, most_m2 = others.T
+    least_m = np.where(count > 0.0, least_m, np.inf)
+    least_m = np.minimum(least_m, np.where(hidden, marks[..., 4], np.inf).min(axis=1))
+    most_m2 = np.maximum(most_m2, np.where(hidden, marks[..., 5], 0.0).max(axis=1))
+    count = count + hidden.sum(axis=1)
+    least_m = np.where(count > 0.0, least_m, 0.0)
+    return np.stack([count, least_m, most_m2], axis=1).astype(np.float32)
+
+
+def answers(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Logits; see `ChoiceNet.forward`."""
+    seen = net.read(batch.near, batch.far, batch.evidence)
+    return net(seen, batch.target, batch.text, batch.marks, batch.others)
+
+
+def losses(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
+    """Cross-entropies of directions, of the marks among themselves, and of the scene.
+
+    The second is there since views teach little of their marks where "elsewhere" is far better.
+    """
+    direction, scene = answers(net, batch)
+    of_direction = _cross_entropy(direction, batch.direction)
+    of_marks = _cross_entropy(direction[..., :-1], batch.among)
+    of_scene = nn.functional.binary_cross_entropy_with_logits(scene, batch.scene)
+    return of_direction, of_marks, of_scene
+
+
+def _cross_entropy(logits: Tensor, right: Tensor) -> Tensor:
+    return -(right * logits.log_softmax(-1)).sum(-1).mean()
+
+
+def train(data: Data, plan: Plan, kinds: int, checkpoint: Path) -> ChoiceNet:
+    """Train, or go on from `checkpoint`; returns the averaged weights.
+
+    Raises:
+        ExportError: there is nothing to learn from, or `checkpoint` is of another run, or none.
+    """
+    if not len(data.rows):
+        raise ExportError("no view has a frontier in it; collect from more houses")
+    run = checkpoints.describe(plan, len(data.rows), 1, "cpu")
+    torch.manual_seed(plan.seed)
+    net = ChoiceNet(kinds)
+    learner = Learner(net, plan, plan.steps, checkpoint, run)
+    sums = torch.zeros(3)
+    for step, batch in enumerate(data.disturbed(plan, learner.done), learner.done + 1):
+        torch.manual_seed(plan.seed * 1_000_003 + step)  # of the dropout, also when it goes on
+        parts = losses(net, batch)
+        learner.step(sum(parts), CLIP)
+        sums += torch.stack(parts).detach()
+        if step % plan.keep_every == 0 or step == plan.steps:
+            shown = (step, plan.steps, *(sums / plan.keep_every).tolist())
+            log.info("step %d/%d: direction %.3f marks %.3f scene %.3f", *shown)
+            sums.zero_()
+            learner.keep()
+    return learner.averaged

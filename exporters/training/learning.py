@@ -1,0 +1,136 @@
+"""What training runs share: AdamW along one learning-rate curve, averaged weights, a checkpoint."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import torch
+from torch import Tensor, nn
+
+from exporters.training import checkpoint as checkpoints
+
+log = logging.getLogger(__name__)
+
+
+class Pace(Protocol):
+    """How fast to learn: what a run's plan says besides.
+
+    Attributes:
+        rate: what the learning rate rises to in the first `warm_up` steps.
+        decay: of weights, not of biases, norms and tables.
+        average: how much of the averaged weights a step leaves as it is.
+    """
+
+    rate: float
+    decay: float
+    warm_up: int
+    average: float
+
+
+class Learner:
+    """A model with all that learns it, which goes on from its checkpoint when there is one.
+
+    Attributes:
+        averaged: the model with the exponential mean of its weights.
+        done: steps so far.
+    """
+
+    def __init__(
+        self,
+        model: nn.Module,
+        pace: Pace,
+        steps: int,
+        checkpoint: Path,
+        run: checkpoints.Run,
+        *,
+        tables: nn.Module | None = None,
+        betas: tuple[float, float] = (0.9, 0.999),
+    ) -> None:
+        """
+        Args:
+            steps: of the whole run.
+            run: see `checkpoints.describe`.
+            tables: the part of the model of which nothing decays.
+
+        Raises:
+            ExportError: `checkpoint` is of another run, or none.
+        """
+        self.averaged = copy.deepcopy(model).eval().requires_grad_(False)
+        self.done = 0
+        self._model, self._pace, self._path, self._run = model, pace, checkpoint, run
+        self._optimizer = _adamw(model, tables, pace, betas)
+        self._rates = torch.optim.lr_scheduler.LambdaLR(
+            self._optimizer, lambda step: rate(step, steps, pace.warm_up)
+        )
+        self._state = {
+            "model": model, "averaged": self.averaged, "optimizer": self._optimizer,
+            "rates": self._rates,
+        }  # fmt: skip
+        self._trained_s = 0.0
+        if kept := checkpoints.resume(checkpoint, run, run["device"]):
+            for name, part in self._state.items():
+                part.load_state_dict(kept[name])
+            self.done, self._trained_s = kept["step"], kept["seconds"]
+            log.info("going on from step %d", self.done)
+        self._started_s = time.monotonic()
+
+    def step(self, loss: Tensor, clip: float, share: Callable[[], None] | None = None) -> None:
+        """Learn from a batch.
+
+        Args:
+            clip: norm that gradients have at most.
+            share: makes the gradients those of all processes.
+        """
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        if share is not None:
+            share()
+        nn.utils.clip_grad_norm_(self._model.parameters(), clip)
+        self._optimizer.step()
+        self._rates.step()
+        self.done += 1
+        average(self.averaged, self._model, self._pace.average, self.done)
+
+    def keep(self) -> None:
+        """Write the checkpoint."""
+        seconds = self._trained_s + time.monotonic() - self._started_s
+        checkpoints.save(self._path, self._state, self._run, self.done, seconds)
+
+
+def rate(step: int, steps: int, warm_up: int) -> float:
+    """Linear up at first, then half a cosine down to one percent (arXiv:1608.03983, eq. 5)."""
+    if step < warm_up:
+        return (step + 1) / warm_up
+    share = (step - warm_up) / max(1, steps - warm_up)
+    return 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * min(1.0, share)))
+
+
+@torch.no_grad()
+def average(averaged: nn.Module, model: nn.Module, keep: float, step: int) -> None:
+    """Exponential mean of weights and of norm statistics, faster at first."""
+    keep = min(keep, (1.0 + step) / (20.0 + step))
+    pairs = zip(averaged.state_dict().values(), model.state_dict().values(), strict=True)
+    for mean, value in pairs:
+        if mean.dtype.is_floating_point:
+            mean.lerp_(value, 1.0 - keep)
+        else:
+            mean.copy_(value)
+
+
+def _adamw(
+    model: nn.Module, tables: nn.Module | None, pace: Pace, betas: tuple[float, float]
+) -> torch.optim.Optimizer:
+    spared = set() if tables is None else set(tables.parameters())
+    decaying = [p for p in model.parameters() if p.ndim > 1 and p not in spared]
+    rest = [p for p in model.parameters() if p.ndim <= 1 or p in spared]
+    groups = [
+        {"params": decaying, "weight_decay": pace.decay},
+        {"params": rest, "weight_decay": 0.0},
+    ]
+    return torch.optim.AdamW(groups, lr=pace.rate, betas=betas)

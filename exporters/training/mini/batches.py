@@ -1,0 +1,208 @@
+"""Batches: a random cut of a picture, and phrases that are true or nearly true of what is in it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from exporters.training.mini import looks
+from exporters.training.mini.loss import Labels
+from exporters.training.mini.views import HEIGHT_PX, WIDTH_PX, Frames, whole
+
+PAD = 114
+PHRASES = 24
+NAMED = 9
+"""So many things of a picture get a true phrase of their own at most; the other phrases are
+thought up at random, and most are wrong."""
+HARD_SHARE = 0.6
+"""Share of those other phrases that name something in the picture, with a random colour or size."""
+MIN_SIDE_PX, MIN_VISIBLE = 8.0, 0.25
+"""Things smaller (in a picture of 320 columns) or hidden more than this are not taught."""
+WHOLE = 0.9
+"""The size of a thing of which less is left cannot be told, and is not taught."""
+THINGS = 32
+ZOOM = (0.8, 1.6)
+AHEAD = 6
+"""Batches that are made before they are wanted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Pictures (b, 3, h, w) uint8, phrases (b, k, 3) int64, and their labels."""
+
+    images: Tensor
+    phrases: Tensor
+    labels: Labels
+
+
+def cut(
+    rgb: np.ndarray, boxes: np.ndarray, hw: tuple[int, int], rng: np.random.Generator | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A picture at another size; with `rng`, a random window of it, maybe mirrored.
+
+    Args:
+        rgb: (256, 320, 3) uint8.
+        boxes: (o, 4).
+
+    Returns:
+        picture (h, w, 3) uint8, boxes (o, 4) in it, and the share of each that is left.
+    """
+    h, w = hw
+    zoom = 1.0 if rng is None else float(np.exp(rng.uniform(*np.log(ZOOM))))
+    base = min(h / HEIGHT_PX, w / WIDTH_PX)
+    scale = base * zoom
+    view_w, view_h = w / scale, h / scale
+    fx, fy = (0.5, 0.5) if rng is None else rng.random(2)
+    x0, y0 = fx * (WIDTH_PX - view_w), fy * (HEIGHT_PX - view_h)
+    a, c, left, right = _span(x0, view_w, WIDTH_PX, w)
+    b, d, top, bottom = _span(y0, view_h, HEIGHT_PX, h)
+    out = np.full((h, w, 3), PAD, np.uint8)
+    how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
+    out[top:bottom, left:right] = cv2.resize(
+        rgb[b:d, a:c], (right - left, bottom - top), interpolation=how
+    )
+    s = np.array([(right - left) / (c - a), (bottom - top) / (d - b)] * 2, np.float32)
+    moved = (boxes - np.array([a, b, a, b], np.float32)) * s
+    moved += np.array([left, top, left, top], np.float32)
+    full = (moved[:, 2] - moved[:, 0]) * (moved[:, 3] - moved[:, 1])
+    moved[:, [0, 2]] = moved[:, [0, 2]].clip(left, right)
+    moved[:, [1, 3]] = moved[:, [1, 3]].clip(top, bottom)
+    share = (moved[:, 2] - moved[:, 0]) * (moved[:, 3] - moved[:, 1]) / np.maximum(full, 1e-6)
+    if rng is not None and rng.random() < 0.5:
+        out = out[:, ::-1]
+        moved[:, [0, 2]] = w - moved[:, [2, 0]]
+    return out, moved, share
+
+
+def _span(start: float, length: float, full: int, size: int) -> tuple[int, int, int, int]:
+    """Of a view along one side: its ends in the picture, and where they come in a cut of `size`."""
+    if length <= full:
+        return round(start), min(full, round(start + length)), 0, size
+    scale = size / length
+    return 0, full, round(-start * scale), round((full - start) * scale)
+
+
+def sample_phrases(objects: np.ndarray, rng: np.random.Generator, plain: int = 0) -> np.ndarray:
+    """(PHRASES + plain, 3) int64 for a picture with these things: true ones, hard ones, random
+    ones, and `plain` different categories."""
+    rows = []
+    for k in rng.permutation(len(objects))[:NAMED]:
+        o = objects[k]
+        colors, sizes = np.flatnonzero(o["color"][1:] == 1), np.flatnonzero(o["size"][1:] == 1)
+        kind = int(rng.integers(4))
+        color = int(rng.choice(colors)) + 1 if kind in (1, 3) and len(colors) else 0
+        size = int(rng.choice(sizes)) + 1 if kind in (2, 3) and len(sizes) else 0
+        rows.append((int(o["category"]), color, size))
+    while len(rows) < PHRASES:
+        if len(objects) and rng.random() < HARD_SHARE:
+            o = objects[int(rng.integers(len(objects)))]
+            kind = int(rng.integers(5))
+            color = int(rng.integers(1, 1 + len(looks.COLORS))) if kind != 1 and kind != 4 else 0
+            size = int(rng.integers(1, 1 + len(looks.SIZES))) if kind in (1, 2, 4) else 0
+            rows.append((int(o["category"]), color, size))
+        else:
+            color = int(rng.integers(1, 1 + len(looks.COLORS))) if rng.random() < 0.3 else 0
+            size = int(rng.integers(1, 1 + len(looks.SIZES))) if rng.random() < 0.3 else 0
+            rows.append((int(rng.integers(1, 1 + len(looks.CATEGORIES))), color, size))
+    rows += [(int(c) + 1, 0, 0) for c in rng.permutation(len(looks.CATEGORIES))[:plain]]
+    return np.array(rows, np.int64)
+
+
+def make_batch(
+    frames: Frames,
+    indices: np.ndarray,
+    hw: tuple[int, int],
+    rng: np.random.Generator,
+    plain: int = 0,
+) -> Batch:
+    """Pictures at this size; see `sample_phrases` for `plain`."""
+    n, k = len(indices), PHRASES + plain
+    images = np.empty((n, *hw, 3), np.uint8)
+    phrases = np.empty((n, k, 3), np.int64)
+    boxes = np.zeros((n, THINGS, 4), np.float32)
+    taught = np.zeros((n, THINGS), bool)
+    answers = np.zeros((n, THINGS, k), np.int8)
+    hard = np.zeros((n, THINGS, k), bool)
+    min_side = MIN_SIDE_PX * max(0.75, hw[1] / WIDTH_PX)
+    for i, index in enumerate(indices):
+        objects = frames.of(int(index))
+        picture, moved, share = cut(frames.rgb[index], objects["box"], hw, rng)
+        images[i] = tint(np.ascontiguousarray(picture), rng)
+        side = np.minimum(moved[:, 2] - moved[:, 0], moved[:, 3] - moved[:, 1])
+        kept = np.flatnonzero(side > 2.0)[:THINGS]
+        objects, moved, share, side = objects[kept], moved[kept], share[kept], side[kept]
+        objects["size"][~whole(objects) | (share < WHOLE), 1:] = looks.UNSURE
+        good = (side >= min_side) & (objects["visible"] * share >= MIN_VISIBLE)
+        good &= share >= 0.3
+        phrases[i] = sample_phrases(objects[good], rng, plain)
+        m = len(objects)
+        said = looks.answers(objects["category"], objects["color"], objects["size"], phrases[i])
+        boxes[i, :m], taught[i, :m], answers[i, :m] = moved, good, said
+        same = objects["category"][:, None] == phrases[i][None, :, 0]
+        hard[i, :m] = same & (said == looks.NO) & good[:, None]
+    most = max(1, int(boxes.any(2).sum(1).max()))
+    labels = Labels(*(torch.from_numpy(x[:, :most]) for x in (boxes, taught, answers, hard)))
+    planes = torch.from_numpy(images).permute(0, 3, 1, 2)
+    return Batch(planes, torch.from_numpy(phrases), labels)
+
+
+def batches(
+    frames: Frames, batch: int, steps: list[tuple[tuple[int, int], int]], seed: int, first: int = 0
+) -> Iterator[Batch]:
+    """Batch `first` and those after it, made ahead in a thread.
+
+    `steps` has an entry (size, plain phrases) for each.
+
+    Each has a generator of its own, so that training goes on from a checkpoint as if it had
+    never stopped.
+    """
+
+    def make(step: int) -> Batch:
+        rng = np.random.default_rng([9, seed, step])
+        indices = rng.choice(len(frames), batch, replace=len(frames) < batch)
+        return make_batch(frames, indices, steps[step][0], rng, steps[step][1])
+
+    ahead: deque[Future[Batch]] = deque()
+    pool = ThreadPoolExecutor(1, "batches")
+    try:
+        for step in range(first, len(steps)):
+            ahead.append(pool.submit(make, step))
+            if len(ahead) > AHEAD:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def tint(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Another exposure, gamma and white balance of a uint8 picture."""
+    gain = rng.uniform(0.75, 1.2) * rng.uniform(0.95, 1.05, 3)
+    ramp = (np.arange(256.0)[:, None] / 255.0) ** rng.uniform(0.85, 1.18) * gain * 255.0
+    return cv2.LUT(picture, ramp.clip(0, 255).astype(np.uint8)[None])
+
+
+def disturb(images: Tensor, generator: torch.Generator) -> Tensor:
+    """Uneven light, blur and noise: uint8 (b, 3, h, w) → float32 in 0..1 on the same device."""
+    b, _, h, w = images.shape
+
+    def uniform(low: float, high: float, *shape: int) -> Tensor:
+        return low + (high - low) * torch.rand(shape, generator=generator)
+
+    field = torch.nn.functional.interpolate(
+        uniform(-1.0, 1.0, b, 1, 3, 3), (h, w), mode="bilinear", align_corners=True
+    )
+    field = (1.0 + uniform(0.0, 0.22, b, 1, 1, 1) * field) / 255.0
+    noise = torch.randn(1, 1, h, w, generator=generator) * uniform(0.0, 0.03, b, 1, 1, 1)
+    x = (images * field.to(images.device)).add_(noise.to(images.device))
+    if float(torch.rand((), generator=generator)) < 0.25:
+        third = b // 3
+        x[:third] = torch.nn.functional.avg_pool2d(x[:third], 3, 1, 1)
+    return x.clamp_(0.0, 1.0)

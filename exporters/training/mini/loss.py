@@ -1,0 +1,148 @@
+"""What the detector is taught: which anchors answer for which thing, and how wrong they are.
+
+Task-aligned assignment (TOOD, arXiv:2108.07755, section 3.2), distribution focal loss
+(arXiv:2006.04388, eq. 6) and complete IoU (arXiv:1911.08287, eq. 10).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from exporters.training.mini.looks import UNSURE, YES
+from exporters.training.mini.net import BINS
+
+TOP_K = 10
+SCORE_POWER, IOU_POWER = 0.5, 4.0
+BOX_WEIGHT, EDGE_WEIGHT = 7.5, 1.5
+HARD_WEIGHT = 2.0
+"""How much more it counts to call a thing by its category with the wrong colour or size."""
+
+
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """A batch of what is in the pictures; o things per picture, padded.
+
+    Attributes:
+        boxes: (b, o, 4) float32 x0 y0 x1 y1 in input pixels.
+        taught: (b, o) bool; things too small or hidden, and padding, are not.
+        answers: (b, o, k) int8 YES, NO, UNSURE per phrase; NO for padding.
+        hard: (b, o, k) bool, the phrase names its category but not its colour or size.
+    """
+
+    boxes: Tensor
+    taught: Tensor
+    answers: Tensor
+    hard: Tensor
+
+
+def iou(a: Tensor, b: Tensor, complete: bool = False) -> Tensor:
+    """(Complete) intersection over union of boxes (…, 4)."""
+    wh = (torch.minimum(a[..., 2:], b[..., 2:]) - torch.maximum(a[..., :2], b[..., :2])).clamp(0)
+    inter = wh[..., 0] * wh[..., 1]
+    a_wh, b_wh = a[..., 2:] - a[..., :2], b[..., 2:] - b[..., :2]
+    union = a_wh[..., 0] * a_wh[..., 1] + b_wh[..., 0] * b_wh[..., 1] - inter + 1e-7
+    value = inter / union
+    if not complete:
+        return value
+    hull = torch.maximum(a[..., 2:], b[..., 2:]) - torch.minimum(a[..., :2], b[..., :2])
+    diagonal = (hull**2).sum(-1) + 1e-7
+    offset = ((a[..., :2] + a[..., 2:] - b[..., :2] - b[..., 2:]) ** 2).sum(-1) / 4
+    angle_a = torch.atan(a_wh[..., 0] / (a_wh[..., 1] + 1e-7))
+    angle_b = torch.atan(b_wh[..., 0] / (b_wh[..., 1] + 1e-7))
+    v = 4 / math.pi**2 * (angle_a - angle_b) ** 2
+    with torch.no_grad():
+        alpha = v / (v - value + 1 + 1e-7)
+    return value - offset / diagonal - alpha * v
+
+
+@torch.no_grad()
+def assign(scores: Tensor, boxes: Tensor, anchors: Tensor, labels: Labels) -> tuple[Tensor, Tensor]:
+    """The thing each anchor answers for, and how well.
+
+    Args:
+        scores: (b, a, k) in 0..1.
+        boxes: (b, a, 4).
+        anchors: (a, 2).
+
+    Returns:
+        owner (b, a) int64, -1 for none, and quality (b, a) in 0..1.
+    """
+    inside = _inside(anchors, labels.boxes) & labels.taught[:, None]
+    overlap = iou(boxes[:, :, None], labels.boxes[:, None]).clamp(0) * inside
+    named = (labels.answers == YES).to(scores.dtype)
+    count = named.sum(-1)[:, None]
+    score = torch.bmm(scores, named.transpose(1, 2)) / count.clamp(1)
+    score = torch.where(count > 0, score, torch.ones_like(score))
+    metric = score.clamp(1e-6) ** SCORE_POWER * overlap**IOU_POWER
+    # A thing that no box overlaps yet gets some of the anchors inside it, whichever.
+    metric = metric + 1e-9 * inside
+    top = metric.topk(min(TOP_K, metric.shape[1]), dim=1)
+    chosen = torch.zeros_like(metric).scatter_(1, top.indices, 1.0) * (metric > 0)
+    best, owner = (overlap * chosen + 1e-6 * chosen).max(-1)
+    owner = torch.where(best > 0, owner, torch.full_like(owner, -1))
+    mine = chosen * F.one_hot(owner.clamp(0), metric.shape[2]) * (owner >= 0)[..., None]
+    metric = metric * mine
+    most = metric.amax(1, keepdim=True).clamp(1e-12)
+    quality = metric / most * (overlap * mine).amax(1, keepdim=True)
+    return owner, quality.amax(-1)
+
+
+def _inside(anchors: Tensor, boxes: Tensor) -> Tensor:
+    """(b, a, o) bool: the anchor lies in the box."""
+    low = (anchors[None, :, None] > boxes[:, None, :, :2]).all(-1)
+    return low & (anchors[None, :, None] < boxes[:, None, :, 2:]).all(-1)
+
+
+def detection_loss(
+    box: Tensor, decoded: Tensor, logits: Tensor, anchors: Tensor, stride: Tensor, labels: Labels
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """The loss of a batch and its parts.
+
+    Args:
+        box: (b, a, 4, BINS) edge distributions as logits.
+        decoded: (b, a, 4) their boxes.
+        logits: (b, a, k) scores before the sigmoid.
+        anchors, stride: (a, 2), (a, 1).
+    """
+    owner, quality = assign(logits.sigmoid(), decoded, anchors, labels)
+    at = owner.clamp(0)[..., None]
+    has = (owner >= 0)[..., None]
+    k = logits.shape[2]
+    said = labels.answers.gather(1, at.expand(-1, -1, k)) * has
+    hard = labels.hard.gather(1, at.expand(-1, -1, k)) & has
+    target = quality[..., None] * (said == YES)
+    inside = _inside(anchors, labels.boxes).to(logits.dtype)
+    ignored = labels.answers == UNSURE
+    ignored |= (labels.answers == YES) & ~labels.taught[..., None]
+    doubtful = torch.bmm(inside, ignored.to(logits.dtype)) > 0
+    weight = 1.0 + (HARD_WEIGHT - 1.0) * hard
+    weight = weight * ~((said == UNSURE) | (doubtful & (said != YES) & ~hard))
+    total = target.sum().clamp(1.0)
+    classes = F.binary_cross_entropy_with_logits(logits, target, weight, reduction="sum") / total
+
+    w = quality[owner >= 0]
+    if len(w):
+        wanted = labels.boxes.gather(1, at.expand(-1, -1, 4))[owner >= 0]
+        share = w.sum().clamp(1.0)
+        boxes = ((1 - iou(decoded[owner >= 0], wanted, complete=True)) * w).sum() / share
+        a = anchors.expand(len(box), -1, -1)[owner >= 0]
+        s = stride.expand(len(box), -1, -1)[owner >= 0]
+        edges = torch.cat([a - wanted[:, :2], wanted[:, 2:] - a], -1) / s
+        edges = edges.clamp(0, BINS - 1.01)
+        low = edges.long()
+        high_share = edges - low
+        rows = box[owner >= 0].reshape(-1, BINS).log_softmax(-1)
+        at_low = rows.gather(1, low.reshape(-1, 1))[:, 0]
+        at_high = rows.gather(1, low.reshape(-1, 1) + 1)[:, 0]
+        f = high_share.reshape(-1)
+        each = -((1 - f) * at_low + f * at_high).reshape(-1, 4).mean(-1)
+        spread = (each * w).sum() / share
+    else:
+        boxes = spread = decoded.sum() * 0.0
+    loss = classes + BOX_WEIGHT * boxes + EDGE_WEIGHT * spread
+    return loss, {"classes": classes.detach(), "boxes": boxes.detach(), "edges": spread.detach()}

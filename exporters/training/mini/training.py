@@ -1,0 +1,172 @@
+"""The training loop: one learning-rate curve over pictures that grow on the way."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import signal
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import torch
+from torch import Tensor, distributed, nn
+
+from exporters.files import ExportError
+from exporters.training import checkpoint as checkpoints
+from exporters.training.learning import Learner
+from exporters.training.mini import looks
+from exporters.training.mini.batches import Batch, batches, disturb
+from exporters.training.mini.loss import Labels, detection_loss
+from exporters.training.mini.net import MiniDetector, PhraseEncoder, anchor_points
+from exporters.training.mini.views import Frames
+
+log = logging.getLogger(__name__)
+
+FULL_HW = (256, 320)
+CLIP = 10.0
+"""Norm that gradients have at most."""
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How long and how fast to learn.
+
+    Attributes:
+        stages: (steps, (height, width), plain phrases) one after another; see
+            `batches.sample_phrases`.
+        rate: what the learning rate rises to in the `warm_up`, to fall as half a cosine from there.
+    """
+
+    stages: tuple[tuple[int, tuple[int, int], int], ...] = (
+        (2500, (160, 192), 0),
+        (1000, (192, 256), 0),
+        (8000, FULL_HW, 12),
+    )
+    batch: int = 32
+    seed: int = 0
+    rate: float = 2e-3
+    decay: float = 0.03
+    warm_up: int = 200
+    average: float = 0.9995
+    keep_every: int = 250
+
+    @property
+    def steps(self) -> list[tuple[tuple[int, int], int]]:
+        """Size and plain phrases of every step."""
+        return [(hw, plain) for steps, hw, plain in self.stages for _ in range(steps)]
+
+
+class Model(nn.Module):
+    """Detector and phrase encoder, trained as one."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.detector = MiniDetector()
+        counts = (len(looks.CATEGORIES), len(looks.COLORS), len(looks.SIZES))
+        self.encoder = PhraseEncoder(*counts)
+
+
+def train_on_cores(frames: Callable[[], Frames], plan: Plan, checkpoint: Path, cores: int) -> None:
+    """Train with one process per core; the weights are in `checkpoint` afterwards.
+
+    Each takes its share of every batch, and they add up their gradients once a step: threads
+    would meet after every layer, and wait wherever a core has something else to do.
+
+    Raises:
+        ExportError: a batch cannot be shared among so many.
+    """
+    check_cores(plan, cores)
+    with tempfile.TemporaryDirectory() as folder:
+        args = (cores, f"file://{folder}/meet", frames, plan, checkpoint)
+        torch.multiprocessing.spawn(_train_rank, args, cores)
+
+
+def check_cores(plan: Plan, cores: int) -> None:
+    """Raise ExportError unless that many processes can share a batch evenly."""
+    if cores < 1 or plan.batch % cores:
+        raise ExportError(f"--cores {cores}: give a number that divides the batch of {plan.batch}")
+
+
+def _train_rank(
+    rank: int, cores: int, meet: str, frames: Callable[[], Frames], plan: Plan, checkpoint: Path
+) -> None:
+    logging.basicConfig(
+        level=logging.INFO if rank == 0 else logging.WARNING, format="%(asctime)s %(message)s"
+    )
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # else it trains on by itself
+    torch.set_num_threads(1)
+    distributed.init_process_group("gloo", init_method=meet, rank=rank, world_size=cores)
+    train(frames(), plan, checkpoint, share=(rank, cores))
+    distributed.destroy_process_group()
+
+
+def train(
+    frames: Frames,
+    plan: Plan,
+    checkpoint: Path,
+    device: str = "cpu",
+    share: tuple[int, int] = (0, 1),
+) -> Model:
+    """Train, or go on from `checkpoint`; returns the averaged weights.
+
+    Args:
+        share: which of how many processes this is; see `train_on_cores`.
+
+    Raises:
+        ExportError: `checkpoint` is of another run, or none.
+    """
+    rank, ranks = share
+    run = checkpoints.describe(plan, len(frames), ranks, device)
+    torch.manual_seed(plan.seed)
+    model = Model().to(device).to(memory_format=torch.channels_last)
+    steps = plan.steps
+    learner = Learner(
+        model, plan, len(steps), checkpoint, run, tables=model.encoder, betas=(0.9, 0.99)
+    )
+    first = began = learner.done
+    since = time.monotonic()
+    stream = batches(frames, plan.batch // ranks, steps, plan.seed * ranks + rank, first)
+    for step, batch in enumerate(stream, first + 1):
+        generator = torch.Generator().manual_seed((plan.seed * ranks + rank) * 1_000_003 + step)
+        loss, parts = _loss(model, batch, generator, device)
+        learner.step(loss, CLIP, partial(_share_gradients, model, ranks) if ranks > 1 else None)
+        if step % 50 == 0 or step == len(steps):
+            pace = (time.monotonic() - since) / (step - began)
+            shown = " ".join(f"{name} {float(value):.3f}" for name, value in parts.items())
+            log.info("step %d/%d %.3f s: %s", step, len(steps), pace, shown)
+            since, began = time.monotonic(), step
+        if rank == 0 and (step % plan.keep_every == 0 or step == len(steps)):
+            learner.keep()
+    return learner.averaged
+
+
+def _share_gradients(model: nn.Module, ranks: int) -> None:
+    """Every process's mean gradient, in all of them."""
+    gradients = [p.grad for p in model.parameters() if p.grad is not None]
+    flat = torch.cat([g.reshape(-1) for g in gradients]).div_(ranks)
+    distributed.all_reduce(flat)
+    for gradient, part in zip(gradients, flat.split([g.numel() for g in gradients]), strict=True):
+        gradient.copy_(part.view(gradient.shape))
+
+
+def _loss(
+    model: Model, batch: Batch, generator: torch.Generator, device: str
+) -> tuple[Tensor, dict[str, Tensor]]:
+    images = disturb(batch.images.to(device), generator)
+    images = images.contiguous(memory_format=torch.channels_last)
+    labels = Labels(
+        batch.labels.boxes.to(device), batch.labels.taught.to(device),
+        batch.labels.answers.to(device), batch.labels.hard.to(device),
+    )  # fmt: skip
+    with torch.autocast(device.partition(":")[0], torch.bfloat16):
+        box, embeddings = model.detector.features(images)
+    text = model.encoder(batch.phrases.to(device))
+    box, logits = box.float(), model.detector.logits(embeddings.float(), text)
+    anchors, stride = anchor_points(images.shape[2], images.shape[3], device)
+    decoded = model.detector.decode(box, anchors, stride)
+    return detection_loss(box, decoded, logits, anchors, stride, labels)

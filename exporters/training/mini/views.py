@@ -1,0 +1,254 @@
+"""Pictures of random houses with what is in them.
+
+    frames = make_frames(range(1200), per_house=12, folder=Path("..."), workers=2)
+
+Frames are kept as one array on disk, as they take 246 kB each.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from edge.config import parse
+from edge.geometry import SE2, CameraModel, optical, se3
+from edge.host.files import replace_atomically
+from edge.lab.sim import assemblies, kernels
+from edge.lab.sim.boxworld import BoxWorld
+from edge.lab.sim.generator import contents
+from edge.lab.sim.house import House, build_house
+from edge.perception import kernels as perception
+from exporters.files import ExportError
+from exporters.training.mini import houses, looks
+from exporters.training.mini.houses import Look, extent_m, random_house
+
+HEIGHT_PX, WIDTH_PX = 256, 320
+PER_HOUSE = 11
+"""Pictures of each house to train on."""
+MIN_PIXELS = 40
+"""Things with fewer visible pixels are not listed."""
+CLEARANCE_M = 0.28
+COLORED = 0.15
+"""Whoever sees less of a thing in its colour cannot name it: a plant whose pot is hidden."""
+_PREVIEW = 4
+_CANDIDATES = 3
+_SOURCES = (
+    *(Path(path) for path in (houses.__file__, looks.__file__, __file__)),
+    *sorted(Path(assemblies.__file__).parent.glob("*.py")),
+    *sorted(Path(contents.__file__).parent.glob("*.py")),
+)
+"""Code that the pictures depend on."""
+
+OBJECT = np.dtype(
+    [
+        ("category", np.uint8),
+        ("color", np.int8, 1 + len(looks.COLORS)),
+        ("size", np.int8, 1 + len(looks.SIZES)),
+        ("box", np.float32, 4),
+        ("pixels", np.int32),
+        ("visible", np.float32),
+    ]
+)
+"""One thing in a frame: answers as in `looks`, box x0 y0 x1 y1 of the visible pixels (x1, y1 one
+past the end), how many there are, and their share of those it would have if nothing hid it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Pictures and their contents.
+
+    Attributes:
+        rgb: (n, 256, 320, 3) uint8.
+        objects: (m,) `OBJECT`, frame after frame.
+        start: (n + 1,) int64; frame i has objects[start[i]:start[i + 1]].
+    """
+
+    rgb: np.ndarray
+    objects: np.ndarray
+    start: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.rgb)
+
+    def of(self, frame: int) -> np.ndarray:
+        """The objects of one frame."""
+        return self.objects[self.start[frame] : self.start[frame + 1]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Camera:
+    model: CameraModel
+    T_map_camera: np.ndarray
+
+
+def whole(objects: np.ndarray) -> np.ndarray:
+    """(o,) bool: ends before the picture's edges, so that its size can be told."""
+    box = objects["box"]
+    return (box[:, :2] > 0).all(1) & (box[:, 2:] < (WIDTH_PX, HEIGHT_PX)).all(1)
+
+
+def make_frames(seeds: Sequence[int], per_house: int, folder: Path, workers: int = 1) -> Frames:
+    """Pictures of the houses of these seeds; made once, found in `folder` the next time.
+
+    Any number of processes may do so in one folder: each renders to a file of its own.
+
+    Raises:
+        ExportError: the pictures do not fit on the disk.
+    """
+    name = f"{seeds[0]}-{seeds[-1]}x{per_house}-{_digest(seeds, per_house)}"
+    pictures, contents = folder / f"{name}.u8", folder / f"{name}.npz"
+    shape = (len(seeds) * per_house, HEIGHT_PX, WIDTH_PX, 3)
+    if not contents.is_file():
+        with replace_atomically(pictures) as part:
+            _reserve(part, math.prod(shape))
+            rows = _render(seeds, per_house, part, shape, workers)
+        start = np.concatenate([[0], np.cumsum([len(objects) for objects in rows])])
+        with replace_atomically(contents) as part:  # last: where it is, the pictures are whole
+            np.savez(part, objects=np.concatenate(rows), start=start.astype(np.int64))
+    with np.load(contents) as data:
+        return Frames(np.memmap(pictures, np.uint8, "r", shape=shape), data["objects"],
+                      data["start"])  # fmt: skip
+
+
+def _digest(seeds: Sequence[int], per_house: int) -> str:
+    """Eight hex digits of all that decides what the pictures are."""
+    digest = hashlib.sha256(repr((list(seeds), per_house)).encode())
+    for path in _SOURCES:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:8]
+
+
+def _reserve(path: Path, size: int) -> None:
+    """Grow an empty file to `size` bytes that the disk surely has."""
+    try:
+        with path.open("r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, size)
+    except OSError as error:
+        raise ExportError(
+            f"{path.parent}: no room for {size / 1e9:.1f} GB of pictures ({error.strerror}); "
+            "free some, or name a folder on another disk"
+        ) from None
+
+
+def _render(
+    seeds: Sequence[int], per_house: int, pictures: Path, shape: tuple[int, ...], workers: int
+) -> list[np.ndarray]:
+    """Fill the file with all houses' views; returns the objects of each."""
+    jobs = [(pictures, shape, k * per_house, seed, per_house) for k, seed in enumerate(seeds)]
+    if workers > 1:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            made = list(pool.map(_write_house, jobs, chunksize=8))
+    else:
+        made = [_write_house(job) for job in jobs]
+    return [objects for house in made for objects in house]
+
+
+def _write_house(job: tuple[Path, tuple[int, ...], int, int, int]) -> list[np.ndarray]:
+    pictures, shape, first, seed, count = job
+    rgb = np.memmap(pictures, np.uint8, "r+", shape=shape)
+    return render_house(seed, count, rgb[first : first + count])
+
+
+def render_house(seed: int, count: int, out_rgb: np.ndarray) -> list[np.ndarray]:
+    """Fill `out_rgb` (count, 256, 320, 3) with views of one house; returns their objects."""
+    house, appearances = random_house(seed)
+    world = build_house(house, parse({"perception": {"detector": {"kind": "sim"}}}))
+    rng = np.random.default_rng([8, seed])
+    depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
+    ids = np.empty((HEIGHT_PX, WIDTH_PX), np.uint16)
+    tinted, found = _tinted(house, world), []
+    for k in range(count):
+        camera = _choose_view(world, extent_m(house), appearances, rng)
+        world.render(camera.model, camera.T_map_camera, out_rgb[k], depth, ids)
+        found.append(_contents(world, appearances, tinted, camera, ids, depth))
+    return found
+
+
+def _tinted(house: House, world: BoxWorld) -> np.ndarray:
+    """(primitives,) bool: has the colour that its thing is called by, or one made from it."""
+    tinted = np.zeros(len(world.owner), bool)
+    for k, thing in enumerate(house.objects, 1):
+        rows = assemblies.CATEGORIES[thing.category].rows
+        tinted[world.owner == k] = [row[3] in ("main", "dark", "light") for row in rows]
+    return tinted
+
+
+def _random_camera(
+    world: BoxWorld, extent: tuple[float, float], rng: np.random.Generator
+) -> _Camera:
+    rows, cols = np.nonzero(world.plan.clearance_m > CLEARANCE_M)
+    while True:
+        pick = int(rng.integers(len(rows)))
+        x, y = world.plan.grid.centres_m(rows[pick], cols[pick]).tolist()
+        # The plan has a free margin around the house.
+        if 0.3 < x < extent[0] - 0.3 and 0.3 < y < extent[1] - 0.3:
+            break
+    z = 0.6 if rng.random() < 0.6 else float(rng.uniform(0.35, 1.1))
+    hfov = 75.0 if rng.random() < 0.6 else float(rng.uniform(60, 95))
+    pitch = math.radians(rng.normal(5.0, 5.0))
+    model = CameraModel.from_hfov(WIDTH_PX, HEIGHT_PX, math.radians(hfov))
+    pose = SE2(x, y, float(rng.uniform(-math.pi, math.pi)))
+    return _Camera(model, pose.matrix() @ optical(se3(0.1, 0.0, z, pitch_rad=pitch)))
+
+
+def _choose_view(
+    world: BoxWorld,
+    extent: tuple[float, float],
+    appearances: list[Look],
+    rng: np.random.Generator,
+) -> _Camera:
+    """Mostly the best of a few: one that sees many things, and several of a kind."""
+    cameras = [_random_camera(world, extent, rng) for _ in range(_CANDIDATES)]
+    worth = [_worth(world, appearances, camera) for camera in cameras]
+    if rng.random() < 0.25:  # some as they come, but for those that see a wall only
+        return next((c for c, w in zip(cameras, worth, strict=True) if w > 0), cameras[0])
+    return cameras[int(np.argmax(worth))]
+
+
+def _worth(world: BoxWorld, appearances: list[Look], camera: _Camera) -> float:
+    h, w = HEIGHT_PX // _PREVIEW, WIDTH_PX // _PREVIEW
+    m, depth, prim = camera.model, np.empty((h, w), np.float32), np.empty((h, w), np.int32)
+    kernels.render_depth(
+        world.shape, world.pose, camera.T_map_camera, m.fx_px / _PREVIEW, m.fy_px / _PREVIEW,
+        m.cx_px / _PREVIEW, m.cy_px / _PREVIEW, depth, prim,
+    )  # fmt: skip
+    count = np.bincount(world.owner[prim[prim >= 0]], minlength=len(appearances) + 1)[1:]
+    seen = [appearances[k].category for k in np.flatnonzero(count > 8)]
+    return len(set(seen)) + 2.5 * (len(seen) - len(set(seen)))
+
+
+def _contents(
+    world: BoxWorld,
+    appearances: list[Look],
+    tinted: np.ndarray,
+    camera: _Camera,
+    ids: np.ndarray,
+    depth: np.ndarray,
+) -> np.ndarray:
+    n = len(appearances)
+    box, pixels = np.empty((n, 4), np.int32), np.empty(n, np.int32)
+    perception.object_boxes(ids, depth, box, pixels, np.empty(n, np.float32))
+    alone_depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
+    prim, m = np.empty((HEIGHT_PX, WIDTH_PX), np.int32), camera.model
+    lens = (camera.T_map_camera, m.fx_px, m.fy_px, m.cx_px, m.cy_px)
+    kernels.render_depth(world.shape, world.pose, *lens, alone_depth, prim)
+    seen = np.bincount(prim[prim >= 0], minlength=len(world.owner))
+    colored = np.bincount(world.owner, seen * tinted, minlength=n + 1)[1:]
+    rows = np.zeros(int((pixels >= MIN_PIXELS).sum()), OBJECT)
+    for row, k in zip(rows, np.flatnonzero(pixels >= MIN_PIXELS), strict=True):
+        mine = world.owner == k + 1
+        kernels.render_depth(world.shape[mine], world.pose[mine], *lens, alone_depth, prim)
+        row["category"], row["size"] = appearances[k].category, appearances[k].size
+        named = colored[k] >= COLORED * pixels[k]
+        row["color"] = appearances[k].color if named else looks.unsure_color()
+        row["box"], row["pixels"] = box[k], pixels[k]
+        row["visible"] = pixels[k] / max(1, int((prim >= 0).sum()))
+    return rows

@@ -1,0 +1,103 @@
+"""Learn the robot's prior, where things stand by what stands around, from furnished houses.
+
+python -m exporters.training.prior HOUSES.jsonl.gz --out edge/perception/prior/table.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge.host.files import replace_atomically
+from edge.lab.sim.procthor import read_houses
+from edge.perception.prior.table import parse
+from exporters.files import ExportError, tells_errors
+from exporters.training.prior import learn
+from exporters.training.prior.counts import count, count_kinds
+from exporters.training.prior.house import Plan, read_plan
+from exporters.training.prior.samples import Samples, gather
+
+_BLANK = {"evidence": 1.0, "power": [1.0, 1.0]}
+
+
+def read(path: Path) -> tuple[list[dict[str, Any]], list[Plan]]:
+    """The houses of a file, and their plans.
+
+    Raises:
+        ExportError: they are not houses.
+        WorldError: the file cannot be read.
+    """
+    try:
+        houses = list(read_houses(path))
+        return houses, [read_plan(house) for house in houses]
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise ExportError(f"{path}: not houses with rooms and objects: {error!r}") from None
+
+
+def counted(houses: list[dict[str, Any]], plans: list[Plan]) -> dict[str, Any]:
+    """What a table holds that is counted, not fitted."""
+    table = count(houses)
+    kinds = sorted({kind for plan in plans for kind in plan.kinds})
+    return {**table, "kinds": {**count_kinds(plans, table["things"], kinds), **_BLANK}}
+
+
+def learned(data: dict[str, Any], samples: Samples) -> tuple[dict[str, Any], dict[int, learn.Fit]]:
+    """The whole table, counts with what is fitted, and the fit of each target."""
+    things = tuple(data["things"])
+    each = ((target, learn.cross_fit(samples, target)) for target in range(len(things)))
+    fits = {target: fit for target, fit in each if fit is not None}
+    data = {**data, "near": learn.near_part(fits, things)}
+    kinds = data["kinds"] = dict(data["kinds"])
+    kinds["evidence"] = learn.fit_evidence(samples, parse(data))
+    kinds["power"], gained = learn.fit_powers(samples, parse(data), fits)
+    print(f"rooms: {({k: kinds[k] for k in _BLANK})}, share of the log loss gained alone "
+          f"{gained[0]:.2%}, on top of what is near {gained[1]:.2%}")  # fmt: skip
+    return data, fits
+
+
+def tell(fits: dict[int, learn.Fit], samples: Samples, things: list[str]) -> None:
+    """Print how well held-out houses were foretold."""
+    print("target               houses  share   base   loss  gained     auc  opinion")
+    for target, fit in sorted(fits.items(), key=lambda item: item[1].score.loss):
+        s = fit.score
+        gained = f"{s.base - s.loss:+.4f} ±{s.error:.4f}"
+        print(f"{things[target]:20} {s.houses:6} {s.share:6.3f} {s.base:6.3f} {s.loss:6.3f} "
+              f"{gained} {s.auc:6.3f}  {'yes' if fit.opinion else 'no'}")  # fmt: skip
+    print("lift said → lift that came true (places)")
+    for said, true, n in learn.reliability(samples, fits, np.array([0.5, 0.7, 0.9, 1.1, 1.5, 2])):
+        print(f"  {said:5.2f} → {true:5.2f} ({n})")
+
+
+@tells_errors
+def main(argv: list[str] | None) -> None:
+    """Learn a table from a file of houses and write it."""
+    parser = argparse.ArgumentParser(
+        prog="python -m exporters.training.prior", description=main.__doc__
+    )
+    parser.add_argument("file", type=Path, help="houses, .jsonl or .jsonl.gz")
+    parser.add_argument("--out", type=Path, required=True, help="table to write, .json")
+    args = parser.parse_args(argv)
+    houses, plans = read(args.file)
+    data = counted(houses, plans)
+    kinds = data["kinds"]["names"]
+    samples = gather(plans, data["things"], kinds)
+    data, fits = learned(data, samples)
+    tell(fits, samples, data["things"])
+    about = {
+        "about": "Where things stand by what stands around; see edge/perception/prior/table.py.",
+        "source": f"{args.file.name}, sha256 {hashlib.sha256(args.file.read_bytes()).hexdigest()}",
+        "command": f"python -m exporters.training.prior {args.file.name} --out {args.out.name}",
+        "licence": "Learned from houses of ProcTHOR (Allen Institute for AI), Apache-2.0.",
+    }
+    with replace_atomically(args.out) as path:
+        path.write_text(json.dumps({**about, **data}, separators=(",", ":")) + "\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

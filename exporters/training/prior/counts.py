@@ -1,0 +1,91 @@
+"""Which things stand in the same room of furnished houses, in which kind of room, and which kinds
+of room share a door."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from edge import names
+from exporters.training.prior.house import Plan
+
+_RARE = 5
+"""Things in fewer rooms than this are left out: their counts say nothing."""
+
+
+def count(houses: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """What stands in the same room.
+
+    Args:
+        houses: dicts with `rooms` (`polygon`: corners x, y) and `objects` (`category`,
+            `center`). Objects outside all rooms do not count.
+
+    Returns:
+        `rooms`, `things` in alphabetical order, and `rooms_with_both`, of which row i has
+        entries for things 0 … i; the last one is the number of rooms with thing i.
+    """
+    n_rooms, single, pairs = 0, Counter(), Counter()
+    for house in houses:
+        for room in house["rooms"]:
+            n_rooms += 1
+            held = sorted(
+                {
+                    names.canonical(item["category"])
+                    for item in house["objects"]
+                    if inside(room["polygon"], *item["center"][:2])
+                }
+            )
+            single.update(held)
+            pairs.update(combinations(held, 2))
+    things = sorted(name for name, rooms in single.items() if rooms >= _RARE)
+    both = [
+        [pairs[other, name] for other in things[:i]] + [single[name]]
+        for i, name in enumerate(things)
+    ]
+    return {"rooms": n_rooms, "things": things, "rooms_with_both": both}
+
+
+def count_kinds(plans: Sequence[Plan], things: Sequence[str], kinds: Sequence[str]) -> dict:
+    """What the kinds of room hold in view, and which of them share a door.
+
+    Returns:
+        `names`; `rooms` of each kind; `rooms_with` each thing, by kind; `doors` between two kinds
+        and `pairs` of two kinds in a house, symmetric.
+    """
+    k, m = len(kinds), len(things)
+    rooms, held = np.zeros(k, int), np.zeros((k, m), int)
+    doors, pairs = np.zeros((k, k), int), np.zeros((k, k), int)
+    for plan in plans:
+        kind = [kinds.index(name) for name in plan.kinds]
+        for i, of in enumerate(kind):
+            rooms[of] += 1
+            names_here = {plan.words[w] for w in plan.word[plan.thing_room == i]}
+            held[of, [things.index(name) for name in names_here if name in things]] += 1
+        for a, b in combinations(range(len(kind)), 2):
+            for i, j in ((kind[a], kind[b]), (kind[b], kind[a])):
+                pairs[i, j] += 1
+                doors[i, j] += (a, b) in plan.doors
+    return {
+        "names": list(kinds),
+        "rooms": rooms.tolist(),
+        "rooms_with": held.tolist(),
+        "doors": doors.tolist(),
+        "pairs": pairs.tolist(),
+    }
+
+
+def inside(polygon: Sequence[Sequence[float]], x: float, y: float) -> bool:
+    """Whether a point lies in a polygon, by the even-odd rule.
+
+    >>> inside([(0, 0), (2, 0), (2, 2), (0, 2)], 1, 1)
+    True
+    """
+    odd = False
+    for (x0, y0), (x1, y1) in zip(polygon, [*polygon[1:], *polygon[:1]], strict=True):
+        if (y0 > y) != (y1 > y) and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
+            odd = not odd
+    return odd

@@ -1,0 +1,250 @@
+"""A searcher on a plan: looks, frontiers, and steps; perfect pose and map, no false detections.
+
+Rough on purpose: it makes the partial views that a prior is learned from. A camera of 75
+degrees sees 5 m of map; a thing is made out from as far as its size allows, nine times in ten near by and six times in ten at the end of its range.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+
+from edge.geometry import Grid
+from edge.mapping import regions
+from edge.mission.planning import distances as dist
+from exporters.training.prior.house import CELL_M, Plan
+
+HFOV_RAD = math.radians(75.0)
+MAP_RANGE_M = 5.0
+LOOK_EVERY_M, TURN_EVERY_M = 0.25, 2.0
+GAIN_RANGE_M = 4.0
+_NEAR, _FAR = 0.9, 0.6
+_BODY_M = 0.2
+_MIN_CELLS, _BLOCK_CELLS = 3, 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frontiers:
+    """Where known floor ends, as far as one can get there.
+
+    Attributes:
+        cell: (n, 2) int64, row and column.
+        xy_m: (n, 2) float32, in the plan's grid frame.
+        path_m: (n,) float64, to drive.
+        area_m2: (n,) float64, what is unknown and in sight from there.
+    """
+
+    cell: np.ndarray
+    xy_m: np.ndarray
+    path_m: np.ndarray
+    area_m2: np.ndarray
+
+
+class Explorer:
+    """A robot in a house that it begins to know.
+
+    Attributes:
+        known: (h, w) bool.
+        thing_m: (n, 2) float32, the plan's things, in the grid's frame: metres from its corner.
+        seen: (n,) bool, things that were made out.
+        seen_m: (n, 2) float32, the surface that was seen of each, in the grid's frame.
+    """
+
+    def __init__(self, plan: Plan, cell: tuple[int, int], random: np.random.Generator) -> None:
+        self.plan, self._random = plan, random
+        h, w = plan.wall.shape
+        self.known = np.zeros((h, w), np.bool_)
+        self.seen = np.zeros(len(plan.word), np.bool_)
+        self.thing_m = (plan.xy_m - plan.origin_xy_m).astype(np.float32)
+        self.seen_m = np.zeros((len(plan.word), 2), np.float32)
+        self._since_turn_m = 0.0
+        self._cell = cell
+        body = int(_BODY_M / CELL_M)
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * body + 1, 2 * body + 1))
+        self._standable = ~cv2.dilate(plan.closed.astype(np.uint8), disc).astype(bool)
+        self._standable[cell] = True
+        self._distance = np.empty((h, w), np.int32)
+        self._buckets = np.empty(64, np.int32)
+        self._queue = np.empty((2, 8 * h * w + 1), np.int32)
+        self.look(None)
+
+    def look(self, yaw_rad: float | None) -> None:
+        """See what is in view; None: all around."""
+        y, x = self._cell
+        half = math.pi if yaw_rad is None else 0.5 * HFOV_RAD
+        reveal(self.plan.wall, y, x, yaw_rad or 0.0, half, MAP_RANGE_M / CELL_M, self.known)
+        luck = self._random.random(len(self.seen))
+        make_out(
+            self.plan.wall, (x + 0.5) * CELL_M, (y + 0.5) * CELL_M, yaw_rad or 0.0, half, CELL_M,
+            self.thing_m, self.plan.half_m, self.plan.range_m, luck, _NEAR, _FAR,
+            self.seen, self.seen_m,
+        )  # fmt: skip
+
+    def frontiers(self) -> Frontiers:
+        """Those that there are now."""
+        walkable = self.known & self._standable
+        self._spread(walkable)
+        reached = self._distance < dist.UNREACHED
+        unknown = (~self.known).astype(np.uint8)
+        edge = reached & (cv2.dilate(unknown, np.ones((3, 3), np.uint8)) > 0)
+        edge[self._cell] = False
+        cells = _targets(edge)
+        area_m2 = np.zeros(len(cells))
+        gains(self.known, self.plan.wall, cells, GAIN_RANGE_M / CELL_M, area_m2)
+        area_m2 *= CELL_M**2
+        path = self._distance[cells[:, 0], cells[:, 1]] / dist.STRAIGHT * CELL_M
+        xy = ((cells[:, ::-1] + 0.5) * CELL_M).astype(np.float32)
+        worth = area_m2 > 0
+        return Frontiers(cells[worth], xy[worth], path[worth], area_m2[worth])
+
+    def drive(self, goal: np.ndarray, most_m: float) -> None:
+        """Go towards a frontier of this moment, looking ahead, and around now and then."""
+        way = descend(self._distance, goal[0], goal[1])
+        gone, due = 0.0, LOOK_EVERY_M
+        for y, x in way[1:]:
+            step = CELL_M * math.hypot(y - self._cell[0], x - self._cell[1])
+            yaw = math.atan2(y - self._cell[0], x - self._cell[1])
+            self._cell = (int(y), int(x))
+            gone += step
+            self._since_turn_m += step
+            if self._since_turn_m >= TURN_EVERY_M:
+                self.look(None)
+                self._since_turn_m = 0.0
+            elif gone >= due:
+                self.look(yaw)
+                due += LOOK_EVERY_M
+            if gone >= most_m:
+                return
+        self.look(None)
+
+    def survey(self) -> Grid:
+        """What the robot's map would show of the walls: see `regions.survey`."""
+        cells = np.where(self.plan.wall, regions.WALL, regions.OPEN).astype(np.uint8)
+        cells[~self.known] = regions.UNKNOWN
+        return Grid(cells, (0.0, 0.0), CELL_M)
+
+    def _spread(self, walkable: np.ndarray) -> None:
+        state = walkable.astype(np.uint8)
+        state[0, :] = state[-1, :] = state[:, 0] = state[:, -1] = dist.CLOSED
+        state[self._cell] = dist.FREE
+        step = np.array([[12] * 3, [17] * 3], np.int32)
+        start = np.array([[self._cell[0] * state.shape[1] + self._cell[1], 0]], np.int64)
+        dist.wavefront(state, step, start, self._distance, self._buckets, self._queue)
+
+
+def paths_m(plan: Plan, cell: tuple[int, int]) -> np.ndarray:
+    """Metres to drive from a cell to each other, all being known: (h, w) float64."""
+    explorer = Explorer(plan, cell, np.random.default_rng(0))
+    explorer._spread(explorer._standable)
+    out = explorer._distance / dist.STRAIGHT * CELL_M
+    out[explorer._distance == dist.UNREACHED] = np.inf
+    return out
+
+
+def _targets(edge: np.ndarray) -> np.ndarray:
+    """One cell for each block of each cluster of frontier cells: (n, 2) int64."""
+    _, label = cv2.connectedComponents(edge.astype(np.uint8), connectivity=8)
+    y, x = np.nonzero(edge)
+    key = (label[y, x] * 64 + y // _BLOCK_CELLS) * 64 + x // _BLOCK_CELLS
+    out = []
+    for k in np.unique(key):
+        at = np.flatnonzero(key == k)
+        if len(at) >= _MIN_CELLS:
+            off = (y[at] - y[at].mean()) ** 2 + (x[at] - x[at].mean()) ** 2
+            out.append((y[at[off.argmin()]], x[at[off.argmin()]]))
+    return np.array(out, np.int64).reshape(-1, 2)
+
+
+@njit(nogil=True, cache=True)
+def reveal(wall, y, x, yaw, half, reach, known):
+    """Mark the cells in view as known, walls included."""
+    h, w = wall.shape
+    rays = int(half / 0.004)
+    for k in range(rays + 1):
+        a = yaw - half + 2.0 * half * k / rays
+        dy, dx = math.sin(a), math.cos(a)
+        for s in range(int(reach) + 1):
+            r, c = math.floor(y + 0.5 + s * dy), math.floor(x + 0.5 + s * dx)
+            if not (0 <= r < h and 0 <= c < w):
+                break
+            known[r, c] = True
+            if wall[r, c]:
+                break
+
+
+@njit(nogil=True, cache=True)
+def clear(wall, x, y, to_x, to_y, short, cell_m):
+    """Whether no wall stands between two points, in metres, up to `short` before the second."""
+    length = math.hypot(to_x - x, to_y - y)
+    steps = int((length - short) / (0.5 * cell_m))
+    for k in range(1, steps):
+        f = 0.5 * k * cell_m / length
+        r, c = math.floor((y + f * (to_y - y)) / cell_m), math.floor((x + f * (to_x - x)) / cell_m)
+        if wall[r, c]:
+            return False
+    return True
+
+
+@njit(nogil=True, cache=True)
+def make_out(
+    wall, x, y, yaw, half, cell_m, thing_m, half_m, range_m, luck, near, far, seen, seen_m
+):  # fmt: skip
+    """Mark the things that are detected from here, and note the side of them that was seen."""
+    for i in range(len(seen)):
+        dx, dy = thing_m[i, 0] - x, thing_m[i, 1] - y
+        d = math.hypot(dx, dy)
+        if seen[i] or d > range_m[i] or luck[i] > near + (far - near) * d / range_m[i]:
+            continue
+        turn = (math.atan2(dy, dx) - yaw + math.pi) % (2.0 * math.pi) - math.pi
+        if abs(turn) > half or not clear(
+            wall, x, y, thing_m[i, 0], thing_m[i, 1], half_m[i] + 0.15, cell_m
+        ):
+            continue
+        seen[i] = True
+        f = max(d - half_m[i], 0.0) / max(d, 1e-6)
+        seen_m[i, 0], seen_m[i, 1] = x + f * dx, y + f * dy
+
+
+@njit(nogil=True, cache=True)
+def gains(known, wall, cells, reach, out):
+    """Unknown cells in sight of each cell; what stops a look is known walls."""
+    h, w = known.shape
+    stamp = np.full((h, w), -1, np.int32)
+    for i in range(len(cells)):
+        for k in range(180):
+            a = 2.0 * math.pi * k / 180
+            dy, dx = math.sin(a), math.cos(a)
+            for s in range(1, int(reach) + 1):
+                r = math.floor(cells[i, 0] + 0.5 + s * dy)
+                c = math.floor(cells[i, 1] + 0.5 + s * dx)
+                if not (0 <= r < h and 0 <= c < w) or (known[r, c] and wall[r, c]):
+                    break
+                if not known[r, c] and stamp[r, c] != i:
+                    stamp[r, c] = i
+                    out[i] += 1.0
+
+
+@njit(nogil=True, cache=True)
+def descend(distance, y, x):
+    """The cells from where the distance is 0 to a cell: (m, 2) int64."""
+    h, w = distance.shape
+    way = [(y, x)]
+    while distance[y, x] > 0:
+        best, by, bx = distance[y, x], y, x
+        for dy in range(-1, 2):
+            for dx in range(-1, 2):
+                r, c = y + dy, x + dx
+                if 0 <= r < h and 0 <= c < w and distance[r, c] < best:
+                    best, by, bx = distance[r, c], r, c
+        if by == y and bx == x:
+            break
+        y, x = by, bx
+        way.append((y, x))
+    out = np.empty((len(way), 2), np.int64)
+    for k in range(len(way)):
+        out[k, 0], out[k, 1] = way[len(way) - 1 - k]
+    return out

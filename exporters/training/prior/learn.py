@@ -1,0 +1,253 @@
+"""Fits the prior's weights to samples, and holds them to houses that they were not fitted on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from edge.perception.prior import rooms
+from edge.perception.prior.table import SCALE, Table
+from exporters.training.prior.samples import Samples
+from exporters.training.results import auc
+
+FOLDS = 4
+_LOOKS = 8.0
+"""A house's samples are many views of one thing: together they count as so many."""
+_RIDGE = 10.0
+_DROPOUT = 0.4
+_MOST_STEPS, _SMALL_STEP = 15, 0.02
+_SLIGHT = 5
+"""Weights below are left out, in hundredths."""
+_LEAST_HOUSES = 40
+_GRID = np.round(np.arange(0.0, 1.01, 0.1), 2)
+
+
+class Score(NamedTuple):
+    """How well a target was foretold in held-out houses, each house counting alike.
+
+    Attributes:
+        houses, share: in how many it was looked for, and where of all places it was near.
+        base, loss: log loss, by that share of the other houses, and by the model, in nats.
+        error: standard error of their difference, by house.
+        auc: probability that a place with it is put before one without.
+    """
+
+    houses: int
+    share: float
+    base: float
+    loss: float
+    error: float
+    auc: float
+
+
+class Fit(NamedTuple):
+    """A target's model.
+
+    Attributes:
+        beta: (m + 1,) weights, and the bias.
+        rows: samples that count for the target.
+        log_lift: for each of them, by a model of other houses; 0 for a place nothing is known of.
+    """
+
+    beta: np.ndarray
+    score: Score
+    rows: np.ndarray
+    log_lift: np.ndarray
+
+    @property
+    def opinion(self) -> bool:
+        """Whether it foretells other houses better than the target's share does."""
+        return self.score.base - self.score.loss > self.score.error
+
+
+def folds(n_houses: int) -> np.ndarray:
+    """Which fold each house is in."""
+    return np.random.default_rng(5).permutation(n_houses) % FOLDS
+
+
+def fit_near(samples: Samples, target: int, begin: np.ndarray | None = None) -> np.ndarray:
+    """Weights of one target's logistic model, (m,), and its bias: see `Table.near_weight`.
+
+    Args:
+        begin: what to begin with, a fit to about the same samples; spares most of the steps.
+    """
+    mine = samples.wanted[:, target]
+    near = samples.near[mine].astype(np.float32)
+    found, weight = samples.found[mine, target].astype(float), _weights(samples.house[mine])
+    random = np.random.default_rng(target)
+    dropped = near * (random.random(near.shape) >= _DROPOUT)
+    return _logistic(
+        np.concatenate((near, dropped)), np.tile(found, 2), np.tile(0.5 * weight, 2), begin
+    )
+
+
+def cross_fit(samples: Samples, target: int) -> Fit | None:
+    """A target's model, and how it does in houses that it did not see; None: too few have it."""
+    mine = np.flatnonzero(samples.wanted[:, target])
+    house = samples.house[mine]
+    if len(np.unique(house)) < _LEAST_HOUSES:
+        return None
+    beta = fit_near(samples, target)
+    fold = folds(int(samples.house.max()) + 1)[house]
+    found, weight = _truth(samples, mine, target)
+    p, base, log_lift = np.empty(len(mine)), np.empty(len(mine)), np.empty(len(mine))
+    for k in range(FOLDS):
+        held_out = fold == k
+        other = fit_near(_only(samples, mine[~held_out]), target, beta)
+        p[held_out] = _sigmoid(samples.near[mine[held_out]] @ other[:-1] + other[-1])
+        base[held_out] = np.average(found[~held_out], weights=weight[~held_out])
+        log_lift[held_out] = np.log(p[held_out]) - np.log(_sigmoid(other[-1]))
+    gain = _loss(base, found) - _loss(p, found)
+    by_house = np.bincount(house, gain * weight)[np.unique(house)] / _LOOKS
+    score = Score(
+        len(by_house),
+        float(np.average(found, weights=weight)),
+        float(np.average(_loss(base, found), weights=weight)),
+        float(np.average(_loss(p, found), weights=weight)),
+        float(by_house.std() / np.sqrt(len(by_house))),
+        auc(p, found),
+    )
+    return Fit(beta, score, mine, log_lift)
+
+
+def near_part(fits: dict[int, Fit], things: tuple[str, ...]) -> dict[str, Any]:
+    """The `near` part of a table's file.
+
+    A target whose model foretells held-out houses no better than its share, by a standard error,
+    has no weights: no opinion.
+    """
+    bias, weights = [0] * len(things), {}
+    for target, fit in fits.items():
+        if fit.opinion:
+            hundredths = np.rint(SCALE * fit.beta).astype(int).tolist()
+            bias[target] = hundredths.pop()
+            weights[things[target]] = {
+                thing: v for thing, v in zip(things, hundredths, strict=True) if abs(v) >= _SLIGHT
+            }
+    return {"bias": bias, "weight": weights}
+
+
+def fit_evidence(samples: Samples, table: Table) -> float:
+    """`Table.evidence` that foretells best which kind the regions with something in them are."""
+    chance = rooms.chances(table)
+    told = (samples.kind >= 0) & samples.held.any(1)
+    held, kind = samples.held[told].astype(np.float32), samples.kind[told]
+    weight = _weights(samples.house[told])
+
+    def loss(evidence: float) -> float:
+        p = rooms.beliefs(replace(table, evidence=evidence), chance, held)
+        return float(np.average(-np.log(p[np.arange(len(p)), kind]), weights=weight))
+
+    return float(min(_GRID[1:], key=loss))
+
+
+def room_log_lift(samples: Samples, table: Table, target: int) -> np.ndarray:
+    """What the rooms alone say of each sample: (n,) float64."""
+    chance, prior = rooms.chances(table), rooms.average(table)
+    held, beside = (part.astype(np.float32) for part in (samples.held, samples.beside))
+    kind = rooms.at_places(table, chance, held, beside)
+    return np.log(rooms.lift(chance, prior, target, kind))
+
+
+def fit_powers(
+    samples: Samples, table: Table, fits: dict[int, Fit]
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """`Table.room_power` that foretells best, and what it gains in log loss (share of the base's).
+
+    The lift by what is near comes from models of other houses, that by rooms from the table: its
+    counts are few and coarse.
+    """
+    gain = np.zeros((2, len(_GRID)))
+    for target, fit in fits.items():
+        room = room_log_lift(_only(samples, fit.rows), table, target)
+        found, weight = _truth(samples, fit.rows, target)
+        near = fit.log_lift * fit.opinion
+        for row, start in enumerate((np.zeros_like(near), near)):
+            loss = [_offset_loss(start + power * room, found, weight) for power in _GRID]
+            base = _offset_loss(0.0 * room, found, weight)
+            gain[row] += (base - np.array(loss)) / base / len(fits)
+    best = gain.argmax(1)
+    alone, both = (float(_GRID[i]) for i in best)
+    return (alone, both), (float(gain[0, best[0]]), float(gain[1, best[1]] - gain[1, 0]))
+
+
+def reliability(samples: Samples, fits: dict[int, Fit], edges: np.ndarray) -> Iterator[tuple]:
+    """Held-out models by what they said: lift said, lift that came true, and how many places.
+
+    Args:
+        edges: of the bins of lift said.
+    """
+    said, true, weights = [], [], []
+    for target, fit in fits.items():
+        if not fit.opinion:
+            continue
+        found, weight = _truth(samples, fit.rows, target)
+        lift = np.exp(fit.log_lift)
+        said.append(lift / np.average(lift, weights=weight))
+        true.append(found / np.average(found, weights=weight))
+        weights.append(weight)
+    if not said:
+        return
+    s, t, w = map(np.concatenate, (said, true, weights))
+    bins = np.digitize(s, edges)
+    for k in np.unique(bins):
+        at = bins == k
+        yield np.average(s[at], weights=w[at]), np.average(t[at], weights=w[at]), int(at.sum())
+
+
+def _only(samples: Samples, rows: np.ndarray) -> Samples:
+    return Samples(*(getattr(samples, field)[rows] for field in Samples.__slots__))
+
+
+def _weights(house: np.ndarray) -> np.ndarray:
+    """So that each house counts alike, whatever the number of its samples."""
+    return _LOOKS / np.bincount(house)[house]
+
+
+def _truth(samples: Samples, rows: np.ndarray, target: int) -> tuple[np.ndarray, np.ndarray]:
+    """Whether the target is near, (n,) float64, and the weight of each sample."""
+    return samples.found[rows, target].astype(float), _weights(samples.house[rows])
+
+
+def _sigmoid(odds: np.ndarray | float) -> np.ndarray:
+    return 1.0 / (1.0 + np.exp(-np.asarray(odds)))
+
+
+def _loss(p: np.ndarray, found: np.ndarray) -> np.ndarray:
+    p = np.clip(p, 1e-6, 1.0 - 1e-6)
+    return -(found * np.log(p) + (1.0 - found) * np.log(1.0 - p))
+
+
+def _offset_loss(offset: np.ndarray, found: np.ndarray, weight: np.ndarray) -> float:
+    """Log loss of an intercept, fitted, on top of log-odds that are given."""
+    bias = 0.0
+    for _ in range(20):
+        p = _sigmoid(offset + bias)
+        bias += (weight * (found - p)).sum() / max((weight * p * (1.0 - p)).sum(), 1e-9)
+    return float(np.average(_loss(_sigmoid(offset + bias), found), weights=weight))
+
+
+def _logistic(
+    near: np.ndarray, found: np.ndarray, weight: np.ndarray, begin: np.ndarray | None
+) -> np.ndarray:
+    """Newton's method on a logistic model with a ridge on all but the intercept, which is last."""
+    x = np.hstack((near, np.ones((len(near), 1), np.float32)))
+    share = np.average(found, weights=weight)
+    beta = np.zeros(x.shape[1])
+    beta[-1] = np.log((share + 1e-3) / (1.0 - share + 1e-3))
+    if begin is not None:
+        beta = begin.copy()
+    penalty = np.full(len(beta), _RIDGE)
+    penalty[-1] = 1e-3
+    for _ in range(_MOST_STEPS):
+        p = _sigmoid(x @ beta)
+        slope = (weight * p * (1.0 - p)).astype(np.float32)
+        hessian = (x * slope[:, None]).T @ x + np.diag(penalty)
+        step = np.linalg.solve(hessian, x.T @ (weight * (found - p)) - penalty * beta)
+        beta += step
+        if np.abs(step).max() < _SMALL_STEP:
+            break
+    return beta

@@ -1,0 +1,55 @@
+"""What comes of a training run: figures on held-out data, and a file with its card in `models/`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from edge.host.files import replace_atomically
+
+MODELS = Path(__file__).parents[2] / "models"
+
+
+def auc(score: np.ndarray, right: np.ndarray) -> float:
+    """Return P(one that is right scores above one that is not); ties count half.
+
+    NaN where all are right, or none is.
+    """
+    _, order, counts = np.unique(score, return_inverse=True, return_counts=True)
+    rank = (np.cumsum(counts) - 0.5 * (counts - 1))[order]
+    n = int((right > 0).sum())
+    if n in (0, len(right)):
+        return float("nan")
+    return float((rank[right > 0].sum() - 0.5 * n * (n + 1)) / (n * (len(right) - n)))
+
+
+def took_ms(run: Callable[[int], object], runs: int) -> dict[str, float]:
+    """Time `run(0)`, `run(1)`, …: median and 95th percentile."""
+    times = []
+    for index in range(runs):
+        start = time.perf_counter()
+        run(index)
+        times.append(1e3 * (time.perf_counter() - start))
+    return {f"p{q}_ms": round(float(np.percentile(times, q)), 2) for q in (50, 95)}
+
+
+def publish(files: Mapping[str, Path], cards: list[dict[str, Any]], out: Path, note: str) -> None:
+    """Put ONNX files and their cards into `out`, files before cards, or nothing at all.
+
+    Args:
+        files: by the name that they get.
+        note: a comment at the top of each card.
+    """
+    contents = {name: path.read_bytes() for name, path in files.items()}
+    for card in cards:
+        body = yaml.safe_dump(card, sort_keys=False, width=100)
+        contents[f"{card['name']}.yaml"] = f"# {note}\n{body}".encode()
+    with ExitStack() as stack:  # which puts in place first what it was given last
+        for name, content in reversed(contents.items()):
+            stack.enter_context(replace_atomically(out / name)).write_bytes(content)

@@ -1,0 +1,113 @@
+"""Train the small translator: from sentences made by code, and from what people wrote.
+
+    python -m exporters.training.translator --out RUN --lang2ltl TABLE --clean-up TABLE
+
+Learns composed sentences first. From there it learns the sentences of all corpora but one, for each
+of them, and is measured on that one; then those of all, which becomes `models/mini-translator.onnx`
+and its card. Goes on where it was stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from exporters.files import at_least_one, sha256_of, tells_errors
+from exporters.training.results import MODELS, publish
+
+NAME = "mini-translator"
+MANY = 7000
+"""Sentences of people's that could be all that is drawn; of fewer, fewer are."""
+NOTE = "Written by exporters.training.translator."
+
+
+@tells_errors
+def main(argv: list[str] | None) -> None:
+    from exporters.training.translator.training import COMPOSED, PEOPLE
+
+    parser = argparse.ArgumentParser(
+        prog="python -m exporters.training.translator", description="train the small translator"
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder of checkpoints")
+    parser.add_argument("--lang2ltl", type=Path, help="table of Lang2LTL's symbolic utterances")
+    parser.add_argument("--clean-up", type=Path, help="table of commands for a robot in rooms")
+    parser.add_argument("--models", type=Path, default=MODELS, help="default: %(default)s")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--steps", type=int, default=COMPOSED.steps, help="of composed sentences")
+    parser.add_argument(
+        "--people-steps", type=int, default=PEOPLE.steps, help="then, with what people wrote"
+    )
+    args = parser.parse_args(argv)
+    at_least_one(args, "steps", "people_steps")
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
+    _train(args)
+
+
+def _train(args: argparse.Namespace) -> None:
+    import torch
+    import yaml
+
+    from exporters.training.translator import evaluate
+    from exporters.training.translator.compose import load
+    from exporters.training.translator.data import corpora, extended, human_pairs, vocabulary_of
+    from exporters.training.translator.export import export
+    from exporters.training.translator.training import COMPOSED, PEOPLE, train
+
+    torch.set_num_threads(1)  # tensors this small gain nothing by more
+    args.out.mkdir(parents=True, exist_ok=True)
+    phrases, cases = load(), corpora(args.lang2ltl, args.clean_up)
+    pairs = {name: human_pairs(some, phrases) for name, some in cases.items()}
+    words = vocabulary_of(phrases, args.seed)
+    plan = replace(COMPOSED, steps=args.steps, seed=args.seed)
+    base = train(phrases, [], words, plan, args.out / "composed.pt")
+
+    def learned(seen: list[str], name: str) -> tuple[Path, float]:
+        """The file of a network that also learned these corpora."""
+        human = [pair for corpus in seen for pair in pairs[corpus]]
+        vocabulary, plan = extended(words, human), replace(PEOPLE, steps=args.people_steps)
+        plan = replace(plan, seed=args.seed, human=min(PEOPLE.human, len(human) / MANY))
+        net = train(phrases, human, vocabulary, plan, args.out / f"{name}.pt", start=base)
+        path = args.out / f"{name}.onnx"
+        return path, export(net, vocabulary, path)
+
+    measured: dict[str, dict[str, Any]] = {}
+    for corpus in cases:
+        path, _ = learned([other for other in cases if other != corpus], f"without-{corpus}")
+        for kind, translator in evaluate.translators(path).items():
+            told = evaluate.outcomes(cases[corpus], translator)
+            measured[f"{corpus}, not seen, {kind}"] = told
+            logging.info("%s, not seen, %s: %s", corpus, kind, told)
+    path, off = learned(list(cases), NAME)
+    everything = [case for some in cases.values() for case in some]
+    figures: dict[str, Any] = {"logit_error": round(off, 4), "bytes": path.stat().st_size}
+    if everything:
+        translator = evaluate.translators(path)["model"]
+        figures |= evaluate.latency_ms(everything, translator)
+    measured = {"training": _how(args, pairs), "file": figures, **measured}
+    card = {
+        "name": NAME, "task": "translate", "family": NAME, "sources": [], "license": "Apache-2.0",
+        "derived_from": None, "parity": None, "file": f"{NAME}.onnx", "sha256": sha256_of(path),
+        "precision": "int8", "measured": measured,
+    }  # fmt: skip
+    publish({f"{NAME}.onnx": path}, [card], args.models, NOTE)
+    print(yaml.safe_dump(measured, sort_keys=False))
+
+
+def _how(args: argparse.Namespace, pairs: dict[str, list]) -> dict[str, Any]:
+    import torch
+
+    told = " ".join(f"--{name} TABLE" for name in pairs)
+    return {
+        "command": f"python -m exporters.training.translator --out RUN --seed {args.seed} "
+        f"--steps {args.steps} --people-steps {args.people_steps} {told}".rstrip(),
+        "torch": str(torch.__version__),
+        **{f"{name}_sentences": len(some) for name, some in pairs.items()},
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

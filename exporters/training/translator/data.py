@@ -1,0 +1,193 @@
+"""What the small translator learns: composed sentences, and what people wrote, as token ids."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from pathlib import Path
+from random import Random
+
+import torch
+from torch import Tensor
+
+from edge.lab.eval.languages import difference, with_weak_untils
+from edge.lab.eval.translate import CLEAN_UP, LANG2LTL, Case, clean_up_cases, lang2ltl_cases
+from edge.mission.language.compact import MOST_NAMES, NAMES, OPERATORS, REFUSED, formula_of
+from edge.mission.language.lifting import lift
+from edge.mission.language.network import (
+    END,
+    MOST_TOKENS,
+    MOST_WORDS,
+    PAD,
+    SPECIAL,
+    TO_FORMULA,
+    TO_WORDS,
+    UNKNOWN,
+)
+from edge.mission.language.words import TranslationError
+from edge.mission.ltl import Formula, propositions, renamed
+from exporters.training.translator.compose import Composer, Pair, Phrases, lifted
+
+RARE = 4
+"""Words that stand in fewer composed or human sentences are unknown."""
+COUNTED = 60_000
+
+
+@dataclass(frozen=True, slots=True)
+class Vocabulary:
+    """Tokens by their ids, in this order: special ones, names, operators, words."""
+
+    tokens: tuple[str, ...]
+
+    def ids(self) -> dict[str, int]:
+        return {token: i for i, token in enumerate(self.tokens)}
+
+
+def vocabulary_of(phrases: Phrases, seed: int) -> Vocabulary:
+    """The words of composed sentences that are not rare."""
+    composer = Composer(phrases, Random(f"{seed} words"))
+    counts = Counter(word for _ in range(COUNTED) for word in composer.pair().words)
+    return _with_words(Vocabulary((*SPECIAL, *NAMES, REFUSED, *OPERATORS)), counts)
+
+
+def extended(vocabulary: Vocabulary, human: Sequence[Pair]) -> Vocabulary:
+    """With the words that people used, but for rare ones."""
+    return _with_words(vocabulary, Counter(word for pair in human for word in pair.words))
+
+
+def _with_words(vocabulary: Vocabulary, counts: Counter[str]) -> Vocabulary:
+    known = set(vocabulary.tokens)
+    words = sorted(word for word, n in counts.items() if n >= RARE and word not in known)
+    return Vocabulary((*vocabulary.tokens, *words))
+
+
+def human_pairs(cases: Sequence[Case], phrases: Phrases) -> list[Pair]:
+    """What people wrote, its formulas in compact tokens; others are left out.
+
+    Sentences whose names are not those of their formulas are left out too.
+    """
+    skeletons = _Skeletons(phrases)
+    pairs = []
+    for case in cases:
+        try:
+            said = lift(case.sentence)
+        except TranslationError:
+            continue
+        wanted = set(propositions(case.formula))
+        if wanted != set(said.names) or len(said.words) > MOST_WORDS:
+            continue
+        tokens = skeletons.tokens_of(case.formula, said.names)
+        if tokens is not None:
+            pairs.append(Pair(said.words, tokens))
+    return pairs
+
+
+class _Skeletons:
+    """Finds the family whose formula means the same as another one."""
+
+    def __init__(self, phrases: Phrases) -> None:
+        unique = {family.tokens: family for family in phrases.families}
+        self._families = [
+            (lifted(" ".join(f"${x}" for x in f.letters), f.tokens).tokens, len(f.letters))
+            for f in unique.values()
+        ]
+        self._known: dict[Formula, tuple[str, ...] | None] = {}
+
+    def tokens_of(self, formula: Formula, names: Sequence[str]) -> tuple[str, ...] | None:
+        key = _over(formula, names)
+        if key not in self._known:
+            self._known[key] = self._found(key, len(names))
+        return self._known[key]
+
+    def _found(self, formula: Formula, n: int) -> tuple[str, ...] | None:
+        for tokens, count in self._families:
+            if count != n:
+                continue
+            for order in permutations(NAMES[:n]):
+                moved = dict(zip(NAMES, order, strict=False))
+                said = tuple(moved.get(token, token) for token in tokens)
+                if difference(formula_of(said, PLAIN), formula, silent_end=True) is None:
+                    return said
+        return None
+
+
+PLAIN = tuple(f"x{i}" for i in range(MOST_NAMES))
+
+
+def _over(formula: Formula, names: Sequence[str]) -> Formula:
+    return with_weak_untils(renamed(formula, dict(zip(names, PLAIN, strict=False)).__getitem__))
+
+
+def corpora(lang2ltl: Path | None, clean_up: Path | None) -> dict[str, list[Case]]:
+    """The human sentences that are there, by corpus."""
+    cases = {}
+    if lang2ltl is not None:
+        cases[LANG2LTL.lower()] = lang2ltl_cases(lang2ltl)[0]
+    if clean_up is not None:
+        cases[CLEAN_UP.lower()] = clean_up_cases(clean_up)[0]
+    return cases
+
+
+@dataclass(slots=True)
+class Source:
+    """An endless row of pairs: composed ones, and a share of human ones."""
+
+    composer: Composer
+    human: Sequence[Pair]
+    share: float
+    rng: Random
+
+    def draw(self) -> Pair:
+        if self.human and self.rng.random() < self.share:
+            return self._disturbed(self.rng.choice(self.human))
+        while True:
+            pair = self.composer.pair()
+            if len(pair.words) <= MOST_WORDS and len(pair.tokens) <= MOST_TOKENS:
+                return pair
+
+    def _disturbed(self, pair: Pair) -> Pair:
+        """With a mark at its end, or without those it has."""
+        words = (
+            tuple(w for w in pair.words if w not in ",.") if self.rng.random() < 0.3 else pair.words
+        )
+        return Pair((*words, ".") if self.rng.random() < 0.2 else words, pair.tokens)
+
+
+class Batcher:
+    """Pairs as padded tensors, of like lengths together."""
+
+    def __init__(self, vocabulary: Vocabulary, unknown_share: float = 0.01) -> None:
+        self._ids = vocabulary.ids()
+        self._unknown_share = unknown_share
+
+    def batches(self, source: Source, size: int, ahead: int = 24) -> Iterator[list[Pair]]:
+        """Endless; `ahead` batches are drawn at once and cut by length."""
+        while True:
+            drawn = sorted((source.draw() for _ in range(size * ahead)), key=lambda p: len(p.words))
+            cut = [drawn[i : i + size] for i in range(0, len(drawn), size)]
+            source.rng.shuffle(cut)
+            yield from cut
+
+    def tensors(self, pairs: Sequence[Pair], rng: Random) -> list[tuple[Tensor, Tensor]]:
+        """Sources and targets, each (b, n) int64: to formulas, then to words."""
+        words = [[self._word(word, rng) for word in pair.words] for pair in pairs]
+        tokens = [[self._ids[token] for token in pair.tokens] for pair in pairs]
+        begin, back, end = (self._ids[token] for token in (TO_FORMULA, TO_WORDS, END))
+        forward = [[begin, *row, end] for row in tokens]
+        reverse = [[back, *row, end] for row in words]
+        kept = [i for i, pair in enumerate(pairs) if pair.tokens != (REFUSED,)]
+        made = [(self._padded(words), self._padded(forward))]
+        if kept:
+            picked = [tokens[i] for i in kept], [reverse[i] for i in kept]
+            made.append((self._padded(picked[0]), self._padded(picked[1])))
+        return made
+
+    def _word(self, word: str, rng: Random) -> int:
+        known = self._ids.get(word, self._ids[UNKNOWN])
+        return self._ids[UNKNOWN] if rng.random() < self._unknown_share else known
+
+    def _padded(self, rows: Sequence[Sequence[int]]) -> Tensor:
+        longest = max(map(len, rows))
+        return torch.tensor([[*row, *[self._ids[PAD]] * (longest - len(row))] for row in rows])
