@@ -20,7 +20,7 @@ import json
 import math
 import re
 import sys
-from dataclasses import asdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,12 +38,11 @@ from exporters.files import ExportError, tells_errors
 from exporters.fp16 import write_fp16
 from exporters.images import TextEmbeddings, digest_of, load_text_embeddings
 from exporters.parity import (
-    FP16_TOLERANCE,
-    FP32_TOLERANCE,
-    INT8_TOLERANCE,
+    FP16_LIMITS,
+    FP32_LIMITS,
+    INT8_LIMITS,
     ParityReport,
-    Tolerance,
-    check_tolerance,
+    check_parity,
     measure,
     torch_model,
 )
@@ -149,7 +148,7 @@ def _export_fp32(
         export_onnx(detector, card.input.height, card.input.width, made)
         if validation := pictures(args.calibration, args.validation)[1]:
             report = measure(torch_model(detector), made, validation, text)
-            _conclude(card, args, report, FP32_TOLERANCE, reference="torch")
+            _conclude(card, args, report, FP32_LIMITS, reference="torch")
     _write_sidecar(card, out, report, "torch", calibration=None)
     return report
 
@@ -168,8 +167,8 @@ def _export_derived(
         else:
             quantize(source, made, feeds, recipe, card.precision)
         report = measure(source, made, validation, text)
-        tolerance = FP16_TOLERANCE if card.precision == "fp16" else INT8_TOLERANCE
-        _conclude(card, args, report, tolerance, reference=fp32.name)
+        limits = FP16_LIMITS if card.precision == "fp16" else INT8_LIMITS
+        _conclude(card, args, report, limits, reference=fp32.name)
     _write_sidecar(card, out, report, fp32.name, digest_of(calibration))
     return report
 
@@ -178,13 +177,13 @@ def _conclude(
     card: DetectCard,
     args: argparse.Namespace,
     report: ParityReport,
-    tolerance: Tolerance,
+    limits: Mapping[str, float],
     reference: str,
 ) -> None:
     """Print a step's parity, write it to the card if asked, and hold it to its tolerance."""
     print(f"{card.name} against {reference}:\n{report.table()}", file=sys.stderr)
     if not args.no_gate:
-        check_tolerance(report, tolerance, card.name)
+        check_parity(report, limits, card.name)
     if args.update_card:
         _update_card(args.cards / f"{card.name}.yaml", card_parity(report, reference))
 
@@ -237,7 +236,7 @@ def export_folder(args: argparse.Namespace) -> None:
 
 def told(reports: dict[str, Any]) -> None:
     """Print reports as one JSON object, by card."""
-    print(json.dumps({name: asdict(r) if r else None for name, r in reports.items()}))
+    print(json.dumps({name: r.figures() if r else None for name, r in reports.items()}))
 
 
 @tells_errors
@@ -286,7 +285,7 @@ def main(argv: list[str] | None) -> None:
     card = load_card(args.card, args.cards)
     report = export_card(card, args)
     if report is not None:
-        print(report.to_json())
+        print(json.dumps(report.figures()))
 
 
 if __name__ == "__main__":

@@ -27,13 +27,14 @@ from edge.perception.clip import pixels_of
 from edge.perception.similarity import SENTENCE
 from edge.text import one_line
 from exporters import hugging_face
-from exporters.encoder_parity import TOLERANCES, EmbeddingReport, check_tolerance, compare
+from exporters.encoder_parity import LIMITS, EmbeddingReport, compare
 from exporters.files import ExportError, sha256_of
 from exporters.fp16 import write_fp16
 from exporters.images import PROMPTS, digest_of, read_rgb
 from exporters.onnx_format import check_format, cpu_session, export_module
 from exporters.quantize import need_pictures, pictures, quantize
 from exporters.recipes import TRANSFORMER, Recipe
+from exporters.reports import check_limits
 from exporters.sidecar import write_sidecar
 from exporters.weight_only import quantize_weights
 
@@ -310,7 +311,7 @@ class _Maker:
         report = compare(self._rows[task], found, other)
         print(f"{card['name']} against torch:\n{report.table()}", file=sys.stderr)
         if not self._args.no_gate:
-            check_tolerance(report, TOLERANCES[precision], card["name"])
+            check_limits(report, LIMITS[precision], card["name"])
         return report
 
     def _example(self, card: dict[str, Any]) -> Tensor:

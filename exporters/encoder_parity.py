@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
 from exporters.files import ExportError
+from exporters.reports import Report
 
-"""One batch of an encoder's input → embeddings (n, d)."""
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """The worst parity that still passes."""
-
-    cosine: float
-    rank_agreement: float
-
-
-TOLERANCES = {
-    "fp32": Tolerance(cosine=0.99999, rank_agreement=0.999),
-    "fp16": Tolerance(cosine=0.999, rank_agreement=0.99),
-    "int8": Tolerance(cosine=0.995, rank_agreement=0.97),
-    "int8-cpu": Tolerance(cosine=0.95, rank_agreement=0.9),
+LIMITS = {
+    "fp32": {"cosine": 0.99999, "rank_agreement": 0.999},
+    "fp16": {"cosine": 0.999, "rank_agreement": 0.99},
+    "int8": {"cosine": 0.995, "rank_agreement": 0.97},
+    "int8-cpu": {"cosine": 0.95, "rank_agreement": 0.9},
 }
 """By the precision of what is compared."""
 
 
 @dataclass(frozen=True)
-class EmbeddingReport:
+class EmbeddingReport(Report):
     """What a candidate kept of a reference.
 
     Attributes:
@@ -47,15 +36,6 @@ class EmbeddingReport:
     mean_cosine: float
     rank_agreement: float
     max_abs_diff: float
-
-    def to_json(self) -> str:
-        """One JSON object on one line; what is not known is null."""
-        return json.dumps({k: None if v != v else v for k, v in asdict(self).items()})
-
-    def table(self) -> str:
-        """One readable line per figure."""
-        rows = [(name, f"{value:.6g}") for name, value in asdict(self).items()]
-        return "\n".join(f"  {name:<16}{value:>12}" for name, value in rows)
 
     def for_card(self, reference: str) -> dict:
         """The part that a card keeps (`edge.perception.card_types.EmbeddingParity`)."""
@@ -109,20 +89,6 @@ def rank_agreement(reference: np.ndarray, candidate: np.ndarray) -> float:
     if not told.any():
         return float("nan")
     return float((np.sign(candidate[first] - candidate[second]) == above)[told].mean())
-
-
-def check_tolerance(report: EmbeddingReport, tolerance: Tolerance, what: str) -> None:
-    """Raise ExportError if a figure is worse than its limit; an order that is not known is not."""
-    worse = [
-        f"{name} {getattr(report, name):.5g} < {getattr(tolerance, name):.5g}"
-        for name in ("cosine", "rank_agreement")
-        if getattr(report, name) < getattr(tolerance, name)
-    ]
-    if worse:
-        raise ExportError(
-            f"{what}: parity below its limits ({', '.join(worse)}); calibrate on more images "
-            "like those the robot sees, or pass --no-gate to keep the file anyway"
-        )
 
 
 def _unit(which: str, rows: np.ndarray) -> np.ndarray:

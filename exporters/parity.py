@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from edge.lab.bench.boxes import Found, agree, overlaps
 from exporters.files import ExportError
 from exporters.images import TextEmbeddings, load_input
 from exporters.onnx_format import check_format, cpu_session
+from exporters.reports import Report, check_limits
 
 SCORE_THRESHOLD = 0.3
 NMS_IOU = 0.5
@@ -24,23 +24,13 @@ Model = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """(images (1, 3, H, W), txt_feats (1, n, 512)) → boxes (1, A, 4) xyxy px, scores (1, A, n)."""
 
 
-@dataclass(frozen=True)
-class Tolerance:
-    """The worst parity that still passes; None leaves a figure ungated."""
-
-    recall: float = 0.95
-    precision: float = 0.8
-    score_error: float | None = None
-    max_abs_diff: float | None = None
-
-
-FP32_TOLERANCE = Tolerance(recall=1.0, precision=1.0, score_error=0.01, max_abs_diff=0.01)
-FP16_TOLERANCE = Tolerance(recall=0.97, precision=0.95, score_error=0.05)
-INT8_TOLERANCE = Tolerance()
+FP32_LIMITS = {"recall": 1.0, "precision": 1.0, "score_error": 0.01, "max_abs_diff": 0.01}
+FP16_LIMITS = {"recall": 0.97, "precision": 0.95, "score_error": 0.05}
+INT8_LIMITS = {"recall": 0.95, "precision": 0.8}
 
 
 @dataclass(frozen=True)
-class ParityReport:
+class ParityReport(Report):
     """What a candidate kept of a reference.
 
     Attributes:
@@ -61,16 +51,6 @@ class ParityReport:
     score_error: float
     score_bias: float
     max_abs_diff: float
-
-    def to_json(self) -> str:
-        """One JSON object on one line; an undefined score error is null."""
-        values = {k: None if v != v else v for k, v in asdict(self).items()}
-        return json.dumps(values)
-
-    def table(self) -> str:
-        """One readable line per figure."""
-        rows = [(name, f"{value:.4g}") for name, value in asdict(self).items()]
-        return "\n".join(f"  {name:<14}{value:>10}" for name, value in rows)
 
 
 def select_boxes(
@@ -136,31 +116,14 @@ def _finite(
     return outputs[0][0], outputs[1][0]
 
 
-def check_tolerance(report: ParityReport, tolerance: Tolerance, what: str) -> None:
-    """Raise ExportError if a figure of the report is worse than its limit, or nothing was seen.
-
-    A figure that is not known (NaN) does not keep its limit.
-    """
+def check_parity(report: ParityReport, limits: Mapping[str, float], what: str) -> None:
+    """Raise ExportError if a figure is worse than its limit, or the reference saw nothing."""
     if not report.detections:
         raise ExportError(
             f"{what}: the reference sees nothing above {SCORE_THRESHOLD} in {report.images} "
             "images, so parity means nothing; give images that show the prompted things"
         )
-    worse = [
-        f"{name} {getattr(report, name):.3g} < {getattr(tolerance, name):.3g}"
-        for name in ("recall", "precision")
-        if not getattr(report, name) >= getattr(tolerance, name)
-    ] + [
-        f"{name} {getattr(report, name):.3g} > {getattr(tolerance, name):.3g}"
-        for name in ("score_error", "max_abs_diff")
-        if getattr(tolerance, name) is not None
-        and not getattr(report, name) <= getattr(tolerance, name)
-    ]
-    if worse:
-        raise ExportError(
-            f"{what}: parity below its limits ({', '.join(worse)}); calibrate on more images "
-            "like those the robot sees, or pass --no-gate to keep the file anyway"
-        )
+    check_limits(report, limits, what)
 
 
 def onnx_model(path: Path) -> tuple[Model, tuple[int, int]]:

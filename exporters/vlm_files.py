@@ -15,12 +15,12 @@ import onnx
 import yaml
 
 from edge.host.files import replace_atomically, write_atomically
-from exporters.encoder_parity import Tolerance, check_tolerance
 from exporters.fp16 import kept_nodes, to_fp16
 from exporters.images import read_rgb
 from exporters.onnx_format import check_format
 from exporters.quantize import quantize
 from exporters.recipes import TRANSFORMER, Recipe, nodes_like
+from exporters.reports import check_limits
 from exporters.sidecar import write_sidecar
 from exporters.vlm_parity import Chain, Exam, LetterReport, Original, Question
 from exporters.weight_only import quantize_weights
@@ -35,12 +35,12 @@ PRECISIONS = {
 }
 """By a card's precision: those of its files. `int8` is static of the vision encoder, and of weights
 alone of the others; `q4` of weights."""
-TOLERANCES = {
-    "fp32": Tolerance(cosine=0.9999, rank_agreement=0.99),
-    "fp16": Tolerance(cosine=0.999, rank_agreement=0.97),
-    "int8": Tolerance(cosine=0.9, rank_agreement=0.9),
-    "q4": Tolerance(cosine=0.9, rank_agreement=0.8),
-    "q4f16": Tolerance(cosine=0.999, rank_agreement=0.8),
+LIMITS = {
+    "fp32": {"cosine": 0.9999, "rank_agreement": 0.99},
+    "fp16": {"cosine": 0.999, "rank_agreement": 0.97},
+    "int8": {"cosine": 0.9, "rank_agreement": 0.9},
+    "q4": {"cosine": 0.9, "rank_agreement": 0.8},
+    "q4f16": {"cosine": 0.999, "rank_agreement": 0.8},
 }
 CACHED = ("past_key_values.", "present.")
 RECIPES = {
@@ -161,7 +161,7 @@ def make_variant(
     report = exam.sit(Chain([network for network, *_ in files]))
     print(f"{name} against {against}:\n{report.table()}", file=sys.stderr)
     if gate:
-        check_tolerance(report, TOLERANCES[precision], name)
+        check_limits(report, LIMITS[precision], name)
     for path in itertools.chain(*files):
         write_sidecar(path, name, report.figures(), *digests)
     return files, report

@@ -6,7 +6,7 @@ picture and a question only the letters'.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -18,6 +18,7 @@ from exporters import hugging_face
 from exporters.encoder_parity import rank_agreement
 from exporters.files import ExportError
 from exporters.onnx_format import cpu_session
+from exporters.reports import Report
 
 TARGETS = ("chair", "refrigerator", "bed")
 MARKS = 4
@@ -192,7 +193,7 @@ class Chain:
 
 
 @dataclass(frozen=True)
-class LetterReport:
+class LetterReport(Report):
     """What a candidate kept of the original's answers.
 
     Attributes:
@@ -210,14 +211,6 @@ class LetterReport:
     rank_agreement: float
     share_error: float
     max_abs_diff: float
-
-    def figures(self) -> dict[str, float | int]:
-        """Rounded, for a card and for `FILE.json`."""
-        return {k: v if isinstance(v, int) else float(f"{v:.6g}") for k, v in asdict(self).items()}
-
-    def table(self) -> str:
-        """One readable line per figure."""
-        return "\n".join(f"  {name:<16}{value:>12.6g}" for name, value in self.figures().items())
 
 
 class Exam:

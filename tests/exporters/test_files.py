@@ -35,11 +35,6 @@ def test_check_sha256(tmp_path: Path):
         sha256_of(tmp_path / "missing.pt")
 
 
-def test_list_images_names_an_empty_folder(tmp_path: Path):
-    with pytest.raises(ExportError, match="no images"):
-        list_images(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("size_hw", "rows", "columns"),
     [((64, 96), slice(0, 64), slice(0, 96)), ((50, 200), slice(20, 44), slice(0, 96))],
@@ -59,6 +54,8 @@ def test_load_input_is_rgb_in_0_to_1(tmp_path: Path):
     assert image.shape == (1, 3, 32, 32)
     assert image.dtype == np.float32
     np.testing.assert_allclose(image[0, :, 0, 0], [0, 0, 1])
+    with pytest.raises(ExportError, match="no images"):
+        list_images(tmp_path / "none")
     (tmp_path / "text.png").write_text("no picture")
     with pytest.raises(ExportError, match=r"text\.png: not a readable image"):
         load_input(tmp_path / "text.png", (32, 32))
@@ -70,31 +67,12 @@ def test_load_text_embeddings(tmp_path: Path):
     text = load_text_embeddings(path)
     assert text.names == ("chair",)
     np.testing.assert_allclose(np.linalg.norm(text.emb, axis=1), 1, rtol=1e-6)
+    path.write_bytes(b"chair")
+    with pytest.raises(ExportError, match=r"words\.npz: not a vocabulary"):
+        load_text_embeddings(path)
     np.savez(path, names=["unicorn"], emb=np.ones((1, 512)))
     with pytest.raises(ExportError, match="has none of the words"):
         load_text_embeddings(path)
-
-
-def damaged(path: Path, kind: str) -> Path:
-    """A vocabulary file that is none."""
-    np.savez_compressed(path, names=["chair"], emb=np.ones((1, 512)))
-    whole = path.read_bytes()
-    if kind == "array":
-        with path.open("wb") as file:
-            np.save(file, np.ones(3))
-    else:
-        cut = {"empty": b"", "text": b"chair", "truncated": whole[:-40]}
-        garbled = whole[:200] + bytes(200) + whole[400:]
-        path.write_bytes(cut.get(kind, garbled))
-    return path
-
-
-@pytest.mark.parametrize("kind", ["empty", "text", "truncated", "garbled", "array"])
-def test_a_file_that_is_no_vocabulary_is_named_in_one_line(tmp_path: Path, kind):
-    path = damaged(tmp_path / "words.npz", kind)
-    with pytest.raises(ExportError, match=r"words\.npz: not a vocabulary") as caught:
-        load_text_embeddings(path)
-    assert "\n" not in str(caught.value)
 
 
 def tiny_model(path: Path, ir: int, opset: int) -> Path:
@@ -123,7 +101,6 @@ def test_load_card_lists_the_choices(tmp_path: Path):
         load_card("small", tmp_path)
 
 
-@pytest.mark.parametrize("card", ["256x320-int8-cpu", "text", "similarity"])
-def test_load_card_names_the_commands_of_our_own_family(card):
-    with pytest.raises(ExportError, match=r"exporters\.train_mini .* exporters\.mini\.export"):
-        load_card(f"mini-house-{card}", resources.data_dir("models"))
+def test_load_card_names_the_command_of_our_own_family():
+    with pytest.raises(ExportError, match=r"`python -m exporters\.training\.mini --out RUN`"):
+        load_card("mini-house-text", resources.data_dir("models"))

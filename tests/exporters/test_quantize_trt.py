@@ -14,7 +14,14 @@ import onnx
 from onnx import numpy_helper
 from small_net import RECIPE, build, feeds, run
 
-from exporters.calibration import BINS, Histogram, least_loss_limit, tensor_session
+from exporters.calibration import (
+    BINS,
+    Histogram,
+    least_loss_limit,
+    least_loss_range,
+    silu,
+    tensor_session,
+)
 from exporters.files import ExportError
 from exporters.quantize import quantize
 from exporters.rounding import round_weights
@@ -96,15 +103,21 @@ def test_what_cannot_be_quantized(tmp_path, precision, count, says):
     assert not (tmp_path / "int8.onnx").exists()
 
 
-def test_a_symmetric_range_keeps_even_values_and_cuts_a_lonely_one():
-    def limit(values):
-        low, high = float(min(0.0, values.min())), float(max(1e-6, values.max()))
-        counts = np.histogram(values, BINS, (low, high))[0].astype(float)
-        return least_loss_limit(Histogram(low, high, counts))
+def histogram(values: np.ndarray) -> Histogram:
+    low, high = min(0.0, float(values.min())), max(1e-6, float(values.max()))
+    return Histogram(low, high, np.histogram(values, BINS, (low, high))[0].astype(float))
 
-    assert limit(np.zeros(10)) > 0
-    assert limit(np.linspace(-4, 1, 10_000)) == pytest.approx(4, abs=0.1)
-    assert limit(np.append(np.linspace(-1, 1, 100_000), 8.0)) < 6
+
+def test_ranges_keep_even_values_and_cut_what_is_lost_anyway():
+    """Symmetric ones a lonely value, and those into SiLU what SiLU forgets."""
+    even, far = np.linspace(-1, 3, 10_000), np.full(500, -100.0)
+    assert least_loss_limit(histogram(np.zeros(10))) > 0
+    assert least_loss_limit(histogram(even)) == pytest.approx(3, abs=0.1)
+    assert least_loss_limit(histogram(np.append(np.linspace(-1, 1, 100_000), 8.0))) < 6
+    low, high = least_loss_range(histogram(np.zeros(10)))
+    assert low <= 0 < high
+    assert least_loss_range(histogram(even)) == pytest.approx((-1, 3), abs=0.1)
+    assert least_loss_range(histogram(np.concatenate([even, far])), silu)[0] > -30
 
 
 @pytest.mark.parametrize("corrected", [True, False])

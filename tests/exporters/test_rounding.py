@@ -102,14 +102,3 @@ def plain_gptq(weight, moment, scale):
         weight -= np.outer(error, inverse[k])
         inverse -= np.outer(inverse[:, k], inverse[k]) / inverse[k, k]
     return levels
-
-
-def test_the_output_keeps_more_than_with_weights_rounded_to_the_nearest(layer):
-    weight, columns = layer
-    scale = rounding.channel_scales(weight)
-    nearest = np.clip(np.round(weight / scale), -127, 127)
-
-    def error(levels):
-        return np.square((levels * scale - weight) @ columns.T).mean()
-
-    assert error(rounding.gptq(weight, columns.T @ columns, scale)) < 0.5 * error(nearest)

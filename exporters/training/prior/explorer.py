@@ -1,7 +1,8 @@
 """A searcher on a plan: looks, frontiers, and steps; perfect pose and map, no false detections.
 
-Rough on purpose: it makes the partial views that a prior is learned from. A camera of 75
-degrees sees 5 m of map; a thing is made out from as far as its size allows, nine times in ten near by and six times in ten at the end of its range.
+Rough on purpose: it makes the partial views that a prior is learned from. A camera of 75 degrees
+sees 5 m of map; a thing is made out from as far as its size allows, nine times in ten near by and
+six times in ten at the end of its range.
 """
 
 from __future__ import annotations

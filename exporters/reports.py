@@ -1,0 +1,48 @@
+"""Figures of how well one model repeats another, and the limits they are held to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from exporters.files import ExportError
+
+AT_MOST = ("score_error", "max_abs_diff")
+"""Figures whose limit is the most they may be; of all others it is the least."""
+MAY_BE_UNKNOWN = ("rank_agreement",)
+
+
+@dataclass(frozen=True)
+class Report:
+    """Figures of a comparison, one a field; NaN where one is not known."""
+
+    def figures(self) -> dict[str, Any]:
+        """Return them rounded, by name; what is not known is None."""
+        told = asdict(self).items()
+        return {
+            k: None if v != v else v if isinstance(v, int) else float(f"{v:.6g}") for k, v in told
+        }
+
+    def table(self) -> str:
+        """Return one readable line per figure."""
+        return "\n".join(f"  {name:<16}{value!s:>12}" for name, value in self.figures().items())
+
+
+def check_limits(report: Report, limits: Mapping[str, float], what: str) -> None:
+    """Raise ExportError if a figure of the report is worse than its limit.
+
+    A figure that is not known does not keep its limit, but for `MAY_BE_UNKNOWN`.
+    """
+    worse = []
+    for name, limit in limits.items():
+        value = getattr(report, name)
+        if value != value and name in MAY_BE_UNKNOWN:
+            continue
+        if not (value <= limit if name in AT_MOST else value >= limit):
+            worse.append(f"{name} {value:.4g} {'>' if name in AT_MOST else '<'} {limit:.4g}")
+    if worse:
+        raise ExportError(
+            f"{what}: parity below its limits ({', '.join(worse)}); calibrate on more images "
+            "like those the robot sees, or pass --no-gate to keep the file anyway"
+        )
