@@ -76,7 +76,6 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         "--workers", "--jobs", type=count, default=1, metavar="N",
         help="processes of one thread each (default: this one only)",
     )  # fmt: skip
-    option("--ray", metavar="ADDRESS", help="a Ray cluster's; `local` starts one here")
     option(
         "--processes", action="store_true",
         help="robot, controller and service as processes over Zenoh",
