@@ -16,7 +16,6 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
     _translate(kinds)
     _trajectories(kinds)
     _compare(kinds)
-    _results(kinds)
 
 
 def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -77,7 +76,6 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         "--workers", "--jobs", type=count, default=1, metavar="N",
         help="processes of one thread each (default: this one only)",
     )  # fmt: skip
-    option("--ray", metavar="ADDRESS", help="a Ray cluster's; `local` starts one here")
     option(
         "--processes", action="store_true",
         help="robot, controller and service as processes over Zenoh",
@@ -201,20 +199,3 @@ def _compare(kinds) -> None:  # type: ignore[no-untyped-def]
         help="the column that the others are held against (default: the first)",
     )  # fmt: skip
     compare.set_defaults(handler=lazy("edge.lab.eval.comparison.run", "run"))
-
-
-def _results(kinds) -> None:  # type: ignore[no-untyped-def]
-    results = kinds.add_parser(
-        "results", help="run what a document of measurements lacks, and write it"
-    )
-    option = results.add_argument
-    option("file", type=Path, metavar="FILE", help="YAML: what to run and show")
-    option("--only", nargs="+", metavar="SECTION", help="run these sections only")
-    option("--episodes", type=count, metavar="N", help="run the first N episodes of each only")
-    option("--no-run", action="store_true", help="write what is there")
-    option(
-        "--out", type=Path, default=Path("results"), metavar="DIR",
-        help="for the outcomes, the Markdown and the plots (default: ./%(default)s)",
-    )  # fmt: skip
-    option("--workers", type=count, default=1, metavar="N", help="processes (default: 1)")
-    results.set_defaults(handler=lazy("edge.lab.eval.comparison.results", "run"))

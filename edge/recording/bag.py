@@ -24,8 +24,7 @@ from edge.config.yaml_text import read_yaml
 from edge.errors import ConfigError
 from edge.host.files import open_regular
 from edge.recording.file import McapReading, Recorded, RecordingError
-from edge.recording.reader import MAX_KEPT, MAX_RECORD_BYTES
-from edge.recording.writer import MAGIC
+from edge.recording.reader import MAGIC, MAX_KEPT, MAX_RECORD_BYTES
 from edge.text import one_line
 
 METADATA = "metadata.yaml"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -16,14 +16,16 @@ from typing import Any, BinaryIO, NamedTuple
 
 from mcap.records import Channel as ChannelRecord
 from mcap.records import DataEnd, Metadata, Schema
+from mcap.writer import CompressionType, Writer
 
 from edge.errors import FileError
 from edge.host.files import open_regular, sync
 from edge.recording.channels import Channel
-from edge.recording.reader import DamagedError, Message, records
-from edge.recording.writer import MAGIC, Writer
+from edge.recording.reader import MAGIC, DamagedError, Message, records
 
 PARTIAL = ".partial"
+COMPRESSIONS = {kind.name.lower(): kind for kind in CompressionType}
+"""`none`, `lz4` and `zstd`, as the user names them."""
 _LONGER = "damaged: a record is longer than what is left of the file"
 _RECOVERING = ".recovering"
 """Another, since what is recovered may be the partial file of the very name."""
@@ -34,20 +36,24 @@ class RecordingError(FileError):
 
 
 class _Whole:
-    """A file of which `write` writes all or raises, and nothing is kept back in a buffer."""
+    """A stream for the library: `write` writes all or raises, and nothing is kept in a buffer."""
 
     def __init__(self, path: Path) -> None:
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
         fcntl.flock(self._fd, fcntl.LOCK_SH)  # see `is_written`
+        self._at = 0
 
-    def write(self, parts: Sequence[Any]) -> None:
-        left = [memoryview(part) for part in parts if len(part)]
+    def write(self, data: bytes) -> None:
+        left = memoryview(data)
         while left:
-            n = os.writev(self._fd, left)
-            while left and n >= len(left[0]):
-                n -= len(left.pop(0))
-            if left:
-                left[0] = left[0][n:]
+            n = os.write(self._fd, left)
+            self._at, left = self._at + n, left[n:]
+
+    def tell(self) -> int:
+        return self._at
+
+    def flush(self) -> None:
+        """Nothing is kept back."""
 
     def sync(self) -> None:
         os.fdatasync(self._fd)
@@ -104,8 +110,12 @@ class McapFile:
         """Begin the file; raises OSError, and there is none then."""
         self._file = _Whole(self._partial)
         try:
-            self._writer = Writer(self._file.write, self._compression)
-            self._writer.start(self._metadata)
+            self._writer = Writer(
+                self._file, compression=COMPRESSIONS[self._compression], enable_data_crcs=True
+            )
+            self._writer.start("ros2", "edge")
+            for name, said in self._metadata.items():
+                self._writer.add_metadata(name, said)
         except OSError:
             self.abandon()
             self._partial.unlink()
@@ -119,13 +129,14 @@ class McapFile:
         at = self._channels.get(channel)
         if at is None:
             at = self._channels[channel] = self._register(channel)
-        self._writer.add(at, max(0, log_ns), max(0, stamp_ns), payload, sequence)
+        data = b"".join(payload)
+        self._writer.add_message(at, max(0, log_ns), data, max(0, stamp_ns), sequence)
         self.messages += 1
 
     @property
     def bytes(self) -> int:
         """That were written so far; what is in the chunk at hand is not yet counted."""
-        return self._writer.at
+        return self._file.tell()
 
     def sync(self) -> None:
         """Have all that was added on the disk."""
@@ -145,10 +156,9 @@ class McapFile:
         self._file.close()
 
     def _register(self, channel: Channel) -> int:
-        return self._writer.register(
-            channel.topic, channel.encoding, channel.schema, channel.schema_encoding,
-            channel.schema_text.encode(),
-        )  # fmt: skip
+        data = channel.schema_text.encode()
+        schema = self._writer.register_schema(channel.schema, channel.schema_encoding, data)
+        return self._writer.register_channel(channel.topic, channel.encoding, schema)
 
 
 class Recorded(NamedTuple):

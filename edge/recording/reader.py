@@ -21,9 +21,9 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Header, McapRecord, Metadata, Schema
 
-from edge.recording.writer import MAGIC
 from edge.text import one_line
 
+MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD_BYTES = 1 << 27
 """Of a record, and of a chunk when it is decompressed: twice the largest message that a robot sends
 (`source.max_message_mb`)."""

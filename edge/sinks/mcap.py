@@ -24,8 +24,8 @@ from edge.host.worker import Worker
 from edge.loop.journal import Input
 from edge.loop.result import TickResult
 from edge.recording import channels, journal
+from edge.recording.file import COMPRESSIONS
 from edge.recording.rolling import Limits, Rolling
-from edge.recording.writer import COMPRESSIONS
 from edge.sinks.telling import Moment, Teller, Told
 from edge.text import one_line
 

@@ -253,9 +253,9 @@ DECODERS = {
 
 def readers_of_payloads() -> set[str]:
     """The public functions of `edge` whose first parameter is a `payload`, wherever they are but in
-    what reads files of its own (`recording`) or garbles what it made itself (`eval/soak`)."""
+    what reads files of its own (`recording`) or garbles what it made itself (`lab/eval/soak`)."""
     found, root = set(), Path(edge.__file__).parent
-    own = {*root.glob("recording/*.py"), *root.glob("eval/soak/*.py")}
+    own = {*root.glob("recording/*.py"), *root.glob("lab/eval/soak/*.py")}
     for path in set(root.rglob("*.py")) - own:
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):

@@ -19,9 +19,9 @@ from edge.errors import UserError
 from edge.recording import channels, commands, file
 from edge.recording.channels import Channel
 from edge.recording.file import McapFile, McapReading, Recorded
+from edge.recording.reader import MAGIC
 from edge.recording.replay import replay
 from edge.recording.session import Session
-from edge.recording.writer import MAGIC
 
 MANY = 3000
 ODD: tuple[Any, ...] = (

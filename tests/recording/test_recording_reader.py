@@ -19,8 +19,8 @@ from edge.recording import beside, commands, reader
 from edge.recording.channels import JOURNAL
 from edge.recording.file import McapReading, recover
 from edge.recording.journal import MAX_VALUES
+from edge.recording.reader import MAGIC
 from edge.recording.session import RecordingError, Session
-from edge.recording.writer import MAGIC
 from edge.sources.recording import read
 from edge.text import read_json
 

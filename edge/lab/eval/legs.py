@@ -1,24 +1,20 @@
-"""A mission's legs, by ground truth: what each search saw again, and how straight the rest was.
+"""Floor that a mission's searches see again, by ground truth.
 
-A leg is one target pursued. While its place is not known the robot searches: floor that a look
-shows, but that an earlier leg had shown already (when the detector looked for this target too),
-was searched again. Once its place is known, the way driven is held against the shortest.
+A leg is one target pursued. While its place is not known the robot searches. Floor that a look
+shows, but that an earlier leg had shown already, was searched again.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Hashable
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
 from edge import names
 from edge.config import Config
-from edge.lab.eval import geodesic
-from edge.lab.eval.metrics import REACHED_M
-from edge.lab.sim.base import FloorPlan, World, WorldObject
+from edge.lab.sim.base import FloorPlan, World
 
 PLACE_M = 0.1
 SAME_M = 0.5  # a belief this near a thing is of that thing
@@ -26,51 +22,27 @@ NEW, BEFORE, NOW = 0, 1, 2
 """Of a place: never seen; seen before this leg; seen in it (bits)."""
 
 
-@dataclass(slots=True)
-class Leg:
-    """One target pursued, from when it became the mission's target until another one did.
-
-    Attributes:
-        known: whether the place of such a thing was known from the leg's first moment on.
-        searched_m: driven while its place was not known.
-        new_m2: floor that was seen for the first time during that search.
-        again_m2: floor seen during that search, once or more often, that earlier legs had seen.
-        driven_m: driven since its place was known.
-        direct_m: shortest way, at that moment, to where one whose place is known counts as
-            reached; None: never known.
-    """
-
-    target: str
-    known: bool
-    searched_m: float = 0.0
-    new_m2: float = 0.0
-    again_m2: float = 0.0
-    driven_m: float = 0.0
-    direct_m: float | None = None
-
-
 class Legs:
     """Follows a mission from instant to instant.
 
+    Args:
+        range_m: how far the detector sees.
+
     Attributes:
-        legs: so far, the present one last.
+        again_m2: floor seen while a target was searched for that earlier legs had seen.
     """
 
     def __init__(self, config: Config, world: World, range_m: float) -> None:
-        """
-        Args:
-            range_m: how far the detector sees.
-        """
         camera = config.sensors.camera
-        self.legs: list[Leg] = []
-        self._world, self._radius_m = world, config.robot.radius_m
+        self.again_m2 = 0.0
+        self._world = world
         self._floor = SeenFloor(world.plan, math.radians(camera.hfov_deg), range_m)
-        self._path_m = 0.0
         self._turn: Hashable | None = None
+        self._known = False
 
     def update(
         self, turn: Hashable, target: str, known_xy_m: np.ndarray, x_m: float, y_m: float,
-        yaw_rad: float, path_m: float,
+        yaw_rad: float,
     ) -> None:  # fmt: skip
         """Take in an instant.
 
@@ -78,31 +50,19 @@ class Legs:
             turn: another one in every leg, such as `MissionRun.turns`.
             known_xy_m: (n, 2) where the robot believes that such things stand.
             yaw_rad: where the camera looks.
-            path_m: driven since the start.
         """
         if turn != self._turn:
-            self._turn = turn
-            self.legs.append(Leg(target, bool(len(self._things(target, known_xy_m)))))
+            self._turn, self._known = turn, False
             self._floor.begin()
-        leg, step_m = self.legs[-1], path_m - self._path_m
-        self._path_m = path_m
-        new_m2, again_m2 = self._floor.look(x_m, y_m, yaw_rad)
-        things = self._things(target, known_xy_m) if leg.direct_m is None else []
-        if things:
-            plan = self._world.plan
-            to_go_m = geodesic.distance_field(plan, things, self._radius_m, REACHED_M)
-            leg.direct_m = geodesic.at(plan, to_go_m, x_m, y_m)
-        if leg.direct_m is None:
-            leg.searched_m += step_m
-            leg.new_m2 += new_m2
-            leg.again_m2 += again_m2
-        else:
-            leg.driven_m += step_m
+        _, again_m2 = self._floor.look(x_m, y_m, yaw_rad)
+        self._known = self._known or self._is_there(target, known_xy_m)
+        if not self._known:
+            self.again_m2 += again_m2
 
-    def _things(self, target: str, known_xy_m: np.ndarray) -> list[WorldObject]:
-        """The world's things of that name that stand where the robot believes that one does."""
+    def _is_there(self, target: str, known_xy_m: np.ndarray) -> bool:
+        """Return whether a thing of that name stands where the robot believes that one does."""
         things = [o for o in self._world.objects if names.same(o.label, target)]
-        return [o for o in things if any(o.distance_m(*xy) <= SAME_M for xy in known_xy_m.tolist())]
+        return any(o.distance_m(*xy) <= SAME_M for o in things for xy in known_xy_m.tolist())
 
 
 class SeenFloor:

@@ -34,7 +34,6 @@ def run_all(
     out: Path | None = None,
     *,
     workers: int = 1,
-    ray: str | None = None,
     processes: bool = False,
     pages: Path | None = None,
     tell: Tell = lambda number, total, outcome: None,
@@ -46,7 +45,6 @@ def run_all(
         out: a folder. An outcome that it has is taken from there, unless the episode crashed then
             or the column's configuration was another. None: nothing is kept.
         workers: processes; 1: in this one.
-        ray: address of a cluster that runs the episodes instead.
         processes: over Zenoh, each with a simulator and a controller of its own.
         pages: a folder for a report of each episode.
         stop: ends it early.
@@ -55,7 +53,7 @@ def run_all(
         In the order of episodes and columns; fewer where it was ended early.
 
     Raises:
-        UserError: `out` cannot be used, or the cluster.
+        UserError: `out` cannot be used.
     """
     file = None if out is None else OutcomeFile(out)
     known = {} if file is None else file.known
@@ -69,7 +67,7 @@ def run_all(
         if (episode.id, column.id) not in have
     ]
     done = len(pairs) - len(tasks)
-    outcomes = outcomes_of(tasks, workers, ray, stop or threading.Event())
+    outcomes = outcomes_of(tasks, workers, stop or threading.Event())
     for number, outcome in enumerate(outcomes, start=done + 1):
         if file is not None:
             file.append(outcome)
@@ -121,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
             print(f"{name}: its settings have changed; {count} outcomes of before do not count")
     logging.getLogger("edge").setLevel(logging.WARNING)  # each has a story of its own
     outcomes = run_all(
-        columns, episodes, out, workers=args.workers, ray=args.ray, processes=args.processes,
+        columns, episodes, out, workers=args.workers, processes=args.processes,
         pages=args.report, tell=lambda *news: print(_line(*news), flush=True),
         stop=stop_on_signals(),
     )  # fmt: skip

@@ -12,7 +12,7 @@ from numba import njit
 
 from edge import names
 from edge.config import Config
-from edge.lab.eval.legs import Leg, Legs
+from edge.lab.eval.legs import Legs
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.sim.base import World, WorldObject
 from edge.loop.result import TickResult
@@ -62,7 +62,8 @@ class Witness:
         stops: of each thing that was declared reached: its label, and how far it truly was [m].
         confirmed: of each target, the ids of instances that are such a thing and were confirmed;
             `mistaken` of those that are not.
-        legs: of a mission with several targets, what each search saw anew and again.
+        revisited_m2: floor that a search saw again though an earlier leg of the mission had seen
+            it; None: of one target.
     """
 
     def __init__(self, config: Config, world: World, truth: Callable[[int], Truth]) -> None:
@@ -85,7 +86,7 @@ class Witness:
         self.stops: list[tuple[str, float]] = []
         self.confirmed: dict[str, set[int]] = {}
         self.mistaken: set[int] = set()
-        self.legs: list[Leg] = []
+        self.revisited_m2: float | None = None
         self._legs = Legs(config, world, self._range_m)
         self._began_ns = 0
         self._anchor = (0.0, 0.0, 0.0)
@@ -161,15 +162,10 @@ class Witness:
         known = [i.center_m[:2] for i in instances if i.label == target and i.state in SURE]
         where = truth.x_m, truth.y_m, truth.yaw_rad
         turn, known_xy_m = (target, len(self.stops)), np.reshape(known, (-1, 2))
-        self._legs.update(turn, target, known_xy_m, *where, truth.path_m)
-        self.legs = self._legs.legs
+        self._legs.update(turn, target, known_xy_m, *where)
+        self.revisited_m2 = self._legs.again_m2
 
     # -- the verdict ------------------------------------------------------------------------------
-
-    @property
-    def revisited_m2(self) -> float | None:
-        """Floor that a search saw again though an earlier leg had seen it; None: of one target."""
-        return sum(leg.again_m2 for leg in self.legs) if self.legs else None
 
     def away_m(self, target: str, x_m: float, y_m: float) -> float:
         """From a place to the nearest footprint of a target; inf where there is none."""

@@ -1,4 +1,4 @@
-"""Episodes one by one, by several processes, or by a Ray cluster: the same outcomes from each.
+"""Episodes one by one or by several processes: the same outcomes from each.
 
 A task is an episode of a column; whoever runs it gets all that it needs with it, so that nothing
 depends on what ran before it. What breaks a task costs its own outcome and no other.
@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import cv2
 
-from edge.errors import Stopped, UserError
+from edge.errors import Stopped
 from edge.lab.eval.columns import Column
 from edge.lab.eval.drive import in_process, over_zenoh, run_episode
 from edge.lab.eval.episodes import Episode
@@ -30,7 +30,6 @@ ONE_THREAD = dict.fromkeys(
 )
 _LOOK_S = 0.5
 _END_S = 5.0
-_AHEAD = 2  # tasks that Ray is given at a time, for each of its cores
 
 
 class Task(NamedTuple):
@@ -158,57 +157,6 @@ def _serve(pipe: connection.Connection) -> None:
         pipe.send(run_task(task))
 
 
-# -- Ray ------------------------------------------------------------------------------------------
-
-
-def by_ray(tasks: Iterable[Task], address: str, stop: threading.Event) -> Iterator[Outcome]:
-    """By a Ray cluster, whose machines have this package and the worlds' files at the same paths.
-
-    Args:
-        address: of the cluster's head; `local` starts one on this machine, which ends with this.
-
-    Raises:
-        UserError: Ray is not installed, or there is no cluster at the address.
-    """
-    try:
-        import ray
-    except ImportError:
-        raise UserError("--ray needs Ray: pip install 'edge-vln[ray]'") from None
-    environ = {**ONE_THREAD, **{k: v for k, v in os.environ.items() if k.startswith("EDGE_")}}
-    try:
-        ray.init(
-            address=None if address == "local" else address, include_dashboard=None,
-            runtime_env={"env_vars": environ}, log_to_driver=False, logging_level="ERROR",
-        )  # fmt: skip
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        raise UserError(f"--ray {address}: no cluster there: {error}") from None
-    try:
-        yield from _through(ray, deque(tasks), stop)
-    finally:
-        ray.shutdown()
-
-
-def _through(ray: Any, waiting: deque[Task], stop: threading.Event) -> Iterator[Outcome]:
-    run = ray.remote(num_cpus=1, max_retries=0)(run_task)
-    most = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
-    under_way: dict[Any, Task] = {}
-    while (waiting or under_way) and not stop.is_set():
-        while waiting and len(under_way) < most:
-            task = waiting.popleft()
-            under_way[run.remote(task)] = task
-        done, _ = ray.wait(list(under_way), timeout=_LOOK_S)
-        for reference in done:
-            task = under_way.pop(reference)
-            try:
-                yield ray.get(reference)
-            except ray.exceptions.RayError as error:
-                yield crashed(task.column, task.episode, str(error))
-
-
-def outcomes_of(
-    tasks: Sequence[Task], workers: int, ray: str | None, stop: threading.Event
-) -> Iterator[Outcome]:
-    """By whichever is asked for: a cluster, several processes, or this one."""
-    if ray is not None:
-        return by_ray(tasks, ray, stop)
+def outcomes_of(tasks: Sequence[Task], workers: int, stop: threading.Event) -> Iterator[Outcome]:
+    """Run tasks in several processes, or in this one."""
     return by_workers(tasks, workers, stop) if workers > 1 else one_by_one(tasks, stop)

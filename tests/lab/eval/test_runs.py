@@ -11,14 +11,13 @@ import pytest
 from small_house import small_house
 
 from edge.cli.main import main
-from edge.errors import UserError
 from edge.lab.eval import drive, workers
 from edge.lab.eval.columns import make_columns
 from edge.lab.eval.drive import in_process, run_episode
 from edge.lab.eval.episodes import plan, read, write
 from edge.lab.eval.outcome import TIMINGS, Outcome, OutcomeFile
 from edge.lab.eval.runs import changed, run_all
-from edge.lab.eval.workers import Task, by_ray, by_workers, one_by_one
+from edge.lab.eval.workers import Task, by_workers, one_by_one
 
 COLUMNS = {"hvl": {}, "near": {"policy": {"kind": "nearest_frontier"}}}
 
@@ -71,19 +70,6 @@ def test_processes_give_the_same_outcomes(tasks, alone):
     shared = {o.key: exact(o) for o in by_workers(tasks, 2, threading.Event())}
     assert shared == {o.key: exact(o) for o in alone}
     assert len(shared) == len(tasks)
-
-
-@pytest.mark.slow
-def test_a_cluster_gives_the_same_outcomes(tasks, alone):
-    pytest.importorskip("ray", reason="needs the extra `ray`")
-    shared = {o.key: exact(o) for o in by_ray(tasks, "local", threading.Event())}
-    assert shared == {o.key: exact(o) for o in alone}
-
-
-def test_a_cluster_that_is_not_there_is_told(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "ray", None)
-    with pytest.raises(UserError, match=r"pip install 'edge-vln\[ray\]'"):
-        list(by_ray([], "local", threading.Event()))
 
 
 def fallen(task: Task) -> Outcome:

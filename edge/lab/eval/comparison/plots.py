@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -132,16 +132,14 @@ PLOTS: dict[str, tuple[Callable[[Comparison], Figure], str]] = {
 """By name: what draws it from a comparison, and what it shows."""
 
 
-def names(comparison: Comparison, wanted: Iterable[str] = PLOTS) -> list[str]:
-    """Which of the wanted plots there are: none where nothing ran, no difference of one column."""
+def images(comparison: Comparison, kind: str) -> dict[str, bytes]:
+    """Return the content of each plot's "svg" or "png" file, by its name.
+
+    There is none where nothing ran, and no difference of a single column.
+    """
     if not comparison.outcomes.ran.any():
-        return []
-    return [name for name in wanted if name != "differences" or comparison.pairs]
-
-
-def images(comparison: Comparison, kind: str, wanted: Iterable[str] = PLOTS) -> dict[str, bytes]:
-    """The content of each plot's "svg" or "png" file, by its name, as `names` are."""
-    drawn = names(comparison, wanted)
+        return {}
+    drawn = [name for name in PLOTS if name != "differences" or comparison.pairs]
     return {name: canvas.content(PLOTS[name][0](comparison), kind) for name in drawn}
 
 

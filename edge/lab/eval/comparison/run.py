@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from edge.lab.eval import episodes, world_list
 from edge.lab.eval.columns import merged
 from edge.lab.eval.comparison import outcomes as records
 from edge.lab.eval.comparison import page, plots, tables, worlds
-from edge.lab.eval.comparison.outcomes import Outcomes, Record
+from edge.lab.eval.comparison.outcomes import Outcomes
 from edge.lab.eval.comparison.statistics import Comparison, compare
 from edge.lab.eval.outcome import NAME as OUTCOMES_NAME
 from edge.lab.eval.outcome import Outcome, line
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         UserError: there are no outcomes, or no such column; a file cannot be read or written.
     """
-    comparison, drawings = compare_folders([args.out], args.baseline)
+    comparison, drawings = compare_folder(args.out, args.baseline)
     print(text(comparison))
     content = {
         CSV_NAME: tables.to_csv(comparison),
@@ -50,34 +50,22 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def compare_folders(
-    folders: Sequence[Path], baseline: str | None = None, columns: Sequence[str] = ()
+def compare_folder(
+    folder: Path, baseline: str | None = None
 ) -> tuple[Comparison, dict[str, worlds.Drawing]]:
-    """What the outcomes of folders say together, and drawings of their worlds, by world.
-
-    Args:
-        columns: the only ones to compare, in this order; none: all.
+    """Compare the outcomes of a folder; the comparison, and drawings of its worlds by world.
 
     Raises:
         UserError: there are no outcomes, or no such column; a file cannot be read.
     """
-    found = [r for folder in folders for r in records.read(folder / OUTCOMES_NAME)]
+    path = folder / OUTCOMES_NAME
+    found = records.read(path)
     if not found:
-        raise UserError(f"{folders[0] / OUTCOMES_NAME}: empty; `edge eval episodes` fills it")
-    outcomes = records.gather(_of_columns(found, columns) if columns else found)
+        raise UserError(f"{path}: empty; `edge eval episodes` fills it")
+    outcomes = records.gather(found)
     records.baseline_of(outcomes, baseline)  # a wrong name is told before the worlds are loaded
-    outcomes, left_m, drawings = look(outcomes, configs_of(folders, outcomes))
+    outcomes, left_m, drawings = look(outcomes, configs_of(folder / EPISODES_NAME, outcomes))
     return compare(outcomes, baseline, left_m), drawings
-
-
-def _of_columns(found: Sequence[Record], columns: Sequence[str]) -> list[Record]:
-    """The records of some columns, these in their order."""
-    there = dict.fromkeys(r["column"] for r in found)
-    for name in columns:
-        if name not in there:
-            names = ", ".join(map(one_line, there))
-            raise UserError(f"no column {name!r} was run; there are: {names}")
-    return [r for name in columns for r in found if r["column"] == name]
 
 
 def text(comparison: Comparison) -> str:
@@ -100,23 +88,20 @@ def told(outcomes: Iterable[Outcome]) -> str:
     return text(compare(found))
 
 
-def configs_of(folders: Sequence[Path], outcomes: Outcomes) -> dict[str, Config]:
-    """The configurations in which to load the worlds of outcomes, by world, from the episodes that
-    lie beside them.
+def configs_of(path: Path, outcomes: Outcomes) -> dict[str, Config]:
+    """Read the configurations in which to load the worlds of outcomes, by world, from episodes.
 
     Raises:
         UserError: the episodes cannot be read, or a world is none.
     """
     configs: dict[str, Config] = {}
     at = {name: e for e, name in enumerate(outcomes.episodes)}
-    for folder in folders:
-        path = folder / EPISODES_NAME
-        for episode in episodes.read(path):
-            e = at.get(episode.id)
-            if e is not None and str(outcomes.world[e]) not in configs:
-                own = {"perception": {"detector": {"kind": "sim"}}, "sim": {"world": episode.world}}
-                data = merged(episode.sensing, own)
-                configs[str(outcomes.world[e])] = parse(data, f"{path}: {one_line(episode.id)}")
+    for episode in episodes.read(path):
+        e = at.get(episode.id)
+        if e is not None and str(outcomes.world[e]) not in configs:
+            own = {"perception": {"detector": {"kind": "sim"}}, "sim": {"world": episode.world}}
+            data = merged(episode.sensing, own)
+            configs[str(outcomes.world[e])] = parse(data, f"{path}: {one_line(episode.id)}")
     return configs
 
 

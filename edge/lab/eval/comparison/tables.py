@@ -1,4 +1,4 @@
-"""A comparison in tables: text for a terminal, Markdown, HTML, CSV and JSON."""
+"""A comparison in tables: text for a terminal, HTML, CSV and JSON."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from html import escape
 from typing import Any, NamedTuple
 
@@ -32,13 +32,6 @@ SUMMARIES = {
 }  # fmt: skip
 
 
-GROUPS = ("target", "kind of world", "rooms")
-TABLES = (
-    "summary", "paired", "conduct", "failures", "losses", *(f"by {group}" for group in GROUPS),
-    "cost",
-)  # fmt: skip
-
-
 class Table(NamedTuple):
     """Rows of texts; the first cell of each is its name."""
 
@@ -47,19 +40,6 @@ class Table(NamedTuple):
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
-
-
-class Shown(NamedTuple):
-    """What a section of a document shows.
-
-    Attributes:
-        words: how much was run.
-        images: by the plot's name, what it shows and the content of its PNG.
-    """
-
-    words: str
-    tables: Sequence[Table]
-    images: Mapping[str, tuple[str, bytes]]
 
 
 def tables(comparison: Comparison) -> list[Table]:
@@ -213,13 +193,6 @@ def bounded(interval: Interval, digits: int, scale: float = 1.0, sign: str = "")
 def text(table: Table) -> str:
     """For a terminal: title and aligned columns."""
     return f"{table.title}\n{aligned([table.head, *table.rows], left=1)}"
-
-
-def markdown(table: Table) -> str:
-    """GitHub's tables, numbers to the right, with the note below."""
-    lines = [table.head, [":--", *["--:"] * (len(table.head) - 1)], *table.rows]
-    rows = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines]
-    return "\n".join([*rows, "", table.note] if table.note else rows)
 
 
 def html(table: Table) -> str:

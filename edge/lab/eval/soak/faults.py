@@ -159,28 +159,3 @@ def chosen(config: Config, names: Sequence[str] | None) -> list[Fault]:
             f"(choices: {', '.join(there)})"
         )
     return [there[name] for name in dict.fromkeys(names)]
-
-
-def table() -> str:
-    """The table as docs/soak.md has it, in Markdown."""
-    head = (
-        "fault",
-        "done to",
-        "how it is made",
-        "lasts, s",
-        "shows meanwhile",
-        "over within, s",
-        "and then",
-    )
-    rows = [head, ("---",) * len(head), *map(_cells, FAULTS)]
-    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
-
-
-def _cells(fault: Fault) -> tuple[str, ...]:
-    lasts = "–".join(f"{bound:g}" for bound in fault.lasts_s)
-    said = (says(fault.says),) if fault.says else ()
-    shows, after = (
-        "; ".join(str(hold.__doc__).rstrip(".") for hold in holds)
-        for holds in (fault.shows, (*fault.after, *said))
-    )
-    return f"`{fault.name}`", fault.part, fault.what, lasts, shows, f"{fault.within_s:g}", after

@@ -26,7 +26,8 @@ import numpy as np
 from edge.config import Config, load
 from edge.errors import UserError
 from edge.geometry import SE2, CameraModel, Grid, optical, se3
-from edge.lab.eval import kitti, outdoor, world_list
+from edge.lab.eval import kitti, world_list
+from edge.lab.eval.trajectories import outdoor
 from edge.lab.eval.trajectories.meaning import KINDS, Place, Task, Thing, box_outline_m, tasks
 from edge.lab.sim.base import World, WorldObject, free_poses
 from edge.lab.sim.generator.draws import Dice

@@ -16,8 +16,6 @@ from edge.text import shorten
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-WORDS = {"episodes": "What was meant, and what methods made of it, seen from above"}
-"""By name, what each picture shows."""
 COLUMNS, EACH_IN = 2, 3.7
 MARGIN_M = 3.0
 _MEANT = "#b9b9b9"

@@ -50,9 +50,6 @@ def tables(results: Results) -> list[Table]:
     return [table for table in found if table.rows]
 
 
-NAMES = ("tasks", "shapes", "paired", "refusals")
-
-
 def by_task(results: Results) -> Table:
     """A category a row: how many succeed, and how far from the end (table I)."""
     wanted = [m for m, name in enumerate(results.bare) if METHODS[name].ends]

@@ -11,7 +11,6 @@ from made_outcomes import record
 
 from edge.cli.main import main
 from edge.config import load
-from edge.errors import UserError
 from edge.lab.eval import episodes as eps
 from edge.lab.eval.comparison import run
 from edge.lab.eval.outcome import Outcome
@@ -59,27 +58,10 @@ def test_a_folder_is_compared(folder, capsys):
 
 
 def test_the_worlds_tell_their_rooms(folder):
-    comparison, drawings = run.compare_folders([folder])
+    comparison, drawings = run.compare_folder(folder)
     assert set(comparison.outcomes.rooms.tolist()) == {7.0}
     assert list(drawings) == ["demo"]
     assert set(drawings["demo"].footprints) == {"bed", "sofa"}
-
-
-def test_folders_together(folder, tmp_path_factory):
-    other = tmp_path_factory.mktemp("other")
-    planned = eps.make_episode(DEMO, "demo", (1.5, 1.6, 0.0), 4.0, {}, "bed")
-    eps.write(other / run.EPISODES_NAME, [planned])
-    write(other, [record(planned.id, "fast", world="demo", shortest_m=4.0)])
-    comparison, _ = run.compare_folders([folder, other])
-    assert comparison.outcomes.ran.sum(axis=1).tolist() == [2, 3]
-    assert comparison.pairs[0].missing == 1
-
-
-def test_some_columns(folder):
-    comparison, _ = run.compare_folders([folder], "slow", ["fast", "slow"])
-    assert comparison.outcomes.columns == ("fast", "slow")
-    with pytest.raises(UserError, match="no column 'quick' was run; there are: slow, fast"):
-        run.compare_folders([folder], None, ["quick"])
 
 
 @pytest.mark.parametrize(

@@ -95,11 +95,7 @@ def test_text_stays_text():
     comparison = comparison_of([record("1", BAD, target=BAD), record("2", "b")])
     for table in tables.tables(comparison):
         assert "\x1b" not in tables.text(table)
-        html, markdown = tables.html(table), tables.markdown(table)
-        assert "<script" not in html
-        rows = markdown.split("\n\n")[0].split("\n")
-        bars = {row.replace("\\|", "").count("|") for row in rows}
-        assert bars == {len(table.head) + 1}, table.name
+        assert "<script" not in tables.html(table)
 
 
 def test_csv_has_every_figure(comparison):

@@ -10,10 +10,8 @@ from made_episodes import facts, outcome
 
 from edge.errors import UserError
 from edge.lab.eval.trajectories import pictures, tables
-from edge.lab.eval.trajectories.chapter import shown
 from edge.lab.eval.trajectories.meaning import CATEGORIES
 from edge.lab.eval.trajectories.outcomes import Folder, gather
-from edge.lab.eval.trajectories.tables import NAMES
 
 FACTS = [facts(k, CATEGORIES[k % 3], ("to", "past", "then")[k % 3]) for k in range(12)]
 OURS = [outcome(k, error_m=0.5 + (k % 4)) for k in range(12)]
@@ -33,10 +31,9 @@ def folder_of(path, outcomes, of=FACTS):
     return path
 
 
-def test_of_nothing_there_are_no_tables(tmp_path):
+def test_of_nothing_there_are_no_tables():
     assert all(not t.rows for t in tables.tables(gather([], [])))
     assert pictures.images(gather([], []), "svg") == {}
-    assert shown(tmp_path / "none", NAMES, ["episodes"]) is None
 
 
 def test_a_task_a_row_beside_the_paper():
@@ -79,14 +76,6 @@ def test_few_places_have_intervals_of_episodes():
 def test_two_writers_are_told_apart():
     other = [replace(one, writer="small") for one in OURS]
     assert gather(FACTS, OURS + other).methods == ("ours (rules)", "ours (small)")
-
-
-def test_a_section_shows_what_is_wanted(tmp_path):
-    path = folder_of(tmp_path / "out", OURS + A_STAR[:5])
-    made = shown(path, ["shapes", "refusals"], ["episodes"])
-    assert made.words == "12 episodes in 12 places. Of these ran fewer: a_star 5."
-    assert [t.name for t in made.tables] == ["shapes"]
-    assert made.images["episodes"][1].startswith(b"\x89PNG")
 
 
 def test_pictures_take_hostile_words_as_they_are():

@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from edge.lab.eval.outdoor import LEAST_POINTS, ROBOT_M, outdoor_episode
 from edge.lab.eval.trajectories.meaning import KINDS
+from edge.lab.eval.trajectories.outdoor import LEAST_POINTS, ROBOT_M, outdoor_episode
 from edge.lab.eval.trajectory_metrics import likeness
 from edge.tasks.refine import refine
 from edge.tasks.value_map import Body
