@@ -1,10 +1,10 @@
 """Vision-language models from a Hugging Face folder to three ONNX files, as they are published.
 
-    edge models export NAME --weights FOLDER --precision q4 --calibration PICTURES
+    edge models export NAME --weights FOLDER
 
-writes `NAME/onnx/vision_encoder…`, `embed_tokens…` and `decoder_model_merged….onnx` with the
-suffixes of published files, what says how to feed them beside, and a card for each precision. Keys
-and values of what was read go in and out of the decoder: one file reads a prompt and goes on.
+writes `NAME/onnx/vision_encoder.onnx`, `embed_tokens.onnx` and `decoder_model_merged.onnx` in FP32,
+what says how to feed them beside, and a card; `exporters.vlm_quantize` makes variants of these.
+Keys and values of what was read go in and out of the decoder: one file reads a prompt and goes on.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
+import onnx
 import torch
 from torch import nn
 
@@ -25,24 +26,22 @@ from edge.host.files import read_regular, write_atomically
 from edge.text import one_line
 from exporters import hugging_face
 from exporters.files import ExportError
-from exporters.images import digest_of, read_rgb
+from exporters.images import read_rgb
 from exporters.onnx_format import trace_module
-from exporters.quantize import need_pictures, pictures
+from exporters.quantize import pictures
 from exporters.sidecar import write_sidecar
 from exporters.vlm_files import (
     CACHED,
     DECODER,
     EMBEDDING,
-    PRECISIONS,
     VISION,
-    Maker,
     files_of_card,
-    make_variant,
+    judge,
+    save_network,
     write_card,
 )
 from exporters.vlm_networks import Decoder, Embedding, Idefics3Vision, Qwen2Vision
-from exporters.vlm_original import TorchOriginal, cache_shape
-from exporters.vlm_parity import Exam, LetterReport, questions
+from exporters.vlm_parity import Exam, LetterReport, Question, Shown, questions
 
 OTHERS = (
     "config.json", "tokenizer.json", "tokenizer_config.json", "preprocessor_config.json",
@@ -92,6 +91,52 @@ FAMILIES = {
     "qwen2_vl": Family("Qwen2VL", Qwen2Vision, "language_model", threefold=True),
 }
 """By `model_type`; SmolVLM 2 calls itself `smolvlm`, SmolVLM `idefics3`."""
+
+
+class TorchOriginal:
+    """A model as `transformers` runs it, asked as a whole.
+
+    Attributes:
+        prepare: (h, w, 3) uint8 → inputs of the vision encoder's ONNX.
+        merge: how many patches a token is high and wide.
+    """
+
+    def __init__(self, model: nn.Module, prepare: Callable[[np.ndarray], dict]) -> None:
+        self._model, self.prepare = model, prepare
+        visual = getattr(model.model, "visual", None)
+        self.merge = 1 if visual is None else visual.spatial_merge_size
+
+    def show(self, rgb: np.ndarray) -> Shown:
+        """A picture, (h, w, 3) uint8, made ready and looked at."""
+        feeds = self.prepare(rgb)
+        with torch.inference_mode():
+            found = self._model.model.get_image_features(**_inputs(feeds)).pooler_output
+        rows = found if torch.is_tensor(found) else torch.cat(tuple(found))
+        return Shown(feeds, rows.reshape(-1, rows.shape[-1]).numpy())
+
+    def logits(self, question: Question, shown: Shown) -> np.ndarray:
+        """(v,) float32 of the token behind the question."""
+        ids = torch.from_numpy(question.ids(len(shown.features)))
+        more = {}
+        if shown.grid is not None:
+            more["mm_token_type_ids"] = (ids == question.image).to(torch.int32)
+        with torch.inference_mode():
+            found = self._model(
+                input_ids=ids, attention_mask=torch.ones_like(ids), **_inputs(shown.feeds), **more
+            )
+        return found.logits[0, -1].numpy()
+
+
+def cache_shape(text: Any) -> tuple[int, int]:
+    """(heads, size) of a language model's keys and values, by its configuration."""
+    size = getattr(text, "head_dim", None) or text.hidden_size // text.num_attention_heads
+    return text.num_key_value_heads, size
+
+
+def _inputs(feeds: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Of the vision encoder's ONNX → those of transformers, which calls the grid otherwise."""
+    renamed = {"grid_thw": "image_grid_thw"}
+    return {renamed.get(key, key): torch.from_numpy(value) for key, value in feeds.items()}
 
 
 def load_model(folder: Path) -> tuple[nn.Module, Networks]:
@@ -145,20 +190,21 @@ def _image_processor(folder: Path, family: Family) -> Any:
 
 
 def export(args: Any) -> dict[str, LetterReport]:
-    """Make every file and card that was asked for; the parity by card.
+    """Make the FP32 files and their card; the parity by card.
 
     Args:
         args: as `exporters.clip.export`.
 
     Raises:
-        ExportError: the folder or the pictures cannot be used, or a parity misses its limits.
+        ExportError: the folder or the pictures cannot be used, or the parity misses its limits.
     """
-    if unknown := [p for p in args.precision if p not in PRECISIONS]:
-        choices = ", ".join(PRECISIONS)
-        raise ExportError(f"--precision: {unknown[0]!r} (choices: {choices})")
-    if set(args.precision) != {"fp32"}:
-        need_pictures(args.calibration, args.card)
-    calibration, validation = pictures(args.calibration, args.validation)
+    name = f"{args.card}-fp32"
+    if others := [p for p in args.precision if p != "fp32"]:
+        raise ExportError(
+            f"--precision: {others[0]!r:.60}: only fp32 is made of a folder; then `edge models "
+            f"quantize {name} --precision P --calibration PICTURES` makes the others"
+        )
+    _, validation = pictures(args.calibration, args.validation)
     model, networks = load_model(args.weights)
     asked = questions(args.weights, model.config.image_token_id)
     for question in asked:
@@ -170,26 +216,21 @@ def export(args: Any) -> dict[str, LetterReport]:
     folder = args.cache / args.card
     (folder / "onnx").mkdir(parents=True, exist_ok=True)
     digest = hugging_face.weights_sha256(args.weights)
-    digests = digest, digest_of(calibration) if calibration else None
     others = _copy_others(args.weights, folder, digest)
-    reports = {}
     with traced(networks) as traces:
-        maker = Maker(traces, original, asked[0], calibration, folder / "onnx")
-        for precision in args.precision:
-            name = f"{args.card}-{precision}"
-            files, reports[name] = make_variant(
-                maker, precision, name, exam, "torch", not args.no_gate, digests
-            )
-            card = {
-                "name": name, "task": "choice", "family": args.family or args.card,
-                "license": args.license or hugging_face.license_of(args.weights),
-                "precision": precision, "folder": args.card,
-                **files_of_card(files, folder, others),
-                "measured": {"against torch": reports[name].figures()},
-                "image_tokens": max(len(picture.features) for picture in shown),
-            }  # fmt: skip
-            write_card(card, args.cache)
-    return reports
+        files = [
+            save_network(onnx.load(path), folder / "onnx" / path.name) for path in traces.values()
+        ]
+    report = judge(files, "fp32", name, exam, "torch", not args.no_gate, (digest, None))
+    card = {
+        "name": name, "task": "choice", "family": args.family or args.card,
+        "license": args.license or hugging_face.license_of(args.weights),
+        "precision": "fp32", "folder": args.card, **files_of_card(files, folder, others),
+        "measured": {"against torch": report.figures()},
+        "image_tokens": max(len(picture.features) for picture in shown),
+    }  # fmt: skip
+    write_card(card, args.cache)
+    return {name: report}
 
 
 def _noise() -> np.ndarray:

@@ -112,20 +112,8 @@ class Original(Protocol):
 
     merge: int
 
-    def prepare(self, rgb: np.ndarray) -> dict[str, np.ndarray]:
-        """(h, w, 3) uint8 → inputs of the vision encoder's ONNX."""
-        ...
-
-    def show(self, rgb: np.ndarray) -> Shown:
-        """A picture, (h, w, 3) uint8, made ready and looked at."""
-        ...
-
     def logits(self, question: Question, shown: Shown) -> np.ndarray:
         """(v,) float32 of the token behind the question."""
-        ...
-
-    def decoder_feeds(self, question: Question, shown: Shown) -> dict[str, np.ndarray]:
-        """Inputs of the decoder's ONNX for the whole question, with nothing before it."""
         ...
 
 

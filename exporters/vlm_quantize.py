@@ -8,24 +8,36 @@ each precision. It needs no PyTorch: a variant is compared with the FP32 files.
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 
+from edge.host.files import replace_atomically
 from edge.perception.card_types import ChoiceCard
 from edge.perception.cards import card_names, load_card, verify_parts
 from edge.perception.vlm.files import TOKENIZER, read_files
 from edge.perception.vlm.pictures import make_prepare
 from exporters import hugging_face
 from exporters.files import ExportError
+from exporters.fp16 import kept_nodes, to_fp16
 from exporters.images import digest_of, read_rgb
-from exporters.quantize import need_pictures, pictures
+from exporters.onnx_format import check_format
+from exporters.quantize import need_pictures, pictures, quantize
+from exporters.recipes import TRANSFORMER, Recipe, nodes_like
 from exporters.vlm_files import (
+    CACHED,
+    DECODER,
+    EMBEDDING,
     FILES,
-    PRECISIONS,
-    Maker,
+    ONE_FILE_BYTES,
+    VISION,
+    bytes_of,
     files_of_card,
-    make_variant,
+    judge,
+    save_network,
     write_card,
 )
 from exporters.vlm_parity import (
@@ -37,8 +49,26 @@ from exporters.vlm_parity import (
     places_of,
     questions,
 )
+from exporters.weight_only import quantize_weights
 
 FP32, OUT = "fp32", "quantized"
+PRECISIONS = {
+    "fp16": ("fp16", "fp16", "fp16"),
+    "int8": ("int8", "int8", "int8"),
+    "q4": ("int8", "int8", "q4"),
+    "q4f16": ("fp16", "fp16", "q4f16"),
+}
+"""By a card's precision: those of its files. `int8` is static of the vision encoder, and of weights
+alone of the others; `q4` of weights."""
+RECIPES = {
+    VISION: Recipe(not_fp16=(r"^/places/",)),
+    EMBEDDING: Recipe(),
+    DECODER: Recipe(not_fp16=(r"^/rotary_emb/", r"layernorm/", r"^/norm/")),
+}
+"""What stays in float32: the angle of place 1000 has no fraction left in float16, and the square of
+a decoder's hidden value soon is no number."""
+HALF_PICTURES = 8
+"""On so many it is seen which of the decoder's values are too large for float16."""
 
 
 def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
@@ -53,8 +83,8 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
         ModelError: a file is missing or damaged.
     """
     wanted = {p: f"{card.name.removesuffix(f'-{FP32}')}-{p}" for p in args.precision}
-    if unknown := [p for p in wanted if p not in PRECISIONS or p == FP32]:
-        choices = ", ".join(p for p in PRECISIONS if p != FP32)
+    if unknown := [p for p in wanted if p not in PRECISIONS]:
+        choices = ", ".join(PRECISIONS)
         raise ExportError(f"--precision: {unknown[0]!r:.60} (choices: {choices})")
     if card.precision != FP32 or card.vision_encoder is None:
         what = f"is {card.precision}" if card.precision != FP32 else "has no eyes"
@@ -77,8 +107,9 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
     others = [part.file for part in card.others if not part.file.startswith("onnx/")]
     reports = {}
     for precision, name in wanted.items():
-        files, reports[name] = make_variant(
-            maker, precision, name, exam, card.name, not args.no_gate,
+        files = [maker.make(*part) for part in zip(FILES, PRECISIONS[precision], strict=True)]
+        reports[name] = judge(
+            files, precision, name, exam, card.name, not args.no_gate,
             (None, digest_of(calibration)),
         )  # fmt: skip
         made = {
@@ -92,8 +123,66 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
     return reports
 
 
+class Maker:
+    """Makes files of those in FP32, each once: several precisions of a model share some."""
+
+    def __init__(
+        self,
+        fp32: dict[str, Path],
+        original: FilesOriginal,
+        asked: Question,
+        calibration: list[Path],
+        folder: Path,
+    ) -> None:
+        """
+        Args:
+            fp32: the three, by name.
+            asked: what the decoder is watched at, to see which values are too large for float16.
+            folder: for what is made.
+        """
+        self._fp32, self._folder = fp32, folder
+        self._made: dict[tuple[str, str], list[Path]] = {}
+        few = [original.show(read_rgb(path)) for path in calibration[:HALF_PICTURES]]
+        self._feeds = {
+            VISION: [original.prepare(read_rgb(path)) for path in calibration],
+            EMBEDDING: [{"input_ids": asked.ids(1)}],
+            DECODER: [original.decoder_feeds(asked, shown) for shown in few],
+        }
+
+    def make(self, name: str, precision: str) -> list[Path]:
+        """The file of a network in a precision, and those that it keeps weights in."""
+        if (name, precision) not in self._made:
+            out = self._folder / f"{name}_{precision}.onnx"
+            print(f"{out.name}: making it", file=sys.stderr)
+            self._made[name, precision] = self._make(name, precision, out)
+        return self._made[name, precision]
+
+    def _make(self, name: str, precision: str, out: Path) -> list[Path]:
+        fp32, feeds = self._fp32[name], self._feeds[name]
+        model = onnx.load(fp32)
+        whole = bytes_of(model) < ONE_FILE_BYTES
+        if name == VISION and precision == "int8" and whole:
+            with replace_atomically(out) as temporary:
+                quantize(fp32, temporary, feeds, TRANSFORMER, "int8-cpu")
+                check_format(temporary)
+            return [out]
+        if precision in ("fp16", "q4f16"):
+            model = to_fp16(model, _kept(model, feeds if whole else [], name), half_ends=CACHED)
+            if precision == "q4f16":
+                model = quantize_weights(model, "q4")
+        else:
+            model = quantize_weights(model, precision)
+        return save_network(model, out)
+
+
+def _kept(model: onnx.ModelProto, feeds: list[dict[str, np.ndarray]], name: str) -> set[str]:
+    """Nodes that stay in float32; by their values only where there are feeds to see them on."""
+    recipe = RECIPES[name]
+    return kept_nodes(model, feeds, recipe) if feeds else set(nodes_like(model, recipe.not_fp16))
+
+
 class FilesOriginal:
-    """The FP32 files of a card; see `exporters.vlm_parity.Original`.
+    """The FP32 files of a card, asked as `exporters.vlm_parity.Exam` does.
 
     Attributes:
         image_token: stands in a picture's places.

@@ -41,7 +41,7 @@ def _export(action: argparse.ArgumentParser) -> None:
         "--weights", type=Path, metavar="FILE",
         help="the .pt file, or a model's folder of Hugging Face; default: as pulled",
     )  # fmt: skip
-    option("--precision", nargs="+", metavar="P", help="of a folder: what to make (default: fp32)")
+    option("--precision", nargs="+", metavar="P", help="of CLIP or SigLIP (default: fp32)")
     option("--family", help="of a folder: its cards' family; default: NAME")
     option("--license", help="of a folder: default: what its README.md says")
     option("--calibration", type=Path, metavar="DIR", help="folder of pictures (all but fp32)")

@@ -21,17 +21,16 @@ from onnx import numpy_helper
 from edge.host.files import MAX_TEXT_BYTES
 from edge.perception.cards import load_card
 from edge.perception.vlm.model import Asked, LanguageModel
-from exporters import vlm, vlm_files
+from exporters import vlm, vlm_files, vlm_quantize
 from exporters.__main__ import main
 from exporters.files import ExportError, sha256_of
 from exporters.images import read_rgb
-from exporters.vlm_original import TorchOriginal
 from exporters.vlm_parity import Chain, places_of, questions
 
 pytestmark = [pytest.mark.export, pytest.mark.timeout(600)]
 
 KINDS = ("idefics3", "smolvlm", "qwen2_vl")
-EVERY = tuple(vlm_files.PRECISIONS)
+EVERY = ("fp32", *vlm_quantize.PRECISIONS)
 MADE = [("smolvlm", "fp32"), *((k, p) for k in ("idefics3", "qwen2_vl") for p in EVERY)]
 MAIN = ("vision_encoder", "embed_tokens", "decoder_model_merged")
 
@@ -49,10 +48,15 @@ def cache(folders, photos, tmp_path_factory):
     """What `$EDGE_CACHE_DIR` is after each was exported."""
     root = tmp_path_factory.mktemp("cache")
     for kind, folder in folders.items():
-        words = [name_of(kind), "--weights", folder, "--cache", root / "models"]
-        pictures = ["--calibration", photos, "--validation", photos, "--no-gate"]
-        wanted = [p for k, p in MADE if k == kind]
-        assert main([*map(str, (*words, *pictures)), "--precision", *wanted]) == 0
+        models = root / "models"
+        how = ["--cache", models, "--validation", photos, "--no-gate"]
+        assert main([*map(str, (name_of(kind), "--weights", folder, *how))]) == 0
+        wanted = [p for k, p in MADE if k == kind and p != "fp32"]
+        words = [f"{name_of(kind)}-fp32", "--cards", models, "--calibration", photos, *how]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("EDGE_CACHE_DIR", str(root))
+            if wanted:
+                assert main([*map(str, words), "--precision", *wanted]) == 0
     return root
 
 
@@ -78,7 +82,7 @@ def originals(folders):
     for kind, folder in folders.items():
         model, networks = vlm.load_model(folder)
         asked = questions(folder, model.config.image_token_id)
-        found[kind] = TorchOriginal(model, networks.prepare), asked
+        found[kind] = vlm.TorchOriginal(model, networks.prepare), asked
     return found
 
 
@@ -123,9 +127,10 @@ def test_reading_on_is_reading_at_once(cache, originals, rgb, kind, precision, c
 
 @pytest.mark.parametrize(("kind", "precision"), MADE)
 def test_every_step_keeps_its_parity(cache, kind, precision):
-    """Of the tiny models; 4 bits are too few for their letters, which hardly differ."""
+    """Against torch or the FP32 files; 4 bits are too few for the tiny models' letters."""
     limits = {"fp32": (1e-5, 1.0), "fp16": (2e-3, 0.97), "int8": (0.03, 0.9)}
-    figures = card_of(cache, kind, precision)["measured"]["against torch"]
+    against = "torch" if precision == "fp32" else f"{name_of(kind)}-fp32"
+    figures = card_of(cache, kind, precision)["measured"][f"against {against}"]
     error, order = limits.get(precision, (0.3, 0.6))
     assert figures["questions"] == 15
     assert figures["share_error"] < error
@@ -208,7 +213,7 @@ def test_inputs_and_outputs_are_the_published_ones(cache, kind):
 @pytest.mark.parametrize("kind", ["idefics3", "qwen2_vl"])
 @pytest.mark.parametrize("precision", EVERY)
 def test_files_have_the_published_names_and_their_precision(cache, kind, precision):
-    kinds = vlm_files.PRECISIONS[precision]
+    kinds = vlm_quantize.PRECISIONS.get(precision, ("fp32",) * 3)
     files = files_of(cache, kind, precision)
     suffixes = ["" if kind == "fp32" else f"_{kind}" for kind in kinds]
     assert [f.name for f in files] == [f"{m}{s}.onnx" for m, s in zip(MAIN, suffixes, strict=True)]
@@ -300,8 +305,7 @@ def test_what_cannot_be_made_is_one_line(folders, tmp_path, capsys):
         assert not list((tmp_path / "cache").glob("*.yaml"))
         return capsys.readouterr().err.strip().splitlines()[-1]
 
-    assert "--calibration is missing" in fails("--precision", "q4")
-    assert "'q5' (choices: fp32, fp16, int8, q4, q4f16)" in fails("--precision", "q5")
+    assert "then `edge models quantize x-fp32 --precision P" in fails("--precision", "q4")
 
 
 def test_a_vocabulary_without_letters_is_an_error(folders, tmp_path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import string
 from pathlib import Path
-from typing import NamedTuple
 
 BEGIN, END, PAD = "<|startoftext|>", "<|endoftext|>", "<pad>"
 SIDE = 32
@@ -34,50 +33,26 @@ def write_tokenizer(folder: Path, lowercase: bool, special: tuple[str, ...] = ()
     return len(vocabulary)
 
 
-class ClipSize(NamedTuple):
-    """Of CLIP's two towers: layers of a width, of `width // 64` heads where it is that wide."""
-
-    image_width: int = 64
-    text_width: int = 64
-    layers: int = 2
-    side_px: int = SIDE
-    patch_px: int = 8
-    dim: int = 48
-    vocabulary: int = 0
-
-
-TINY = ClipSize()
-VIT_B_32 = ClipSize(768, 512, 12, 224, 32, 512, 49408)
-"""As `openai/clip-vit-base-patch32` has it."""
-
-
-def write_clip(folder: Path, seed: int = 0, size: ClipSize = TINY) -> Path:
-    """CLIP, by default two layers of 64."""
+def write_clip(folder: Path, seed: int = 0) -> Path:
+    """CLIP, two layers of 64."""
     import torch
     from transformers import CLIPConfig, CLIPModel
 
     folder.mkdir(parents=True, exist_ok=True)
     tokens = write_tokenizer(folder, lowercase=True)
-
-    def tower(width: int) -> dict:
-        return {
-            "hidden_size": width, "intermediate_size": width * (4 if size.vocabulary else 2),
-            "num_hidden_layers": size.layers, "num_attention_heads": max(4, width // 64),
-            "projection_dim": size.dim,
-        }  # fmt: skip
-
+    tower = {
+        "hidden_size": 64, "intermediate_size": 128, "num_hidden_layers": 2,
+        "num_attention_heads": 4, "projection_dim": 48,
+    }  # fmt: skip
     text = {
-        **tower(size.text_width), "vocab_size": size.vocabulary or tokens,
-        "max_position_embeddings": 77,
+        **tower, "vocab_size": tokens, "max_position_embeddings": 77,
         "bos_token_id": 1, "eos_token_id": tokens - 1, "pad_token_id": 0,
     }  # fmt: skip
-    vision = {**tower(size.image_width), "image_size": size.side_px, "patch_size": size.patch_px}
+    vision = {**tower, "image_size": SIDE, "patch_size": 8}
     torch.manual_seed(seed)
-    config = CLIPConfig(text_config=text, vision_config=vision, projection_dim=size.dim)
-    model = _alive(CLIPModel(config))
-    model.save_pretrained(folder)
-    side = {"height": size.side_px, "width": size.side_px}
-    _write_preprocessor(folder, {"shortest_edge": size.side_px}, crop=side)
+    config = CLIPConfig(text_config=text, vision_config=vision, projection_dim=48)
+    _alive(CLIPModel(config)).save_pretrained(folder)
+    _write_preprocessor(folder, {"shortest_edge": SIDE}, crop={"height": SIDE, "width": SIDE})
     return folder
 
 
