@@ -350,7 +350,7 @@ def same(a: str, b: str) -> bool:
 
 
 def same_as_any(name: str, others: Iterable[str]) -> bool:
-    """Whether a name is another word for one of `others`."""
+    """Return whether a name is another word for one of `others`."""
     return any(same(name, other) for other in others)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edge.cli.console import ConsoleSink
-from edge.cli.options import needs_lab
+from edge.cli.options import require_lab
 from edge.cli.preflight import check
 from edge.config import Config, Http
 from edge.errors import FAILED, Stopped
@@ -102,8 +102,9 @@ def _prepare(config: Config, report: str | None) -> None:
     """Refuse what cannot be run with, and a report that cannot be written."""
     check(config)
     if report is not None:
-        with needs_lab():
-            from edge.lab.report.page import prepare
+        require_lab()
+        from edge.lab.report.page import prepare
+
         prepare(report)
 
 
@@ -352,7 +353,7 @@ def _live_port(host: str) -> int:
 
 def run_simulator(config: Config, stop: threading.Event, motion: bool) -> int:
     """The simulated robot in this process, the reference controller in another."""
-    with needs_lab():
-        from edge.lab.sim.process import main as run_sim
+    from edge.lab.sim.process import main as run_sim
+
     with children(config, stop, *([("motion",)] if motion else [])):
         return run_sim(config, stop)

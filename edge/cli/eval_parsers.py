@@ -80,7 +80,7 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         "--processes", action="store_true",
         help="robot, controller and service as processes over Zenoh",
     )  # fmt: skip
-    episodes.set_defaults(handler=lazy("edge.lab.eval.runs", "run"))
+    episodes.set_defaults(handler=lazy("edge.lab.eval.runs", "run", lab=True))
 
 
 _P_OBS = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0"
@@ -112,7 +112,7 @@ def _planning(kinds) -> None:  # type: ignore[no-untyped-def]
         "--llm-tasks", type=count, default=20, metavar="N",
         help="how many of the tasks it gets (default: %(default)s)",
     )  # fmt: skip
-    planning.set_defaults(handler=lazy("edge.lab.eval.planning.run", "run"))
+    planning.set_defaults(handler=lazy("edge.lab.eval.planning.run", "run", lab=True))
 
 
 def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -147,7 +147,7 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     option("--failures", type=Path, metavar="FILE", help="what failed, as JSON lines")
     option("--out", type=Path, metavar="FILE", help="the counts as JSON")
-    translate.set_defaults(handler=lazy("edge.lab.eval.translate", "run"))
+    translate.set_defaults(handler=lazy("edge.lab.eval.translate", "run", lab=True))
 
 
 def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -185,7 +185,7 @@ def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
         help="for outcomes.jsonl, episodes.jsonl and pictures; what it has is not run again "
         "(default: ./%(default)s)",
     )  # fmt: skip
-    trajectories.set_defaults(handler=lazy("edge.lab.eval.trajectories.run", "run"))
+    trajectories.set_defaults(handler=lazy("edge.lab.eval.trajectories.run", "run", lab=True))
 
 
 def _compare(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -198,4 +198,4 @@ def _compare(kinds) -> None:  # type: ignore[no-untyped-def]
         "--baseline", metavar="NAME",
         help="the column that the others are held against (default: the first)",
     )  # fmt: skip
-    compare.set_defaults(handler=lazy("edge.lab.eval.comparison.run", "run"))
+    compare.set_defaults(handler=lazy("edge.lab.eval.comparison.run", "run", lab=True))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from edge.cli.options import require_lab
 from edge.errors import UserError
 from edge.host import resources
 from edge.text import one_line
@@ -33,6 +34,8 @@ def run(args: argparse.Namespace) -> int:
     drawing = resources.expand(args.draw) if args.draw else None
     if drawing is not None and drawing.suffix not in _DRAWINGS:
         raise UserError(f"--draw: {drawing}: unknown ending (choices: {', '.join(_DRAWINGS)})")
+    if drawing is not None and drawing.suffix != ".dot":
+        require_lab()
     mission = load(args.config).mission
     text, formula = (None, args.text) if args.formula else (args.text, None)
     try:
@@ -79,13 +82,10 @@ def _unasked(implied: int | None) -> str:
 
 
 def _draw(path: Path, automaton: Automaton, steps: tuple[str, ...]) -> None:
-    from edge.cli.options import needs_lab
     from edge.host.files import save
+    from edge.lab.report import canvas, dot
+    from edge.lab.report.drawing import draw
     from edge.live.scene import make_scene
-
-    with needs_lab():
-        from edge.lab.report import canvas, dot
-        from edge.lab.report.drawing import draw
 
     content = {
         ".svg": lambda: canvas.svg(draw(make_scene(automaton, 0, steps))),

@@ -176,10 +176,8 @@ def _sim(args: argparse.Namespace) -> int:
 def _motion(args: argparse.Namespace) -> int:
     claim()
     stop = stop_on_signals(args.with_parent)
-    from edge.cli.options import needs_lab
+    from edge.lab.motion.process import main as run_motion
 
-    with needs_lab():
-        from edge.lab.motion.process import main as run_motion
     return run_motion(load_config(args), stop)
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from importlib import import_module
+from importlib.util import find_spec
 
 from edge.errors import UnavailableError
 
@@ -17,31 +17,31 @@ CONFIG = "YAML file, or the name of a ready configuration"
 
 
 LAB_PACKAGES = ("matplotlib", "networkx", "scipy")
-"""What `edge.lab` imports and the service does not: the extra `lab`."""
+"""Packages that only `edge.lab` imports. The extra `lab` installs them."""
 
 
-def lazy(module: str, function: str) -> Handler:
-    """Return a handler that imports its module when it is called."""
+def lazy(module: str, function: str, lab: bool = False) -> Handler:
+    """Return a handler that imports its module when it is called.
+
+    Args:
+        lab: refuse first if the packages of the extra `lab` are missing.
+    """
 
     def handler(args: argparse.Namespace) -> int:
-        with needs_lab():
-            return getattr(import_module(module), function)(args)
+        if lab:
+            require_lab()
+        return getattr(import_module(module), function)(args)
 
     return handler
 
 
-@contextmanager
-def needs_lab() -> Iterator[None]:
-    """Say in one line how to install the packages of `edge.lab` if one is missing."""
-    try:
-        yield
-    except ModuleNotFoundError as missing:
-        name = (missing.name or "").partition(".")[0]
-        if name not in LAB_PACKAGES:
-            raise
+def require_lab() -> None:
+    """Raise UnavailableError if a package of the extra `lab` is missing: now, not after the run."""
+    missing = [name for name in LAB_PACKAGES if find_spec(name) is None]
+    if missing:
         raise UnavailableError(
-            f"{name} is not installed; it comes with: pip install 'edge-vln[lab]'"
-        ) from missing
+            f"{', '.join(missing)}: not installed; run: pip install 'edge-vln[lab]'"
+        )
 
 
 def positive(text: str) -> float:

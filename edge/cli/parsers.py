@@ -274,7 +274,7 @@ def _trajectory(commands) -> None:  # type: ignore[no-untyped-def]
         "--out", default="trajectory", metavar="DIR",
         help="for pictures, page and trajectory (default: ./%(default)s)",
     )  # fmt: skip
-    trajectory.set_defaults(handler=lazy("edge.lab.eval.trial.command", "run"))
+    trajectory.set_defaults(handler=lazy("edge.lab.eval.trial.command", "run", lab=True))
 
 
 def _bench(commands) -> None:  # type: ignore[no-untyped-def]
@@ -320,7 +320,7 @@ def _soak(commands) -> None:  # type: ignore[no-untyped-def]
         "--out", type=Path, default=Path("soak"), metavar="FOLDER",
         help="for the record, the logs and the page (default: ./%(default)s)",
     )  # fmt: skip
-    soak.set_defaults(handler=lazy("edge.lab.eval.soak.run", "run"))
+    soak.set_defaults(handler=lazy("edge.lab.eval.soak.run", "run", lab=True))
 
 
 def _install_service(commands) -> None:  # type: ignore[no-untyped-def]

@@ -1,4 +1,4 @@
-"""What comes of a training run: figures on held-out data, and a file with its card in `models/`."""
+"""The end of a training run: figures on held-out data, and a file with its card in `models/`."""
 
 from __future__ import annotations
 

@@ -98,6 +98,25 @@ def fails(capsys, *words: str, code: int) -> str:
     return err
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        "demo",
+        "run demo --report report",
+        "play nowhere.mcap demo --report report",
+        "mission explain bed --draw bed.svg",
+        "eval episodes demo",
+        "eval compare nowhere",
+        "trajectory nowhere straight",
+        "soak",
+    ],
+)
+def test_without_the_extra_lab_a_command_that_needs_it_says_so_first(command, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    error = fails(capsys, *command.split(), code=os.EX_UNAVAILABLE)
+    assert error == "matplotlib: not installed; run: pip install 'edge-vln[lab]'"
+
+
 @pytest.mark.parametrize("command", ["run", "demo", "sim", "motion", "config", "bench", "doctor"])
 def test_a_configuration_that_is_not_there(command, capsys):
     error = fails(capsys, command, "nowhere.yaml", code=os.EX_CONFIG)
