@@ -14,15 +14,14 @@ def test_task_step(benchmark):
     benchmark.extra_info["budget"] = "task_step"
     loop = until(closed("go straight for 3 metres"), "driving")
     service = loop.service
-    task, map, goals = service.task, service.map, service.goals
 
     def drive() -> tuple[tuple, dict]:
         loop.step()
-        assert task.phase == "driving"
-        return (loop.observe(), loop.drive.motion.stamp_ns), {}
+        assert service.behaviour.phase == "driving"
+        return (service._context,), {}
 
-    def step(observation, now_ns) -> None:
-        task.step(map, goals, observation, None, False, now_ns)
-        task.lead(goals, observation.pose, now_ns)
+    def step(context) -> None:
+        service.behaviour.plan(context, 0)
+        service.behaviour.select(context, service.scores, 0)
 
     benchmark.pedantic(step, setup=drive, rounds=25, warmup_rounds=1)

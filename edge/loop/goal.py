@@ -290,7 +290,7 @@ class GoalTracker:
     def judge(
         self, grid: RollingMap, pose: SE2, mission: MissionRun, images: int, now_ns: int
     ) -> bool:
-        """What has become of the present goal; a task follows its own up (`edge.loop.task`).
+        """Handle what became of the present goal; `Follow` handles a trajectory's own.
 
         Args:
             grid: closed where the robot is held up.

@@ -85,9 +85,9 @@ def _faults(look: Look) -> dict[tuple[str, str], int]:
 
 
 def _task_steps(look: Look) -> dict[str, int]:
-    """Of a task, so many steps of each state."""
-    task = look.service.task
-    counted = Counter(step.state for step in task.steps()) if task else Counter()
+    """Count the steps of a task by state."""
+    facts = look.service.behaviour.facts()
+    counted = Counter(step.state for step in facts.steps) if facts else Counter()
     return {state: counted[state] for state in _STEP_STATES}
 
 

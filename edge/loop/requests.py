@@ -139,7 +139,7 @@ def handle_mission(
         service.fail(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do in ("pause", "resume"):
         service.pause(request.do == "pause", now_ns)
-    task = None if service.task is None else service.task.facts()
+    task = service.behaviour.facts()
     overtaken = {"overtaken": request.overtaken} if request.overtaken else {}
     return {
         **answer_of(service.status, facts_of(service.mission), task),

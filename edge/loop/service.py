@@ -18,6 +18,9 @@ from edge.config import Config
 from edge.geometry import SE2
 from edge.host.calibration import Calibration
 from edge.loop import stages
+from edge.loop.behaviours.base import Behaviour
+from edge.loop.behaviours.follow import Follow
+from edge.loop.behaviours.search import Search
 from edge.loop.faults import Faults
 from edge.loop.goal import GoalTracker
 from edge.loop.governor import Governor
@@ -32,14 +35,13 @@ from edge.loop.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
 from edge.loop.source import InputRow
 from edge.loop.status import HealthWatch
-from edge.loop.task import TaskRun
 from edge.mission.brief import Brief, task_of
 from edge.mission.planning.surveyor import make_surveyor
 from edge.mission.run import MissionRun
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.policies.base import Answers, Context, Policy, scores_of
-from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
+from edge.types import Detections, Goal, GoalStatus, MissionStatus, Observation, Step
 
 log = logging.getLogger("edge.loop.service")
 
@@ -69,7 +71,7 @@ class Service:
     Attributes:
         map: all that is known of the surroundings.
         mission: the one under way, or the last one.
-        task: how the mission comes to a trajectory, and along it; None: it is no task.
+        behaviour: carries out the mission: searches for its targets, or follows a trajectory.
         past: what became of those before it that had a name, JSON-ready, oldest first.
         goals: what the robot is sent to, and what becomes of it.
         pose: the newest in `map`; None before there was any.
@@ -106,12 +108,12 @@ class Service:
         self.keeper, self.overruns, self.inputs = keeper, overruns, inputs
         self.map = SemanticMap(config, brief.targets)
         self.mission = MissionRun(brief, config.mission, self._step_taken)
-        self.task = self._task_of(self.mission)
         self.policy = policy
         self.latency = LatencyRing(calibration=calibration)
         self.goals = GoalTracker(config, self.map.pool, self.map.tracker, self._sent, self.event)
         self.stamp_ns = 0
         self._surveyor = make_surveyor(config.mission.planner, config.loop.lockstep)
+        self.behaviour = self._behaviour_of(self.mission)
         for part in (self._surveyor, self.map.prior, scorers):
             if part is not None:
                 part.through(journal.beside)
@@ -272,19 +274,13 @@ class Service:
         self._publisher.saw(self._detections)
 
     def _gather(self, observation: Observation, now_ns: int) -> None:
-        """Stage 5: frontiers, and instances of the active target, or those that a task may mean."""
-        instances: list[Instance] = []
-        if self.task is not None:
-            instances = self.task.unsure(self.map.tracker)
-        elif not self.mission.done:
-            target, sure = self.mission.target, not self.config.policy.instances
-            instances = self.map.tracker.of(target, sure, doubted=self.goals.searched)
-        self.map.gather(instances, observation, now_ns)
+        """Stage 5: frontiers, and the objects that the behaviour goes to."""
+        self.map.gather(self.behaviour.gather(), observation, now_ns)
 
     def _consult(self, scorers: Scorers, observation: Observation) -> None:
         """What stage 6 may go by besides detections: answers there are, and the next questions."""
         mission, here = self.mission, self.map
-        if not (mission.done or mission.paused):
+        if mission.active:
             targets, candidates = mission.brief.targets, here.pool.candidates
             scorers.ask(
                 observation, targets, mission.target, candidates, here.tracker, here.grid.values,
@@ -313,37 +309,15 @@ class Service:
         self.scores = scores_of(self.policy, self._context)
 
     def _plan(self, observation: Observation, now_ns: int) -> None:
-        """Stage 7: what was seen, the robot's arrival, or its failure to arrive, means."""
-        mission, task, pose = self.mission, self.task, observation.pose
+        """Stage 7: count time, let the behaviour advance the mission, and check its limits."""
+        mission = self.mission
         if not mission.started:
             mission.start(now_ns)
-        mission.observe(pose, now_ns, self._looking)
-        # What is driven past may get out of sight, and is not looked for again.
-        mission.see(self._newest_ids(), now_ns, keep=task is not None and task.phase != "looking")
-        if self._surveyor is not None and task is None:
-            here = self.map
-            self._surveyor.step(mission, here.grid, here.tracker, pose, now_ns)
-        if self.goals.follows(mission) and not (mission.done or mission.paused):
-            stuck = self.goals.judge(self.map.grid, pose, mission, self._images, now_ns)
-            if task is not None:
-                task.step(self.map, self.goals, observation, self._detections, stuck, now_ns)
-            if self.goals.exhausted and (task is None or task.missed):
-                mission.give_up(self.goals.why_in_vain(mission, self.map.grid), now_ns)
+        mission.observe(observation.pose, now_ns, self.behaviour.searching)
+        self.behaviour.plan(self._context, self._images)
         mission.check_limits(now_ns)
         if not (self.goals.follows(mission) or mission.done):
             self._turn(observation, now_ns)
-
-    @property
-    def _looking(self) -> bool:
-        """Whether the active target is searched for: a task that is driven searches for none."""
-        return self.task is None or self.task.looking
-
-    def _newest_ids(self) -> dict[str, int]:
-        """For each target of which an instance is known, the highest id of them."""
-        sure, targets = not self.config.policy.instances, self.mission.brief.targets
-        doubted = self.task is None  # nothing makes sure of what a trajectory is written about
-        known = {label: self.map.tracker.of(label, sure, doubted) for label in targets}
-        return {label: max(i.id for i in found) for label, found in known.items() if found}
 
     def _turn(self, observation: Observation, now_ns: int) -> None:
         """The plan set out for a target: choose among its candidates, by its scores, at once."""
@@ -352,15 +326,11 @@ class Service:
         self._score(observation, now_ns)
 
     def _select(self) -> Goal | None:
-        """Stage 8: algorithm 2, along a task's trajectory, or nowhere when the mission is over or
-        paused."""
-        if self.mission.done or self.mission.paused:
+        """Stage 8: the behaviour's goal; none while no mission is under way."""
+        if not self.mission.active:
             self.goals.rest()
             return None
-        if self.task is not None and not self.task.looking:
-            self.task.lead(self.goals, self._context.pose, self._context.now_ns)
-            return self.goals.goal
-        return self.goals.choose(self._context, self.map.grid, self.scores, self._images)
+        return self.behaviour.select(self._context, self.scores, self._images)
 
     def _publish(self, observation: Observation, now_ns: int) -> None:
         """Stage 9: hand results to the sinks, which never block."""
@@ -407,18 +377,18 @@ class Service:
             "mission", translation=brief.translation, task=task_of(brief), id=id, now_ns=now_ns
         )
         self.mission = mission
-        if self.task is not None:
-            self.task.close()
-        self.task = self._task_of(mission)
+        self.behaviour.close()
+        self.behaviour = self._behaviour_of(mission)
         self._forget_tried()
         self._detections = None
         self._forget_asked()
         self.mission.start(now_ns)
 
-    def _task_of(self, mission: MissionRun) -> TaskRun | None:
+    def _behaviour_of(self, mission: MissionRun) -> Behaviour:
+        config, here, goals = self.config, self.map, self.goals
         if mission.brief.steps is None:
-            return None
-        return TaskRun(mission, self.config, self._journal)
+            return Search(mission, config, here, goals, self._surveyor)
+        return Follow(mission, config, here, goals, self._journal)
 
     def _remember(self, mission: MissionRun) -> None:
         if mission.id:
@@ -453,8 +423,7 @@ class Service:
         if self.governor is not None:
             self.governor.reconfigure(config.perception)
         self.mission.config = config.mission
-        if self.task is not None:
-            self.task.config = config
+        self.behaviour.reconfigure(config)
         self.goals.reconfigure(config)
         if self._scorers is not None:
             self._scorers.feeds = config.value_source
@@ -496,16 +465,16 @@ class Service:
         self._journal.note("idle", now_ns=now_ns, pose=pose if blind else None)
         try:
             if self.mission.observed or dropped is not None:
-                self.mission.observe(self.pose, now_ns, self._looking and not blind)
+                self.mission.observe(self.pose, now_ns, self.behaviour.searching and not blind)
             self.mission.check_limits(now_ns)
         finally:  # whatever is the matter with the mission
-            if self.pose is not None and (self.mission.done or self.mission.paused or blind):
+            if self.pose is not None and (blind or not self.mission.active):
                 self._stand(self.pose, now_ns)
             self._report(dropped, now_ns)
 
     def _stand(self, pose: SE2, now_ns: int) -> None:
         if self.goals.client.driving:
-            if not (self.mission.done or self.mission.paused):
+            if self.mission.active:
                 why = self.plausibility.why("stand")
                 self.event(f"nothing to be seen: {why and f'{why}: '}standing still", now_ns)
             self.goals.stand(self.mission, pose, now_ns)
@@ -524,8 +493,7 @@ class Service:
         self.policy.reset("pose")
         self.mission.forget_distances()
         self._forget_asked()
-        if self.task is not None:
-            self.task.forget()
+        self.behaviour.forget()
         self.goals.forget_places()
         self._void_seq = self._newest_seq
         if self.keeper is not None:
@@ -553,8 +521,7 @@ class Service:
         self.swapper.close()
         if self._surveyor is not None:
             self._surveyor.close()
-        if self.task is not None:
-            self.task.close()
+        self.behaviour.close()
         self.map.close()
 
     def _governed(self) -> dict[str, object] | None:
@@ -582,7 +549,6 @@ class Service:
             now_ns: the loop's time, where the loop asks.
             observation: what was dealt with, if anything.
         """
-        task = (lambda: None) if self.task is None else self.task.facts
         return self._publisher.result(
-            now_ns, observation, self.pose, self.mission, task, self.scores
+            now_ns, observation, self.pose, self.mission, self.behaviour.facts, self.scores
         )

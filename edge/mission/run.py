@@ -96,6 +96,11 @@ class MissionRun:
         return self._ended is not None
 
     @property
+    def active(self) -> bool:
+        """Whether something is being pursued: the mission is neither over nor paused."""
+        return not (self.done or self.paused)
+
+    @property
     def observed(self) -> bool:
         """Whether `observe` was called: the mission's time runs."""
         return self._last_ns is not None
@@ -161,7 +166,7 @@ class MissionRun:
             if self._last_pose is not None:
                 step_m = self._last_pose.distance_to(pose.x_m, pose.y_m)
             self._last_pose = pose
-        if self.done or self.paused:
+        if not self.active:
             return
         self.elapsed_s += passed_s
         self.path_m += step_m if step_m < 1.0 else 0.0
@@ -171,7 +176,7 @@ class MissionRun:
     def check_limits(self, now_ns: int) -> None:
         """Fail at the time or path limit; a target sought for too long counts as failed."""
         c = self.config
-        if self.done or self.paused:
+        if not self.active:
             return
         if self.elapsed_s > c.time_limit_s:
             self.fail(f"time limit of {c.time_limit_s:g} s", now_ns)

@@ -18,7 +18,7 @@ from edge.config import Config
 from edge.config.root import parse
 from edge.geometry import SE2, CameraModel, Grid
 from edge.loop import place_file
-from edge.loop.draft import Draft
+from edge.loop.behaviours.draft import Draft
 from edge.loop.journal import Input
 from edge.loop.prior import Rooms
 from edge.loop.result import TickResult
@@ -348,7 +348,7 @@ def _draft(d: Draft) -> dict[str, Any]:
 
 
 def draft_of(said: dict[str, Any]) -> Draft:
-    """See `edge.loop.draft.Draft`; older recordings have no `mistakable`, or no `stops`."""
+    """See `Draft`; older recordings have no `mistakable`, or no `stops`."""
     refined, coarse_m, stops_at = said["refined"], said["coarse_m"], said["stops_at"]
     same = {name: said[name] for name in ("error", "hopeless", "upto", "understood", "prompt")}
     return Draft(

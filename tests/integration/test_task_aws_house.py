@@ -46,7 +46,7 @@ def test_it_is_driven_around_the_left_of_the_sofa_to_the_desk(house, start):
     while not loop.service.status.done:
         loop.step()
         pose = loop.drive.motion.pose
-        trail_m[loop.service.task.phase != "looking"].append((pose.x_m, pose.y_m))
+        trail_m[loop.service.behaviour.phase != "looking"].append((pose.x_m, pose.y_m))
     assert loop.service.status.phase == "reached", loop.notes.events
     assert loop.drive.motion.collisions == 0
     assert loop.distance_m("desk") <= AT_THE_DESK_M

@@ -94,7 +94,7 @@ def test_a_detector_is_swapped_while_a_task_is_driven(tmp_path, monkeypatch):
     config = simulated({"loop": {"lockstep": True}, "sim": lockstep, "perception": perception})
     loop = ClosedLoop(config, task="go to the sofa")
     service = loop.service
-    until(loop, lambda: service.task.facts().phase == "driving")
+    until(loop, lambda: service.behaviour.facts().phase == "driving")
     service.swapper.request("other", False, loop.drive.motion.stamp_ns)
     for _ in range(5):  # the images that the model is tried on
         loop.step()

@@ -13,7 +13,7 @@ from simulated import simulated
 from edge.bus.verbs import Request
 from edge.errors import UserError
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop import draft
+from edge.loop.behaviours import draft
 from edge.loop.keeper import Keeper
 from edge.loop.metrics import SERVICE
 from edge.loop.requests import handle_mission, mission_verbs
@@ -45,7 +45,7 @@ def ask(loop: ClosedLoop, do: str, **fields: object) -> dict:
 
 
 def until(loop: ClosedLoop, phase: str, seconds: float = 120.0) -> ClosedLoop:
-    while loop.service.task.facts().phase != phase:
+    while loop.service.behaviour.facts().phase != phase:
         assert loop.seconds < seconds, loop.notes.events
         loop.step()
     return loop
@@ -210,9 +210,9 @@ def test_a_step_that_speaks_of_it_is_driven_with_the_one_before():
     loop = closed(f"{TO_THE_OVEN}, then go to the surfboard, then stop left of it")
     assert [step.joined for step in loop.service.mission.brief.steps] == [False, False, True]
     loop.service.mission.see({"oven": 1}, 1)
-    assert loop.service.task._ends == (1,)
+    assert loop.service.behaviour._ends == (1,)
     loop.service.mission.see({"oven": 1, "surfboard": 2}, 2)
-    assert loop.service.task._ends == (3, 1)
+    assert loop.service.behaviour._ends == (3, 1)
 
 
 def test_what_is_driven_past_stays_seen_and_what_is_driven_is_not_missed():

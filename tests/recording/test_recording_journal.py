@@ -17,7 +17,7 @@ from results import result
 import edge
 from edge.errors import ConfigError
 from edge.geometry import SE2, CameraModel, Grid
-from edge.loop.draft import Draft
+from edge.loop.behaviours.draft import Draft
 from edge.loop.journal import Input, Journal
 from edge.loop.prior import Rooms
 from edge.mission.brief import prepare

@@ -2,7 +2,7 @@
 
 As many of its steps as can be written are driven; what a later one names is looked for as they are,
 and searched for once nothing more can be driven. Writing and refining take from a tenth of a second
-to minutes, so they are done beside the loop (`edge.loop.draft`); the robot stands meanwhile. A
+to minutes, so they are done in the background (`draft.py`); the robot stands meanwhile. A
 trajectory means something in the frame in which it was written, and from where the robot stood
 then: where the pose jumps, and after a restart, a new one is written for the steps that are left.
 It is written about things that may have been seen from far off only, so what it stops at is made
@@ -13,26 +13,29 @@ for.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from edge.config import Config, WriterModel
 from edge.geometry import SE2
 from edge.host.worker import Worker
-from edge.loop.draft import AGAIN_M, Draft, Look, Order, carried_out, let_go, told
+from edge.loop.behaviours.draft import AGAIN_M, Draft, Look, Order, carried_out, let_go, told
+from edge.loop.behaviours.search import newest_ids
 from edge.loop.goal import MIN_IMAGES, GoalTracker
 from edge.loop.journal import TASK, Journal
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.brief import TaskStep
 from edge.mission.run import MissionRun
-from edge.perception.instances import InstanceTracker
+from edge.policies.base import Context
 from edge.tasks.facts import StepFacts, TaskFacts, TaskPhase
 from edge.tasks.follow import blocked_ahead_m, end_of, goal_ahead, index_at_goal, leg_end
 from edge.tasks.objects import ObjectMap
 from edge.tasks.refine import Refined
 from edge.text import one_line
-from edge.types import Detections, Instance, Observation
+from edge.types import Detections, Goal, Instance, Observation
 
 AHEAD_M = 1.5
 """How far the goal moves ahead of the robot, and `APART_M` from where it was before it is sent."""
@@ -50,21 +53,27 @@ SAME_PLACE_M = 0.5
 _REASON_CHARS = 300
 
 
-class TaskRun:
+class Follow:
     """One task, from what it names to the end of its trajectory; for one thread, the loop's.
 
     Args:
-        mission: that it is; it keeps time, limits and the story.
-        journal: notes what the worker was asked, and what it found.
+        mission: keeps time, limits and the log of steps.
+        journal: records what the worker found.
 
     Attributes:
-        config: for what is begun next; may be set.
         phase: what is done now.
     """
 
-    def __init__(self, mission: MissionRun, config: Config, journal: Journal) -> None:
-        self.config = config
-        self._mission = mission
+    def __init__(
+        self,
+        mission: MissionRun,
+        config: Config,
+        here: SemanticMap,
+        goals: GoalTracker,
+        journal: Journal,
+    ) -> None:
+        self._config = config
+        self._mission, self._map, self._goals = mission, here, goals
         self._side: Worker[Look | Order, Draft] = Worker(
             "task", carried_out, inline=config.loop.lockstep, drop=let_go
         )
@@ -95,7 +104,7 @@ class TaskRun:
 
     @property
     def _by_model(self) -> bool:
-        return isinstance(self.config.tasks.planner, WriterModel)
+        return isinstance(self._config.tasks.planner, WriterModel)
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -108,7 +117,7 @@ class TaskRun:
         return self.phase == "looking" and not self._ends
 
     @property
-    def looking(self) -> bool:
+    def searching(self) -> bool:
         """Whether the robot searches, as for a mission's target: for what it names, or for ground
         that a trajectory can lead over."""
         return self.missed or (self.phase == "looking" and bool(self._refused))
@@ -129,43 +138,60 @@ class TaskRun:
 
     # -- in each tick -----------------------------------------------------------------------
 
-    def step(
-        self,
-        map: SemanticMap,
-        goals: GoalTracker,
-        observation: Observation,
-        detections: Detections | None,
-        stuck: bool,
-        now_ns: int,
-    ) -> None:
-        """What has become of the task; what takes long is begun beside the loop.
+    def gather(self) -> Sequence[Instance]:
+        """Return the objects of which one was named, and that are not confirmed yet."""
+        return self._unconfirmed()
+
+    def plan(self, context: Context, images: int) -> None:
+        """Advance the task; start in the background what takes long."""
+        mission, goals, now_ns = self._mission, self._goals, context.now_ns
+        targets, sure = mission.brief.targets, not self._config.policy.instances
+        # What is driven past may get out of sight, and is not looked for again.
+        seen = newest_ids(self._map.tracker, targets, sure, doubted=False)
+        mission.see(seen, now_ns, keep=self.phase != "looking")
+        if not (goals.follows(mission) and mission.active):
+            return
+        stuck = goals.judge(self._map.grid, context.pose, mission, images, now_ns)
+        self._step(context, stuck)
+        if goals.exhausted and self.missed:
+            mission.give_up(goals.why_in_vain(mission, self._map.grid), now_ns)
+
+    def select(self, context: Context, scores: np.ndarray, images: int) -> Goal | None:
+        """Choose by score while something is looked for; else move the goal along the path."""
+        if self.searching:
+            return self._goals.choose(context, self._map.grid, scores, images)
+        self._lead(context.pose, context.now_ns)
+        return self._goals.goal
+
+    def _step(self, context: Context, stuck: bool) -> None:
+        """Take one step of the present phase.
 
         Args:
-            detections: that came in this tick, with the picture that a model is shown.
             stuck: the robot was to drive and stands still.
         """
-        pose = observation.pose
+        observation, detections = context.observation, context.detections
+        pose, now_ns = context.pose, context.now_ns
         if detections is not None:
             self._see(detections)
             self._images += 1
         if (draft := self._worker.poll()) is not None and self._order is not None:
-            self._take(draft, self._order, map.tracker, goals, now_ns)
+            self._take(draft, self._order, now_ns)
         if self.phase == "looking" and not self.missed and not self._mission.done:
             if self._refused:
-                self._look_on(map, goals, observation, now_ns)
+                self._look_on(observation, now_ns)
             else:
-                self._look_round(goals, pose, stuck)
+                self._look_round(pose, stuck)
         if self.phase == "writing" and self._order is None and not self._mission.done:
             if not self._by_model:
-                self._ask(map, observation, None)
+                self._ask(observation, None)
             elif detections is not None:  # with the picture that the boxes are in
-                self._ask(map, detections.observation, detections)
+                self._ask(detections.observation, detections)
         elif self.phase == "driving":
-            self._drive(map, goals, observation, stuck, now_ns)
+            self._drive(observation, stuck, now_ns)
         elif self.phase == "verifying" and not self._mission.done:
-            self._verify(map, goals, pose, stuck, now_ns)
+            self._verify(pose, stuck, now_ns)
 
-    def lead(self, goals: GoalTracker, pose: SE2, now_ns: int) -> None:
+    def _lead(self, pose: SE2, now_ns: int) -> None:
         """Where the robot goes now, in place of a candidate: on the trajectory, or to stand."""
         refined = self._draft.refined
         if self.phase == "driving" and refined is not None:
@@ -176,11 +202,14 @@ class TaskRun:
                 _is_at(ahead, refined, end) for end in ends if until is None or end <= until
             )
             apart_m = 0.0 if exact else APART_M
-            goals.lead(ahead, self._mission, now_ns, apart_m)
+            self._goals.lead(ahead, self._mission, now_ns, apart_m)
         elif self._turning is not None:
-            goals.lead(self._turning, self._mission, now_ns, 0.0)
+            self._goals.lead(self._turning, self._mission, now_ns, 0.0)
         else:
-            goals.rest()
+            self._goals.rest()
+
+    def reconfigure(self, config: Config) -> None:
+        self._config = config
 
     def forget(self) -> None:
         """The frame is another: what was written means nothing in it."""
@@ -195,7 +224,7 @@ class TaskRun:
 
     def facts(self) -> TaskFacts:
         """See `edge.loop.result.TickResult.task`."""
-        mission, draft, planner = self._mission, self._draft, self.config.tasks.planner
+        mission, draft, planner = self._mission, self._draft, self._config.tasks.planner
         outcome = mission.status("searching").phase
         return TaskFacts(
             instruction=mission.brief.translation.instruction,
@@ -228,16 +257,15 @@ class TaskRun:
                 state = "to come" if missing.isdisjoint(step.names) else "looked for"
             yield StepFacts(step.said, state)
 
-    def unsure(self, tracker: InstanceTracker) -> list[Instance]:
-        """Things of which one was named, and that were not seen well enough to be believed in."""
-        found = [tracker.get(number) for number in self._unsure]
+    def _unconfirmed(self) -> list[Instance]:
+        found = [self._map.tracker.get(number) for number in self._unsure]
         return [one for one in found if one is not None and one.state == "seen"]
 
     # -- inside -----------------------------------------------------------------------------
 
-    def _look_round(self, goals: GoalTracker, pose: SE2, stuck: bool) -> None:
+    def _look_round(self, pose: SE2, stuck: bool) -> None:
         """All that has to be seen was seen; before a model writes, the robot turns once."""
-        answer = goals.answer
+        answer = self._goals.answer
         ended = answer is not None and answer.state in ("reached", "failed")
         if self._turning is not None and not (stuck or ended):
             return
@@ -247,23 +275,21 @@ class TaskRun:
         else:
             self._turning, self.phase = None, "writing"
 
-    def _look_on(
-        self, map: SemanticMap, goals: GoalTracker, observation: Observation, now_ns: int
-    ) -> None:
+    def _look_on(self, observation: Observation, now_ns: int) -> None:
         """Try again now and then while the map grows, and once it does no more."""
         if self._order is not None:
             return
         if self._all_seen:
             self._mission.fail(_line(self._refused), now_ns)
             return
-        settled = self._unsure and not self.unsure(map.tracker)
-        if settled or goals.exhausted or now_ns - self._looked_ns >= AGAIN_NS:
-            self._looked_ns, self._all_seen = now_ns, goals.exhausted
-            self._ask(map, observation, None)
+        settled = self._unsure and not self._unconfirmed()
+        if settled or self._goals.exhausted or now_ns - self._looked_ns >= AGAIN_NS:
+            self._looked_ns, self._all_seen = now_ns, self._goals.exhausted
+            self._ask(observation, None)
 
     def _see(self, found: Detections) -> None:
         """What the targets look like all round is gathered beside the loop."""
-        perception, seen = self.config.perception, found.observation
+        perception, seen = self._config.perception, found.observation
         found = found.above(perception.tau_det)
         ranged = seen.depth_m is not None or seen.cloud_m is not None
         if len(found) and ranged and seen.camera is not None:
@@ -272,7 +298,6 @@ class TaskRun:
 
     def _ask(
         self,
-        map: SemanticMap,
         seen: Observation,
         found: Detections | None,
         before: Draft | None = None,
@@ -288,17 +313,17 @@ class TaskRun:
         instances = {
             one.id: one.copied()
             for label in self._mission.brief.targets
-            for one in map.tracker.of(label, doubted=False)
+            for one in self._map.tracker.of(label, doubted=False)
         }
         if not self._refused:
             self.phase = "writing"
         self._order = Order(
-            self.config,
+            self._config,
             self._mission.brief.translation.instruction,
             self._mission.state,
             self._ends,
             len(self._steps),
-            map.view,
+            self._map.view,
             still,
             tuple(instances.values()),
             self._objects,
@@ -314,14 +339,12 @@ class TaskRun:
         self,
         draft: Draft,
         order: Order,
-        tracker: InstanceTracker,
-        goals: GoalTracker,
         now_ns: int,
     ) -> None:
         """Drive what was found; where nothing was, have another written, or give up."""
         mission, self._order = self._mission, None
         self._unsure = draft.mistakable
-        unsure = self.unsure(tracker)
+        unsure = self._unconfirmed()
         for n, said in enumerate(draft.rounds, start=1):
             if said.error and order.before is None:
                 mission.tell(_line(f"answer {n} of the model: {said.error}"), now_ns)
@@ -334,7 +357,7 @@ class TaskRun:
             self.phase, self._refused = "driving", ""
             mission.tell(_line(told(draft, order)), now_ns)
         elif order.nearer_to is not None:
-            self._stop(goals, now_ns)
+            self._stop(now_ns)
         elif order.before is not None:
             self._write_again(draft.error, now_ns)
         elif unsure or not (draft.hopeless or self._why or self._by_model):
@@ -348,14 +371,12 @@ class TaskRun:
 
     def _drive(
         self,
-        map: SemanticMap,
-        goals: GoalTracker,
         observation: Observation,
         stuck: bool,
         now_ns: int,
     ) -> None:
         """See whether the robot is there, and whether it can go on."""
-        refined, goal, answer = self._draft.refined, goals.goal, goals.answer
+        refined, goal, answer = self._draft.refined, self._goals.goal, self._goals.answer
         assert refined is not None
         pose, state = observation.pose, None if answer is None else answer.state
         if (driven := self._driven(refined)) > self._mission.state:
@@ -365,9 +386,9 @@ class TaskRun:
         if state == "reached" and goal is not None and _is_at(goal.pose, refined, until):
             thing = self._draft.stops_at
             if thing is None or until < last:
-                self._stop(goals, now_ns)
+                self._stop(now_ns)
             else:
-                self._ask(map, observation, None, nearer_to=thing)
+                self._ask(observation, None, nearer_to=thing)
         elif state == "reached" and goal is not None:
             self._index = index_at_goal(refined, goal.pose, self._index)
         elif stuck or state == "failed":
@@ -378,13 +399,13 @@ class TaskRun:
             if before is not None and pose.distance_to(before.x_m, before.y_m) < SAME_PLACE_M:
                 self._write_again(why, now_ns)
             else:
-                self._refine_again(why, map, observation, now_ns)
+                self._refine_again(why, observation, now_ns)
         elif now_ns - self._looked_ns >= LOOK_NS:
             self._looked_ns = now_ns
-            away_m = blocked_ahead_m(refined, map.view, self._index)
+            away_m = blocked_ahead_m(refined, self._map.view, self._index)
             if away_m is not None:
                 why = f"something is in the way, {away_m:.1f} m ahead"
-                self._refine_again(why, map, observation, now_ns)
+                self._refine_again(why, observation, now_ns)
 
     def _driven(self, refined: Refined) -> int:
         """How many steps lie behind the robot, each of which the rules made one segment."""
@@ -403,32 +424,30 @@ class TaskRun:
                 return step, end_of(refined, leg)
         return None
 
-    def _stop(self, goals: GoalTracker, now_ns: int) -> None:
+    def _stop(self, now_ns: int) -> None:
         """At a stop, or at the end of a trajectory, as near to a thing there as one gets."""
         if self._halt is None:
-            self._go_on(goals, now_ns)
+            self._go_on(now_ns)
             return
         self._unproven = list(self._draft.stops[self._halt[0] - self._draft.upto])
         self._proven.clear()
         self.phase, self._stopped_ns, self._images = "verifying", now_ns, 0
 
-    def _verify(
-        self, map: SemanticMap, goals: GoalTracker, pose: SE2, stuck: bool, now_ns: int
-    ) -> None:
+    def _verify(self, pose: SE2, stuck: bool, now_ns: int) -> None:
         """Whether what the robot stopped at is what the task names; from afar there is no telling,
         and it is taken for it."""
-        (number, label), perception = self._unproven[0], self.config.perception
+        (number, label), perception = self._unproven[0], self._config.perception
         here = [
             one
-            for one in map.tracker.of(label)
+            for one in self._map.tracker.of(label)
             if one.distance_m(pose.x_m, pose.y_m) <= min(AGAIN_M, perception.confirm_range_m)
             and one.id not in self._proven
         ]
         here.sort(key=lambda one: (one.id != number, one.distance_m(pose.x_m, pose.y_m)))
-        thing = map.tracker.get(number)
-        found = next((one for one in here if map.tracker.confirmed(one)), None)
+        thing = self._map.tracker.get(number)
+        found = next((one for one in here if self._map.tracker.confirmed(one)), None)
         away = thing is not None and thing.state != "refuted" and not here
-        if away and not map.tracker.confirmed(thing):
+        if away and not self._map.tracker.confirmed(thing):
             away_m = thing.distance_m(pose.x_m, pose.y_m)
             said = f"{label} {number} is {away_m:.1f} m away: too far to make sure that it is one"
             self._mission.tell(_line(said), now_ns)
@@ -437,23 +456,23 @@ class TaskRun:
             self._turning, self._stopped_ns, self._images = None, now_ns, 0
             self._unproven.pop(0)
             if not self._unproven:
-                self._leave(goals, now_ns)
+                self._leave(now_ns)
             return
-        if here and not self._faces(here[0], goals, pose, stuck):
+        if here and not self._faces(here[0], pose, stuck):
             self._stopped_ns, self._images = now_ns, 0
         elif (
             self._images >= MIN_IMAGES
-            and (now_ns - self._stopped_ns) * 1e-9 > self.config.mission.verify_s
+            and (now_ns - self._stopped_ns) * 1e-9 > self._config.mission.verify_s
         ):
             if here:  # it may have got another number
                 number = here[0].id
-            map.tracker.refute(number)
+            self._map.tracker.refute(number)
             said = f"{label} {number} is none, as seen from near by: looking further"
             self._mission.tell(_line(said), now_ns)
             self._begin()
-            goals.set_out(self._mission)
+            self._goals.set_out(self._mission)
 
-    def _faces(self, thing: Instance, goals: GoalTracker, pose: SE2, stuck: bool) -> bool:
+    def _faces(self, thing: Instance, pose: SE2, stuck: bool) -> bool:
         """Whether the robot looks at a thing; if not, it turns to it, once."""
         bearing_rad = pose.bearing_to(*thing.center_m[:2].tolist())
         if self._turning is None:
@@ -461,34 +480,32 @@ class TaskRun:
                 return True
             self._turning = SE2(pose.x_m, pose.y_m, pose.yaw_rad + bearing_rad)
             return False
-        answer = goals.answer
+        answer = self._goals.answer
         ended = answer is not None and answer.state in ("reached", "failed")
         return ended or stuck
 
-    def _leave(self, goals: GoalTracker, now_ns: int) -> None:
+    def _leave(self, now_ns: int) -> None:
         """All things of a stop are what the task names: drive on, or end."""
         refined = self._draft.refined
         assert refined is not None
         assert self._halt is not None
         step, index = self._halt
         if index == len(refined.poses) - 1:
-            self._go_on(goals, now_ns)
+            self._go_on(now_ns)
             return
         self._sure, self._index, self.phase = step + 1, index + 1, "driving"
         self._halt = self._next_halt(refined)
 
-    def _go_on(self, goals: GoalTracker, now_ns: int) -> None:
+    def _go_on(self, now_ns: int) -> None:
         """At the end of a trajectory: with the steps that come after it, if any do."""
         self._mission.drove(self._draft.upto, now_ns)
         if not self._mission.done:
             self._begin()
-            goals.set_out(self._mission)
+            self._goals.set_out(self._mission)
 
-    def _refine_again(
-        self, why: str, map: SemanticMap, observation: Observation, now_ns: int
-    ) -> None:
+    def _refine_again(self, why: str, observation: Observation, now_ns: int) -> None:
         self._mission.tell(_line(f"{why}: the rest is refined again"), now_ns)
-        self._ask(map, observation, None, self._draft)
+        self._ask(observation, None, self._draft)
 
     def _write_again(self, why: str, now_ns: int) -> None:
         """Once; who is asked for the same again and again helps no one."""

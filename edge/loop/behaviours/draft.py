@@ -24,7 +24,7 @@ from edge.tasks.write import Round, write
 from edge.trajectory.pursuit import MotionLimits
 from edge.types import Detections, Instance, Observation
 
-log = logging.getLogger("edge.loop.draft")
+log = logging.getLogger("edge.loop.behaviours.draft")
 
 NEARER_M = 0.15
 """Getting less near to a thing is not worth starting again."""
