@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from edge.mission.automaton import compile_formula
-from edge.mission.ltl import parse
+from edge.mission.logic.automaton import compile_formula
+from edge.mission.logic.ltl import parse
 
 # PEERS.md's formulas: f2 and f3 are the ViTL paper's case studies, as they are written there.
 FORMULAS = {

@@ -7,10 +7,10 @@ import pytest
 
 from edge.config import PlannerVitl
 from edge.geometry import Grid
-from edge.mission.automaton import compile_formula
-from edge.mission.ltl import parse
-from edge.mission.planner import Knowledge, make_planner, warm_up
+from edge.mission.logic.automaton import compile_formula
+from edge.mission.logic.ltl import parse
 from edge.mission.planning.distances import distances
+from edge.mission.planning.planner import Knowledge, make_planner, warm_up
 
 DISTANCE = PlannerVitl(weights="distance")
 

@@ -9,7 +9,7 @@ from edge.lab.eval.planning.lifted import compiled, lift
 from edge.lab.eval.planning.planners import PLANNERS
 from edge.lab.eval.planning.sweep import Settings, run_tasks
 from edge.lab.eval.planning.templates import generate
-from edge.mission.ltl import parse
+from edge.mission.logic.ltl import parse
 
 P_OBS = tuple(i / 10 for i in range(1, 11))
 SAMPLE = 200

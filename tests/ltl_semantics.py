@@ -1,10 +1,10 @@
-"""What a formula says about a word, as `edge.mission.ltl` defines it."""
+"""What a formula says about a word, as `edge.mission.logic.ltl` defines it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from edge.mission.ltl import Formula, postorder
+from edge.mission.logic.ltl import Formula, postorder
 
 
 def holds(f: Formula, word: Sequence[str | None]) -> bool:

@@ -13,7 +13,7 @@ from edge.host import resources
 from edge.text import one_line
 
 if TYPE_CHECKING:
-    from edge.mission.automaton import Automaton
+    from edge.mission.logic.automaton import Automaton
 
 _DRAWINGS = (".svg", ".png", ".dot")
 _LIST_CHARS = 1000
@@ -27,8 +27,8 @@ def run(args: argparse.Namespace) -> int:
     """
     from edge.config import load
     from edge.mission.brief import prepare
-    from edge.mission.planner import make_planner
     from edge.mission.planning.plan import Knowledge
+    from edge.mission.planning.planner import make_planner
     from edge.mission.readings import AmbiguousError
 
     drawing = resources.expand(args.draw) if args.draw else None

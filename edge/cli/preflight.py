@@ -27,7 +27,7 @@ from edge.config import (
 )
 from edge.errors import UserError
 from edge.host.credentials import read_token
-from edge.mission.planner import find_own_planner
+from edge.mission.planning.planner import find_own_planner
 from edge.mission.translate import make_translator
 from edge.perception.backends.runtime import CPU_ALONE, check_providers
 from edge.perception.card_types import (

@@ -17,7 +17,7 @@ from edge.fleet.orders import DOUBLED, Cancel, Give, Orders, Outcome, Part, deci
 from edge.fleet.roster import OVER, Robot, Roster
 from edge.mission.brief import Brief
 from edge.mission.language.english import describe
-from edge.mission.ltl import Formula
+from edge.mission.logic.ltl import Formula
 from edge.mission.split import asked_for, split
 from edge.text import one_line
 

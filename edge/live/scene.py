@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from edge.mission.automaton import NOTHING, Automaton
+from edge.mission.logic.automaton import NOTHING, Automaton
 from edge.text import shorten
 
 MAX_WHOLE = 40  # states that are drawn without leaving any out

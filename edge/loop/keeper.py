@@ -15,9 +15,9 @@ from edge.config import Config
 from edge.errors import UserError
 from edge.loop.place_keeper import SUFFIX, PlaceKeeper
 from edge.loop.places import Now, Parts
-from edge.mission import ltl
 from edge.mission.brief import Brief, MissionError, brief_of
 from edge.mission.checkpoint import CheckpointWriter, load
+from edge.mission.logic import ltl
 from edge.mission.run import MissionRun
 from edge.mission.saved import Saved
 from edge.mission.translate import Translation

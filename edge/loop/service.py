@@ -36,8 +36,8 @@ from edge.loop.semantic_map import SemanticMap
 from edge.loop.source import InputRow
 from edge.loop.status import HealthWatch
 from edge.mission.brief import Brief, task_of
-from edge.mission.planning.surveyor import make_surveyor
 from edge.mission.run import MissionRun
+from edge.mission.surveyor import make_surveyor
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.policies.base import Answers, Context, Policy, scores_of

@@ -20,7 +20,7 @@ from edge.loop.prior import warm_up as warm_prior
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
 from edge.mapping.warmup import warmup as warm_mapping
-from edge.mission.planner import warm_up as warm_planners
+from edge.mission.planning.planner import warm_up as warm_planners
 from edge.perception.warmup import warmup as warm_perception
 from edge.policies import make_policy
 from edge.policies.base import Answers, Context

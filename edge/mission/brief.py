@@ -10,12 +10,13 @@ import numpy as np
 from edge import names
 from edge.config import Mission, TranslatorLtl
 from edge.errors import UserError
-from edge.mission import ltl
-from edge.mission.automaton import Automaton, compile_formula
 from edge.mission.language.english import describe
+from edge.mission.logic import ltl
+from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
-from edge.mission.ltl import Formula
-from edge.mission.planner import make_planner
+from edge.mission.logic.ltl import Formula
+from edge.mission.planning.planner import make_planner
+from edge.mission.task_step import TaskStep
 from edge.mission.translate import Translation, make_translator
 from edge.text import one_line
 
@@ -24,21 +25,6 @@ _MOST_SHOWN = 600  # of the parts of a contradiction
 
 class MissionError(UserError):
     """A mission that is refused before it begins; one line."""
-
-
-@dataclass(frozen=True, slots=True)
-class TaskStep:
-    """A step of a task.
-
-    Attributes:
-        said: its part of the instruction.
-        names: those of the targets that have to be seen before it is driven.
-        joined: it speaks of the thing of the step before it, and is driven together with that.
-    """
-
-    said: str
-    names: tuple[str, ...] = ()
-    joined: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

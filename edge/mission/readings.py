@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from edge.mission.automaton import Automaton, CompileError, compile_formula, implies
 from edge.mission.language.english import describe
 from edge.mission.language.words import TranslationError, UnclearError
+from edge.mission.logic.automaton import Automaton, CompileError, compile_formula, implies
 from edge.mission.logic.diagnosis import diagnose
-from edge.mission.ltl import Formula, postorder
+from edge.mission.logic.ltl import Formula, postorder
 from edge.text import one_line
 
 _MAX_STATES, _MAX_STEPS = 2_000, 3_000_000  # of each reading; larger ones are not compared

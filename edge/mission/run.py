@@ -10,11 +10,11 @@ import numpy as np
 
 from edge.config import Mission
 from edge.geometry import SE2
-from edge.mission.automaton import NOTHING
 from edge.mission.brief import Brief
-from edge.mission.planner import make_planner
+from edge.mission.logic.automaton import NOTHING
 from edge.mission.planning.in_sight import InSightPlanner
 from edge.mission.planning.plan import Knowledge, Plan, Planner
+from edge.mission.planning.planner import make_planner
 from edge.text import one_line
 from edge.types import MissionPhase, MissionStatus, Step, StepKind
 

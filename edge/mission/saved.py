@@ -14,8 +14,8 @@ from typing import Annotated
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from edge.errors import UserError
-from edge.mission.automaton import NOTHING
-from edge.mission.ltl import parse, propositions
+from edge.mission.logic.automaton import NOTHING
+from edge.mission.logic.ltl import parse, propositions
 from edge.mission.sealed import Sealed
 from edge.text import bounded_repr, one_line
 

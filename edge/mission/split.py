@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.config import Mission
-from edge.mission import ltl
-from edge.mission.automaton import Automaton, compile_formula
-from edge.mission.ltl import Formula
+from edge.mission.logic import ltl
+from edge.mission.logic.automaton import Automaton, compile_formula
+from edge.mission.logic.ltl import Formula
 from edge.text import one_line
 
 

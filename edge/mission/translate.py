@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 from edge.config import Translator as TranslatorConfig
 from edge.config import TranslatorLlm
-from edge.mission import ltl
 from edge.mission.language import grammar
 from edge.mission.language.bans import bans_in, does_imply
 from edge.mission.language.beyond import refuse_beyond
 from edge.mission.language.english import describe
 from edge.mission.language.words import Reader, TranslationError, UnclearError
-from edge.mission.ltl import Formula
+from edge.mission.logic import ltl
+from edge.mission.logic.ltl import Formula
 from edge.mission.readings import (
     AmbiguousError,
     Reading,

@@ -22,7 +22,8 @@ from edge.loop.behaviours.draft import Draft
 from edge.loop.journal import Input
 from edge.loop.prior import Rooms
 from edge.loop.result import TickResult
-from edge.mission import ltl, saved
+from edge.mission import saved
+from edge.mission.logic import ltl
 from edge.mission.translate import Translation
 from edge.perception.choice.question import Choice
 from edge.policies.base import Similarity

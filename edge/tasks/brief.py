@@ -6,8 +6,9 @@ import re
 
 from edge import names
 from edge.config import Config, WriterModel
-from edge.mission import ltl
-from edge.mission.brief import Brief, MissionError, TaskStep, brief_of_task, prepare
+from edge.mission.brief import Brief, MissionError, brief_of_task, prepare
+from edge.mission.logic import ltl
+from edge.mission.task_step import TaskStep
 from edge.mission.translate import Translation
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS
 from edge.tasks.reading import named, task_steps

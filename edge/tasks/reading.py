@@ -39,8 +39,8 @@ from typing import Literal, NoReturn
 import numpy as np
 
 from edge import names
-from edge.mission.brief import TaskStep
 from edge.mission.language.words import Reader, Token, TranslationError
+from edge.mission.task_step import TaskStep
 from edge.tasks.clauses import in_order
 from edge.tasks.outline import outline_of
 from edge.tasks.phrases import tokenise

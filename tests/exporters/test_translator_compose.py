@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from random import Random
 
-from edge.mission.automaton import compile_formula
 from edge.mission.language.compact import NAMES, OPERATORS, REFUSED, arity, formula_of
-from edge.mission.ltl import propositions
+from edge.mission.logic.automaton import compile_formula
+from edge.mission.logic.ltl import propositions
 from exporters.training.translator.compose import Composer, lifted, load
 
 PHRASES = load()

@@ -14,7 +14,7 @@ from edge.cli.requests import add_arguments
 from edge.config import Zenoh
 from edge.errors import UserError
 from edge.loop.requests import mission_verbs
-from edge.mission.ltl import parse, to_text
+from edge.mission.logic.ltl import parse, to_text
 
 KEY = "edge/mission/request"
 

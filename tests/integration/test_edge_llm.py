@@ -15,9 +15,9 @@ from llm_process import serving_llm
 from edge.chat import ChatClient, ChatError, CutOffError
 from edge.config import TranslatorLlm
 from edge.lab.eval.planning.templates import generate
-from edge.mission.automaton import compile_formula
 from edge.mission.language.llm import constraint, conversation, formula_in, objects_in
-from edge.mission.ltl import parse
+from edge.mission.logic.automaton import compile_formula
+from edge.mission.logic.ltl import parse
 from edge.mission.translate import TranslationError, make_translator
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]

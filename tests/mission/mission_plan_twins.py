@@ -9,8 +9,8 @@ import networkx as nx
 import numpy as np
 from hypothesis import strategies as st
 
-from edge.mission.automaton import NOTHING, Automaton, compile_formula
-from edge.mission.ltl import TRUE, parse
+from edge.mission.logic.automaton import NOTHING, Automaton, compile_formula
+from edge.mission.logic.ltl import TRUE, parse
 from edge.mission.planning.plan import Knowledge
 
 W_NOTHING = 1e-6

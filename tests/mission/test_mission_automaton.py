@@ -16,11 +16,11 @@ from test_mission_ltl import formulas
 
 from edge.config import Mission
 from edge.errors import UserError
-from edge.mission import automaton as automaton_module
-from edge.mission.automaton import NOTHING, CompileError, compile_formula, steps_left
+from edge.mission.logic import automaton as automaton_module
 from edge.mission.logic import compiler
+from edge.mission.logic.automaton import NOTHING, CompileError, compile_formula, steps_left
 from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Effort
-from edge.mission.ltl import parse
+from edge.mission.logic.ltl import parse
 
 CASE_1 = (
     "(F (toilet & F bed) | F (couch & F chair) | F (plant & F tv))"
@@ -269,9 +269,9 @@ def steps_of(text, monkeypatch) -> int:
 def test_neither_automaton_nor_steps_depend_on_the_hash_seed():
     formulas = ["F a", CASE_2_WEAK, targets(8), "(F a | F b) <-> (F c U (d | G e))"]
     program = (
-        "import sys; from edge.mission.automaton import compile_formula\n"
+        "import sys; from edge.mission.logic.automaton import compile_formula\n"
         "from edge.mission.logic import limits\n"
-        "from edge.mission.ltl import parse\n"
+        "from edge.mission.logic.ltl import parse\n"
         "def counted(self, n): limits.total = getattr(limits, 'total', 0) + n\n"
         "limits.Effort.spend = counted\n"
         "for text in sys.argv[1:]:\n"

@@ -6,9 +6,9 @@ import pytest
 
 from edge.config import Mission
 from edge.errors import UserError
-from edge.mission.automaton import compile_formula
 from edge.mission.brief import prepare
-from edge.mission.ltl import parse
+from edge.mission.logic.automaton import compile_formula
+from edge.mission.logic.ltl import parse
 from edge.mission.readings import AmbiguousError
 
 

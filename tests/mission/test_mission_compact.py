@@ -17,7 +17,7 @@ from edge.mission.language.compact import (
     arity,
     formula_of,
 )
-from edge.mission.ltl import parse, propositions
+from edge.mission.logic.ltl import parse, propositions
 
 MEANT = [
     ("<0>", "a"),

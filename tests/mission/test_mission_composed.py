@@ -7,7 +7,7 @@ from random import Random
 from edge.lab.eval.languages import difference
 from edge.mission.language.compact import NAMES, REFUSED, formula_of
 from edge.mission.language.grammar import TranslationError, readings
-from edge.mission.ltl import to_text
+from edge.mission.logic.ltl import to_text
 from edge.mission.readings import distinct
 from exporters.training.translator.compose import Composer, load
 

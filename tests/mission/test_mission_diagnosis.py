@@ -6,9 +6,9 @@ import itertools
 
 import pytest
 
-from edge.mission.automaton import CompileError, compile_formula
+from edge.mission.logic.automaton import CompileError, compile_formula
 from edge.mission.logic.diagnosis import conjuncts, diagnose
-from edge.mission.ltl import conj, parse
+from edge.mission.logic.ltl import conj, parse
 
 
 def conflict(text: str) -> list[str]:

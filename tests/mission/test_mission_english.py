@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 
 from edge.lab.eval.languages import difference
 from edge.lab.eval.planning.templates import generate
-from edge.mission import ltl
 from edge.mission.language.english import describe
 from edge.mission.language.grammar import readings
-from edge.mission.ltl import Formula, ap, parse
+from edge.mission.logic import ltl
+from edge.mission.logic.ltl import Formula, ap, parse
 
 SAID = [
     ("true", "Nothing needs to be done."),

@@ -15,7 +15,7 @@ from edge.lab.eval.languages import difference
 from edge.mission.language.grammar import TranslationError, readings
 from edge.mission.language.lexicon import PHRASES, TABLE
 from edge.mission.language.words import MAX_CHARS, MAX_WORDS
-from edge.mission.ltl import Formula, ap, eventually, parse, to_text
+from edge.mission.logic.ltl import Formula, ap, eventually, parse, to_text
 from edge.mission.readings import AmbiguousError, distinct
 from edge.mission.translate import Translator, make_translator
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mission_plan_twins import CASE_1, CHOICE, automata, compiled, knowing, knowledge_of
 
 from edge.config import PlannerInOrder, PlannerVitl
-from edge.mission.planner import make_planner
+from edge.mission.planning.planner import make_planner
 
 
 def planned(text, knowledge=None, state=0):

@@ -28,7 +28,7 @@ from edge.mission.language.llm import (
     gbnf,
     objects_in,
 )
-from edge.mission.ltl import parse, propositions
+from edge.mission.logic.ltl import parse, propositions
 from edge.mission.translate import AmbiguousError, TranslationError, make_translator
 
 INSTRUCTION = "Clean the couch, then turn on the TV; don't go to the bed before that."

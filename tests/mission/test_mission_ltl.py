@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ltl_semantics import holds
 
-from edge.mission import ltl
-from edge.mission.ltl import (
+from edge.mission.logic import ltl
+from edge.mission.logic.ltl import (
     MAX_CHARS,
     FormulaError,
     parse,

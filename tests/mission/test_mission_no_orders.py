@@ -8,7 +8,7 @@ import pytest
 from edge.config.mission import TranslatorGrammar
 from edge.lab.eval.languages import difference
 from edge.mission.language.grammar import TranslationError, readings
-from edge.mission.ltl import parse
+from edge.mission.logic.ltl import parse
 from edge.mission.readings import distinct
 from edge.mission.translate import make_translator
 

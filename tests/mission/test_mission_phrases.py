@@ -9,7 +9,7 @@ import pytest
 
 from edge.lab.eval.languages import difference
 from edge.mission.language.grammar import TranslationError, readings
-from edge.mission.ltl import Formula, parse
+from edge.mission.logic.ltl import Formula, parse
 from edge.mission.readings import distinct
 
 THROUGH = [

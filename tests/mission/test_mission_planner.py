@@ -24,8 +24,8 @@ from mission_plan_twins import (
 
 from edge.config import PlannerOwn, PlannerVitl
 from edge.errors import ConfigError
-from edge.mission import planner as planners
-from edge.mission.planner import Knowledge, Plan, make_planner
+from edge.mission.planning import planner as planners
+from edge.mission.planning.planner import Knowledge, Plan, make_planner
 from edge.mission.planning.vitl import working_order
 
 CONSTANT = PlannerVitl()
@@ -414,7 +414,7 @@ def test_a_planner_of_ones_own_is_given_the_mission_and_its_options():
     [
         ("nowhere:Planner", {}, "mission.planner.kind: 'nowhere:Planner'"),
         (f"{__name__}:Alphabetical", {"first": True}, "mission.planner.options: got an unexpected"),
-        ("edge.mission.ltl:Formula", {"op": "true"}, "it has no plan()"),
+        ("edge.mission.logic.ltl:Formula", {"op": "true"}, "it has no plan()"),
     ],
 )
 def test_what_is_no_planner_is_told_in_a_line(kind, options, words):

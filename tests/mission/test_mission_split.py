@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ltl_semantics import holds
 
-from edge.mission import ltl
-from edge.mission.automaton import compile_formula
 from edge.mission.language.grammar import readings
+from edge.mission.logic import ltl
+from edge.mission.logic.automaton import compile_formula
 from edge.mission.split import split
 
 

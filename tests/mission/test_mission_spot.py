@@ -12,9 +12,9 @@ from test_mission_automaton import CASE_1, CASE_2, CASE_2_WEAK, same, targets
 from test_mission_ltl import formulas
 
 from edge.errors import UserError
-from edge.mission.automaton import CompileError, compile_formula
 from edge.mission.logic import spot_compiler
-from edge.mission.ltl import parse, propositions
+from edge.mission.logic.automaton import CompileError, compile_formula
+from edge.mission.logic.ltl import parse, propositions
 
 needs_spot = pytest.mark.skipif(
     not spot_compiler.available(), reason=f"Spot: {spot_compiler.missing()}"

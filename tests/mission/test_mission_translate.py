@@ -6,7 +6,7 @@ import pytest
 
 from edge.config import TranslatorAuto, TranslatorGrammar, TranslatorLtl
 from edge.errors import UserError
-from edge.mission.ltl import FormulaError, ap, eventually, parse
+from edge.mission.logic.ltl import FormulaError, ap, eventually, parse
 from edge.mission.translate import (
     AmbiguousError,
     Backend,

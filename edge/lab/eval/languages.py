@@ -6,8 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from edge.mission.automaton import Automaton, compile_formula, shortest_word
-from edge.mission.ltl import Formula, postorder, weak_until
+from edge.mission.logic.automaton import Automaton, compile_formula, shortest_word
+from edge.mission.logic.ltl import Formula, postorder, weak_until
 
 Word = tuple[str, ...]
 

@@ -21,8 +21,8 @@ from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.planning.lifted import compiled
 from edge.lab.eval.planning.templates import Family, draws, formula_of, sentence_of, worth_doing
 from edge.lab.sim.base import World, free_poses
-from edge.mission.automaton import NOTHING, Automaton
-from edge.mission.ltl import Formula
+from edge.mission.logic.automaton import NOTHING, Automaton
+from edge.mission.logic.ltl import Formula
 
 TARGETS = (2, 4)
 """Fewest and most things that a mission names."""

@@ -33,7 +33,7 @@ from edge.host.bars import counted
 from edge.host.files import open_regular, save
 from edge.lab.eval.languages import difference, satisfiable, with_weak_untils
 from edge.lab.eval.planning.templates import generate
-from edge.mission.ltl import (
+from edge.mission.logic.ltl import (
     FALSE,
     STRENGTH,
     UNARY,

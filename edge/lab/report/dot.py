@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from edge.lab.report.drawing import CURRENT, STYLES
 from edge.live.scene import in_words, ways_on
-from edge.mission.automaton import Automaton
+from edge.mission.logic.automaton import Automaton
 
 
 def to_dot(automaton: Automaton, state: int | None = None, plan: Sequence[str] = ()) -> str:

@@ -27,8 +27,8 @@ from edge.loop.behaviours.search import newest_ids
 from edge.loop.goal import MIN_IMAGES, GoalTracker
 from edge.loop.journal import TASK, Journal
 from edge.loop.semantic_map import SemanticMap
-from edge.mission.brief import TaskStep
 from edge.mission.run import MissionRun
+from edge.mission.task_step import TaskStep
 from edge.policies.base import Context
 from edge.tasks.facts import StepFacts, TaskFacts, TaskPhase
 from edge.tasks.follow import blocked_ahead_m, end_of, goal_ahead, index_at_goal, leg_end

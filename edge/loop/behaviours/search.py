@@ -9,8 +9,8 @@ import numpy as np
 from edge.config import Config
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
-from edge.mission.planning.surveyor import Surveyor
 from edge.mission.run import MissionRun
+from edge.mission.surveyor import Surveyor
 from edge.perception.instances import InstanceTracker
 from edge.policies.base import Context
 from edge.types import Goal, Instance

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from edge.mission.automaton import CompileError, compile_formula, implies
 from edge.mission.language import grammar
 from edge.mission.language.words import TranslationError
-from edge.mission.ltl import Formula
+from edge.mission.logic.automaton import CompileError, compile_formula, implies
+from edge.mission.logic.ltl import Formula
 
 _MAX_STATES, _MAX_STEPS = 500, 300_000
 _SENTENCE = re.compile(r"[,.;:!?]|\b(?:but|then)\b", re.IGNORECASE)

@@ -1,7 +1,7 @@
 """Formulas as the small translator writes them: tokens in prefix notation, of which each but names
 has a fixed number of operands, so that every prefix can be completed and none need be parsed twice.
 
-Beside the operators of `edge.mission.ltl` there are a few of its own, for what takes many of those:
+Beside the operators of `logic.ltl` there are a few of its own, for what takes many of those:
 `>=n x`, `<=n x` and `=n x` count separate visits to x, and `O x y` is at most one visit to x, and
 then y, before y for the first time.
 """
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from edge.mission.language.goals import Visit, achieved, at_most, at_most_before
-from edge.mission.ltl import (
+from edge.mission.logic.ltl import (
     TRUE,
     Formula,
     always,

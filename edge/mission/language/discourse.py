@@ -47,7 +47,7 @@ from edge.mission.language.words import (
     Reader,
     Token,
 )
-from edge.mission.ltl import TRUE, Formula, postorder
+from edge.mission.logic.ltl import TRUE, Formula, postorder
 
 _IN_TURN = "say the steps in the order in which they come"
 MAX_NODES = 20_000

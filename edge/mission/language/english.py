@@ -4,7 +4,7 @@ Sequences, sets, choices, counts, bans and untils are put as people say them, in
 `edge.mission.language.grammar` reads back as the same language; anything else is read out
 literally, operator by operator, in brackets.
 
->>> from edge.mission.ltl import parse
+>>> from edge.mission.logic.ltl import parse
 >>> describe(parse("F((chair | sofa) & F television) & (!bed W television)"))
 'Reach either the chair or the sofa, then the television. Do not reach the bed until the \
 television is reached.'
@@ -18,7 +18,7 @@ from itertools import pairwise, product
 from edge.mission.language.goals import Visit
 from edge.mission.language.things import Memory, Things, take_things
 from edge.mission.language.words import Reader, TranslationError
-from edge.mission.ltl import Formula, conj, postorder, propositions, to_text
+from edge.mission.logic.ltl import Formula, conj, postorder, propositions, to_text
 
 MAX_ALTERNATIVES = 32
 

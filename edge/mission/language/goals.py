@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Union
 
 from edge.mission.language.things import Things
-from edge.mission.ltl import (
+from edge.mission.logic.ltl import (
     TRUE,
     Formula,
     always,

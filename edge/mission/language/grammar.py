@@ -45,7 +45,7 @@ from edge.mission.language.beyond import refuse_beyond
 from edge.mission.language.discourse import Discourse
 from edge.mission.language.nouns import is_foreign
 from edge.mission.language.words import Reader, TranslationError, not_understood, tokenise
-from edge.mission.ltl import Formula
+from edge.mission.logic.ltl import Formula
 
 _GROUPED = re.compile(r"\d,\d{3}\b")
 

@@ -20,7 +20,7 @@ from edge.config import TranslatorLlm
 from edge.errors import UserError
 from edge.mission.language import lexicon
 from edge.mission.language.words import TranslationError
-from edge.mission.ltl import Formula, FormulaError, ap, parse, propositions, renamed, to_text
+from edge.mission.logic.ltl import Formula, FormulaError, ap, parse, propositions, renamed, to_text
 from edge.text import one_line
 
 MOST_NAMES = 100

@@ -22,7 +22,7 @@ from edge.mission.language.goals import (
 from edge.mission.language.spoken import Clause, Condition, Count
 from edge.mission.language.things import Things
 from edge.mission.language.words import Reader, Token
-from edge.mission.ltl import Formula, always, ap, implies, neg, next_, weak_next
+from edge.mission.logic.ltl import Formula, always, ap, implies, neg, next_, weak_next
 
 
 @dataclass(slots=True)

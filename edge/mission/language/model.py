@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from edge.mission.automaton import Automaton, CompileError, compile_formula, implies
 from edge.mission.language import nouns
 from edge.mission.language.compact import NAMES, REFUSED, formula_of
 from edge.mission.language.english import is_plain
@@ -21,7 +20,8 @@ from edge.mission.language.lexicon import AFTER_VERB, NUMBERS, TABLE
 from edge.mission.language.lifting import ARTICLES, Lifted, lift
 from edge.mission.language.network import MOST_WORDS, Network, Written
 from edge.mission.language.words import TranslationError, not_understood
-from edge.mission.ltl import Formula, propositions
+from edge.mission.logic.automaton import Automaton, CompileError, compile_formula, implies
+from edge.mission.logic.ltl import Formula, propositions
 from edge.text import one_line
 
 TRUSTED_P = 0.95

@@ -26,7 +26,7 @@ from edge.mission.language.meaning import Meaning
 from edge.mission.language.spoken import Count
 from edge.mission.language.things import Things
 from edge.mission.language.words import Reader, Token
-from edge.mission.ltl import Formula
+from edge.mission.logic.ltl import Formula
 
 
 def sequence_goal(sequence: Sequence[Meaning], reader: Reader) -> Goal:

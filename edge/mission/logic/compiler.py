@@ -20,7 +20,7 @@ from functools import reduce
 import numpy as np
 
 from edge.mission.logic.limits import PER_NODE, CompileError, Effort
-from edge.mission.ltl import Formula, postorder
+from edge.mission.logic.ltl import Formula, postorder
 
 Dfa = tuple[np.ndarray, np.ndarray]
 Key = tuple[str, tuple[int, ...], str]  # an operator, its operands' numbers, a proposition

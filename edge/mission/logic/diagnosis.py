@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.mission.automaton import Automaton
+from edge.mission.logic.automaton import Automaton
 from edge.mission.logic.compiler import language
 from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Effort
-from edge.mission.ltl import Formula, conj, propositions
+from edge.mission.logic.ltl import Formula, conj, propositions
 
 
 @dataclass(frozen=True)

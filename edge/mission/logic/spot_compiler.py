@@ -22,7 +22,7 @@ import numpy as np
 from edge.errors import UnavailableError
 from edge.mission.logic.compiler import minimal
 from edge.mission.logic.limits import CompileError, Effort
-from edge.mission.ltl import UNARY, Formula, postorder
+from edge.mission.logic.ltl import UNARY, Formula, postorder
 
 _ALIVE = "alive"
 _WANTED = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from edge.config import PlannerInOrder, PlannerVitl
-from edge.mission.automaton import NOTHING, Automaton
+from edge.mission.logic.automaton import NOTHING, Automaton
 from edge.mission.planning.plan import ACCEPTED, DEAD, Knowledge, Plan, named
 from edge.mission.planning.vitl import VitlPlanner
 

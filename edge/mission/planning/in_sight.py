@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from edge.mission.brief import TaskStep
 from edge.mission.planning.plan import Knowledge, Plan, explain_blocked, listed
+from edge.mission.task_step import TaskStep
 
 
 class InSightPlanner:

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from edge.mission.automaton import NOTHING
+from edge.mission.logic.automaton import NOTHING
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from edge.config import PlannerVitl
-from edge.mission.automaton import NOTHING, Automaton
+from edge.mission.logic.automaton import NOTHING, Automaton
 from edge.mission.planning import plan_kernels as kernels
 from edge.mission.planning.plan import (
     ACCEPTED,

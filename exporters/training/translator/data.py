@@ -27,7 +27,7 @@ from edge.mission.language.network import (
     UNKNOWN,
 )
 from edge.mission.language.words import TranslationError
-from edge.mission.ltl import Formula, propositions, renamed
+from edge.mission.logic.ltl import Formula, propositions, renamed
 from exporters.training.translator.compose import Composer, Pair, Phrases, lifted
 
 RARE = 4

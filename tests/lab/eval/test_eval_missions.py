@@ -15,9 +15,9 @@ from simulated import simulated
 from edge.lab.eval import geodesic, missions
 from edge.lab.eval.missions import Fields, cells_to_go, draw_missions, plan_missions
 from edge.lab.sim.worlds import load_world
-from edge.mission.automaton import compile_formula
 from edge.mission.brief import prepare
-from edge.mission.ltl import parse, propositions
+from edge.mission.logic.automaton import compile_formula
+from edge.mission.logic.ltl import parse, propositions
 
 THINGS = ("bed", "chair", "house plant", "sofa", "television", "toilet", "oven", "armchair")
 RADIUS_M = 0.2

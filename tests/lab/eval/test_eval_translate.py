@@ -17,8 +17,8 @@ from edge.config import TranslatorGrammar
 from edge.errors import UserError
 from edge.lab.eval import translate
 from edge.lab.eval.languages import difference, satisfiable, with_weak_untils
-from edge.mission.automaton import NOTHING, CompileError, compile_formula
-from edge.mission.ltl import Formula, ap, conj, disj, neg, parse
+from edge.mission.logic.automaton import NOTHING, CompileError, compile_formula
+from edge.mission.logic.ltl import Formula, ap, conj, disj, neg, parse
 from edge.mission.translate import Translation, make_translator
 
 LANG2LTL = Path(__file__).parents[4] / "shared/nl2ltl/lang2ltl/symbolic_batch12_noperm.csv"

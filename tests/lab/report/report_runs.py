@@ -20,8 +20,8 @@ from edge.lab.report.recorder import Recorder
 from edge.loop.latency import LatencyRing
 from edge.loop.result import Event, MissionFacts
 from edge.loop.stages import STAGES
-from edge.mission.automaton import compile_formula
-from edge.mission.ltl import parse as parse_ltl
+from edge.mission.logic.automaton import compile_formula
+from edge.mission.logic.ltl import parse as parse_ltl
 from edge.mission.planning.plan import DEAD
 from edge.mission.translate import Translation
 from edge.tasks.facts import TaskFacts

@@ -19,8 +19,8 @@ from edge.lab.report import canvas
 from edge.lab.report.dot import to_dot
 from edge.lab.report.drawing import CURRENT, RADIUS, STYLES, draw, lay_out
 from edge.live.scene import MAX_ARROWS, MAX_PART, MAX_WHOLE, make_scene, wrap
-from edge.mission.automaton import NOTHING, Automaton, compile_formula
-from edge.mission.ltl import parse
+from edge.mission.logic.automaton import NOTHING, Automaton, compile_formula
+from edge.mission.logic.ltl import parse
 
 CASE_1 = (
     "(F(toilet & F bed) | F(couch & F chair) | F(plant & F tv)) "

@@ -10,7 +10,7 @@ from results import facts
 from test_report_page import Reader
 
 from edge.lab.report import page, picture, story, way
-from edge.mission.ltl import parse
+from edge.mission.logic.ltl import parse
 from edge.mission.planning.plan import DEAD
 
 BAD = '<script>alert("x")</script>'

@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.mission.automaton import Automaton
+from edge.mission.logic.automaton import Automaton
 
 NOTHING, DONE, INVALID = -1, -2, -3
 """A planner's answers other than an object: let a step pass, stop, no usable answer."""

@@ -11,7 +11,7 @@ from edge.errors import UserError
 from edge.host.files import read_regular, save
 from edge.lab.eval.planning.lifted import MAX_OBJECTS, lift, with_canonical_names, world_of
 from edge.lab.eval.planning.templates import Task
-from edge.mission.ltl import parse, propositions, to_text
+from edge.mission.logic.ltl import parse, propositions, to_text
 from edge.text import bounded_repr, read_json_object
 
 FIELDS = {"id": int, "template": str, "objects": list, "sentence": str, "formula": str}

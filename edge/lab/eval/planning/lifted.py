@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cache
 
 from edge import names
-from edge.mission.automaton import Automaton, compile_formula
-from edge.mission.ltl import Formula, propositions, renamed
+from edge.mission.logic.automaton import Automaton, compile_formula
+from edge.mission.logic.ltl import Formula, propositions, renamed
 
 HM3D_OBJECTS = ("chair", "bed", "houseplant", "toilet", "television", "sofa")
 """HM3D's six object-goal categories, by their canonical names."""

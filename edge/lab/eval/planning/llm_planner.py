@@ -27,9 +27,9 @@ from edge.lab.eval.planning.lifted import lift, world_of
 from edge.lab.eval.planning.report import LLM
 from edge.lab.eval.planning.sweep import Results, Settings, empty_results
 from edge.lab.eval.planning.templates import SPOKEN, Task
-from edge.mission.automaton import Automaton
-from edge.mission.planner import Knowledge, Plan
+from edge.mission.logic.automaton import Automaton
 from edge.mission.planning.plan import ACCEPTED, DEAD
+from edge.mission.planning.planner import Knowledge, Plan
 
 NAME = LLM
 

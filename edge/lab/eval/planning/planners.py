@@ -14,7 +14,7 @@ import numpy as np
 from edge.config import PlannerInOrder, PlannerVitl
 from edge.lab.eval.planning.executor import DONE, NOTHING, Choose, Problem, Situation
 from edge.lab.eval.planning.optimum import Optimum
-from edge.mission.planner import Knowledge, Planner, make_planner
+from edge.mission.planning.planner import Knowledge, Planner, make_planner
 
 MakeForProblem = Callable[[Problem], Callable[[float], Choose]]
 

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from edge.lab.eval.planning.lifted import HM3D_OBJECTS, lift
-from edge.mission.ltl import (
+from edge.mission.logic.ltl import (
     Formula,
     always,
     ap,

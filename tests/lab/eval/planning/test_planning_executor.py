@@ -23,8 +23,8 @@ from edge.lab.eval.planning.executor import (
     run_episode,
 )
 from edge.lab.eval.planning.lifted import lift
-from edge.mission.automaton import compile_formula
-from edge.mission.ltl import parse
+from edge.mission.logic.automaton import compile_formula
+from edge.mission.logic.ltl import parse
 
 LUCKY, UNLUCKY = 0.0, 0.999
 

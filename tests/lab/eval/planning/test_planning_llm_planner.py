@@ -38,8 +38,8 @@ from edge.lab.eval.planning.llm_planner import (
 from edge.lab.eval.planning.planners import PLANNERS
 from edge.lab.eval.planning.sweep import NOT_RUN, Settings, run_tasks
 from edge.lab.eval.planning.templates import SPOKEN, Task, generate
-from edge.mission.ltl import parse, propositions
-from edge.mission.planner import Knowledge
+from edge.mission.logic.ltl import parse, propositions
+from edge.mission.planning.planner import Knowledge
 
 FORMULA = parse("F (bed & F houseplant) & G !sofa")
 SENTENCE = "Reach a bed and then a potted plant. Never reach a couch."

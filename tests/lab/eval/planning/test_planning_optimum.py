@@ -12,8 +12,8 @@ import pytest
 from edge.lab.eval.planning.executor import DONE, Problem, Situation
 from edge.lab.eval.planning.executor import NOTHING as WAIT
 from edge.lab.eval.planning.optimum import MAX_VALUES, Optimum, solvable
-from edge.mission.automaton import NOTHING, compile_formula
-from edge.mission.ltl import parse
+from edge.mission.logic.automaton import NOTHING, compile_formula
+from edge.mission.logic.ltl import parse
 
 CASE_2 = (
     "(F(couch & F(toilet & F(bed & F chair))) | F(bed & F(plant | toilet))"

@@ -22,7 +22,7 @@ from edge.lab.eval.planning.optimum import Optimum
 from edge.lab.eval.planning.planners import PLANNERS, valid_targets
 from edge.lab.eval.planning.sweep import Settings, run_tasks
 from edge.lab.eval.planning.templates import generate
-from edge.mission.ltl import parse, propositions
+from edge.mission.logic.ltl import parse, propositions
 
 CASE_1 = parse(
     "(F(toilet & F bed) | F(couch & F chair) | F(plant & F tv)) "

@@ -17,7 +17,7 @@ from edge.lab.eval.planning.templates import (
     generate,
     sentence_of,
 )
-from edge.mission.ltl import parse, propositions, to_text
+from edge.mission.logic.ltl import parse, propositions, to_text
 
 DIGEST = "21de6270f80f429f"
 OBJECTS = ("bed", "television", "sofa", "toilet", "chair", "houseplant")

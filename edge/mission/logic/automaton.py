@@ -17,7 +17,7 @@ import numpy as np
 from edge.mission.logic import compiler as own_compiler
 from edge.mission.logic import spot_compiler
 from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileError, Effort
-from edge.mission.ltl import Formula, propositions
+from edge.mission.logic.ltl import Formula, propositions
 
 __all__ = [
     "NOTHING", "Automaton", "CompileError", "compile_formula", "implies", "shortest_word",

@@ -14,8 +14,8 @@ import numpy as np
 
 from edge.config import PlannerInOrder, PlannerOwn, PlannerVitl
 from edge.config.named import find_named
-from edge.mission.automaton import Automaton
-from edge.mission.ltl import Formula
+from edge.mission.logic.automaton import Automaton
+from edge.mission.logic.ltl import Formula
 from edge.mission.planning import distances
 from edge.mission.planning.in_order import InOrderPlanner
 from edge.mission.planning.plan import Knowledge, Plan, Planner
