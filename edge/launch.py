@@ -36,11 +36,12 @@ from edge.loop.scorers import make_scorers
 from edge.loop.service import Service
 from edge.loop.source import Source
 from edge.loop.warmup import warm_up
-from edge.perception.cards import ModelError
-from edge.perception.detector import Detector, Health, log_progress
+from edge.perception.detection.detector import Detector
+from edge.perception.detection.sim import TruthAt
 from edge.perception.factory import make_detector
 from edge.perception.masks.masker import make_masker
-from edge.perception.sim_detector import TruthAt
+from edge.perception.runtime.cards import ModelError
+from edge.perception.runtime.health import Health, log_progress
 from edge.perception.worker import DetectorWorker
 from edge.policies import find_policy
 from edge.sinks import find_sinks

@@ -31,9 +31,9 @@ import yaml
 from edge.host import resources
 from edge.host.files import replace_atomically, write_atomically
 from edge.models.make import TRAINED
-from edge.perception.card_types import Card, ChoiceCard, DetectCard
-from edge.perception.cards import read_card
-from edge.perception.text import VOCABULARY_FILE
+from edge.perception.embedding.text import VOCABULARY_FILE
+from edge.perception.runtime.card_types import Card, ChoiceCard, DetectCard
+from edge.perception.runtime.cards import read_card
 from exporters.files import ExportError, tells_errors
 from exporters.fp16 import write_fp16
 from exporters.images import TextEmbeddings, digest_of, load_text_embeddings

@@ -3,7 +3,7 @@
     edge models export NAME --weights FOLDER --precision fp32 int8-cpu --calibration PICTURES
 
 writes for each precision `NAME-image-PRECISION`, `NAME-text-PRECISION` and the scorer of the two,
-`NAME-PRECISION`; `edge.perception.clip` says what the files are like.
+`NAME-PRECISION`; `edge.perception.embedding.clip` says what the files are like.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from torch import Tensor, nn
 
 from edge import names
 from edge.host.files import replace_atomically, write_atomically
-from edge.perception.card_types import ImageCard, TextCard
-from edge.perception.clip import pixels_of
-from edge.perception.similarity import SENTENCE
+from edge.perception.embedding.clip import pixels_of
+from edge.perception.runtime.card_types import ImageCard, TextCard
+from edge.perception.scoring.similarity import SENTENCE
 from edge.text import one_line
 from exporters import hugging_face
 from exporters.encoder_parity import LIMITS, EmbeddingReport, compare

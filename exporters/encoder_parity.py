@@ -38,7 +38,7 @@ class EmbeddingReport(Report):
     max_abs_diff: float
 
     def for_card(self, reference: str) -> dict:
-        """The part that a card keeps (`edge.perception.card_types.EmbeddingParity`)."""
+        """The part that a card keeps (`edge.perception.runtime.card_types.EmbeddingParity`)."""
         unknown = math.isnan(self.rank_agreement)
         return {
             "reference": reference,

@@ -9,7 +9,7 @@ from functools import wraps
 from pathlib import Path
 
 from edge.errors import UserError
-from edge.perception import model_file
+from edge.perception.runtime import model_file
 
 
 class ExportError(UserError):

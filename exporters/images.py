@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from edge.host.files import read_regular
-from edge.perception.text import PromptError, load_vocabulary
+from edge.perception.embedding.text import PromptError, load_vocabulary
 from exporters.files import ExportError
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}

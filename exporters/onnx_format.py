@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import onnxruntime
 
 from edge.host.files import replace_atomically
-from edge.perception import onnx_file
-from edge.perception.model_file import ModelError
+from edge.perception.runtime import onnx_file
+from edge.perception.runtime.model_file import ModelError
 from edge.text import one_line
 from exporters.files import ExportError
 

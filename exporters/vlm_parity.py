@@ -1,6 +1,6 @@
 """How three ONNX files choose among the letters, compared with the model that they are made of.
 
-What is compared is what the service reads (`edge.perception.choice`): of the logits behind a
+What is compared is what the service reads (`scoring/choice`): of the logits behind a
 picture and a question only the letters'.
 """
 
@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from edge.host.bars import counted
-from edge.perception.choice.question import LETTERS, SYSTEM, direction_question
+from edge.perception.scoring.choice.question import LETTERS, SYSTEM, direction_question
 from exporters import hugging_face
 from exporters.encoder_parity import rank_agreement
 from exporters.files import ExportError

@@ -16,10 +16,10 @@ import numpy as np
 import onnx
 
 from edge.host.files import replace_atomically
-from edge.perception.card_types import ChoiceCard
-from edge.perception.cards import card_names, load_card, verify_parts
-from edge.perception.vlm.files import TOKENIZER, read_files
-from edge.perception.vlm.pictures import make_prepare
+from edge.perception.runtime.card_types import ChoiceCard
+from edge.perception.runtime.cards import card_names, load_card, verify_parts
+from edge.perception.scoring.vlm.files import TOKENIZER, read_files
+from edge.perception.scoring.vlm.pictures import make_prepare
 from exporters import hugging_face
 from exporters.files import ExportError
 from exporters.fp16 import kept_nodes, to_fp16

@@ -14,9 +14,9 @@ import onnxruntime as ort
 import pytest
 
 from edge.host import resources
-from edge.perception.choice.onnx_scorer import asked_of
-from edge.perception.choice.question import SYSTEM, Mark, Sighting, View, describe
-from edge.perception.vlm.model import LanguageModel
+from edge.perception.scoring.choice.onnx_scorer import asked_of
+from edge.perception.scoring.choice.question import SYSTEM, Mark, Sighting, View, describe
+from edge.perception.scoring.vlm.model import LanguageModel
 from edge.types import Observation
 from exporters.weight_only import quantize_weights
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from edge import config
-from edge.perception.cards import ModelError
+from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
-from edge.perception.text import PromptError
+from edge.perception.runtime.cards import ModelError
 from edge.perception.warmup import warmup
 from edge.types import Observation
 

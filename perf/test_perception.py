@@ -11,14 +11,14 @@ import pytest
 
 from edge import config
 from edge.geometry import CameraModel, optical, se3
-from edge.perception import kernels
-from edge.perception.cards import ModelError
+from edge.perception.detection import kernels
+from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
-from edge.perception.instances import InstanceTracker
-from edge.perception.lift import Lifter
 from edge.perception.masks.masker import Masker, make_segmenter
-from edge.perception.sightings import SightingTracker
-from edge.perception.text import PromptError
+from edge.perception.runtime.cards import ModelError
+from edge.perception.tracking.instances import InstanceTracker
+from edge.perception.tracking.lift import Lifter
+from edge.perception.tracking.sightings import SightingTracker
 from edge.perception.warmup import warmup
 from edge.types import Detections, Observation
 

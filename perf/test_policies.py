@@ -14,8 +14,8 @@ from edge.loop.candidates import CandidatePool
 from edge.loop.goal import GoalTracker
 from edge.mapping.results import Frontiers
 from edge.mapping.view import MapView
-from edge.mapping.warmup import warmup
-from edge.perception.instances import InstanceTracker
+from edge.mapping.warmup import warm_values, warmup
+from edge.perception.tracking.instances import InstanceTracker
 from edge.policies import make_policy
 from edge.policies.base import Answers, Context, scores_of
 from edge.types import Detections, Observation
@@ -27,6 +27,7 @@ CANDIDATES, BOXES = 200, 8
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
     warmup(MAPPING)
+    warm_values(MAPPING)
 
 
 def detections(stamp_ns: int) -> Detections:

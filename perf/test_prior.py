@@ -12,7 +12,7 @@ from edge.mapping.points import HEIGHT_CODES
 from edge.mapping.view import MapView
 from edge.perception.prior.table import load
 from edge.perception.prior.words import make_words
-from edge.perception.sightings import Sightings
+from edge.perception.tracking.sightings import Sightings
 
 PLACES, THINGS = 100, 200
 

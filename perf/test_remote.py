@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from edge import config
-from edge.perception.card_types import DetectCard, Server
-from edge.perception.cards import load_card_of
-from edge.perception.onnx_detector import OnnxDetector
-from edge.perception.remote.detector import RemoteDetector
+from edge.perception.detection.onnx import OnnxDetector
+from edge.perception.detection.remote import RemoteDetector
+from edge.perception.runtime.card_types import DetectCard, Server
+from edge.perception.runtime.cards import load_card_of
 from edge.types import Observation
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
@@ -37,7 +37,7 @@ def test_detect_on_a_server(benchmark, against, monkeypatch):
     with serving(KServe(nothing)) as server:
         told = Server(url=server.url, model="m", time_limit_s=60)
         card = load_card_of(DetectCard, CARD).model_copy(update={"server": told, "file": None})
-        monkeypatch.setattr("edge.perception.onnx_detector.load_detector_card", lambda name: card)
+        monkeypatch.setattr("edge.perception.detection.onnx.load_detector_card", lambda name: card)
         there = RemoteDetector(settings, card, ("bed",))
         benchmark.pedantic(there.detect, (seen,), rounds=100, warmup_rounds=10)
         assert there.health().state == "ok"

@@ -16,10 +16,10 @@ from edge.loop.candidates import CandidatePool
 from edge.loop.scorers import Scorers
 from edge.mapping import grid
 from edge.mapping.results import Frontiers
-from edge.perception.choice.factory import ViewScorer, open_choice
-from edge.perception.choice.question import Mark, View, Ways
-from edge.perception.instances import InstanceTracker
-from edge.perception.onnx_detector import OnnxDetector
+from edge.perception.detection.onnx import OnnxDetector
+from edge.perception.scoring.choice.factory import ViewScorer, open_choice
+from edge.perception.scoring.choice.question import Mark, View, Ways
+from edge.perception.tracking.instances import InstanceTracker
 from edge.types import Observation
 
 CANDIDATES = 200

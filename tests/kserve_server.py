@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from http_server import Quiet, running, send
 
-from edge.perception.remote.messages import BINARY, HEADER_LENGTH
+from edge.perception.runtime.kserve_messages import BINARY, HEADER_LENGTH
 
 Run = Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]
 Behaviour = Callable[["Handler"], None]

@@ -100,6 +100,26 @@ def test_no_imports_form_a_circle():
         pytest.fail(" -> ".join(circle.args[1]))
 
 
+@pytest.mark.parametrize("package", sorted(p for p in MODULES if MODULES[p].name == "__init__.py"))
+def test_no_children_of_a_package_form_a_circle(package):
+    """The sub-packages and modules of a package, each taken as one."""
+    graph: dict[str, set[str]] = {}
+    for module, targets in imports().items():
+        inside = {target for target in targets & MODULES.keys() if child(package, target)}
+        if name := child(package, module):
+            graph.setdefault(name, set()).update(child(package, target) for target in inside)
+            graph[name].discard(name)
+    try:
+        tuple(TopologicalSorter(graph).static_order())
+    except CycleError as circle:
+        pytest.fail(" -> ".join(circle.args[1]))
+
+
+def child(package: str, module: str) -> str:
+    """Return the child of a package that a module belongs to; empty if it lies outside."""
+    return module[len(package) + 1 :].split(".")[0] if module.startswith(f"{package}.") else ""
+
+
 def test_the_loop_loads_no_zenoh():
     reached, new = set(), {module for module in MODULES if room(module) == "loop"}
     while new:

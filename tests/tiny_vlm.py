@@ -16,8 +16,8 @@ import yaml
 from onnx import TensorProto, helper, numpy_helper, save
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers, trainers
 
-from edge.perception.card_types import ChoiceCard
-from edge.perception.choice.question import DIRECTION, SCENE, SYSTEM
+from edge.perception.runtime.card_types import ChoiceCard
+from edge.perception.scoring.choice.question import DIRECTION, SCENE, SYSTEM
 
 SIDE = 32
 
@@ -140,7 +140,7 @@ def publish(
 
 def pin(card: ChoiceCard) -> None:
     """Say beside each file what it hashes to, as the first pull does."""
-    from edge.perception.model_file import sha256_of
+    from edge.perception.runtime.model_file import sha256_of
 
     for part in card.parts:
         path = card.path_of(part)

@@ -38,9 +38,9 @@ from edge.cli.preflight import CLASSES, named_models
 from edge.config import Config, load
 from edge.errors import UserError
 from edge.host import resources
-from edge.perception.backends import cuda, tensorrt
-from edge.perception.backends.runtime import TENSORRT
-from edge.perception.card_types import ChoiceCard, FileCard
+from edge.perception.runtime import cuda, tensorrt
+from edge.perception.runtime.card_types import ChoiceCard, FileCard
+from edge.perception.runtime.sessions import TENSORRT
 from edge.text import one_line, without_secrets
 
 LOOPBACK_S = 5.0
@@ -253,7 +253,7 @@ def check_classes(config: Config) -> Iterator[Finding]:
 
 def check_models(config: Config) -> Iterator[Finding]:
     """The models that the configuration names are here and whole; so is what else is here."""
-    from edge.perception.cards import ModelError, card_names, check_here, load_card
+    from edge.perception.runtime.cards import ModelError, card_names, check_here, load_card
 
     needed = {model.name for model in named_models(config)}
     names = sorted({*card_names(), *needed})
@@ -283,7 +283,7 @@ def check_models(config: Config) -> Iterator[Finding]:
 
 
 def _verified(file: FileCard | ChoiceCard) -> Path:
-    from edge.perception.cards import verify_model, verify_parts
+    from edge.perception.runtime.cards import verify_model, verify_parts
 
     if not isinstance(file, ChoiceCard):
         return verify_model(file)
@@ -329,9 +329,9 @@ def _targets(config: Config) -> tuple[str, ...]:
 def check_vocabulary(config: Config) -> Iterator[Finding]:
     """The text encoder of the configured detector knows the mission's targets, and perhaps what
     else they compete with."""
-    from edge.perception.cards import load_detector_card
-    from edge.perception.encoders import make_text_encoder
-    from edge.perception.text import TextEmbeddings, TextEncoder, words_for
+    from edge.perception.embedding.encoders import make_text_encoder
+    from edge.perception.embedding.text import TextEmbeddings, TextEncoder, words_for
+    from edge.perception.runtime.cards import load_detector_card
 
     detector = config.perception.detector
     if detector.kind == "onnx" and _sessions_crash():

@@ -20,7 +20,7 @@ from edge.cli.onnx_probe import probe
 from edge.config import Config
 from edge.host import calibration, machine, resources
 from edge.host.files import make_writable
-from edge.perception.backends.runtime import TENSORRT
+from edge.perception.runtime.sessions import TENSORRT
 
 PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
 MIN_CORES = 2

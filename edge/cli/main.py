@@ -48,7 +48,7 @@ def main(argv: list[str] | None = None) -> int:
     # Before it ends, Python looks for garbage among all objects: a service stops 0.3 s later by it.
     atexit.register(gc.freeze)
     if args.trust_cache:  # in the environment, a model's process has it too
-        from edge.perception.model_file import TRUST_CACHE
+        from edge.perception.runtime.model_file import TRUST_CACHE
 
         os.environ[TRUST_CACHE] = "1"
     show_stacks_on_signals()

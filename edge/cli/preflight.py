@@ -29,8 +29,9 @@ from edge.errors import UserError
 from edge.host.credentials import read_token
 from edge.mission.planning.planner import find_own_planner
 from edge.mission.translate import make_translator
-from edge.perception.backends.runtime import CPU_ALONE, check_providers
-from edge.perception.card_types import (
+from edge.perception.embedding.encoders import check_text_encoder, make_text_encoder
+from edge.perception.embedding.text import PromptError
+from edge.perception.runtime.card_types import (
     Card,
     ChoiceCard,
     DetectCard,
@@ -40,14 +41,13 @@ from edge.perception.card_types import (
     SimilarityCard,
     TranslateCard,
 )
-from edge.perception.cards import check_here, load_card, load_card_of
-from edge.perception.choice.mark_scorer import check_size
-from edge.perception.choice.scorer import make_server_choice
-from edge.perception.encoders import check_text_encoder, make_text_encoder
-from edge.perception.model_file import ModelError
-from edge.perception.similarity import is_running_detector
-from edge.perception.text import PromptError
-from edge.perception.vlm.files import EXTRA
+from edge.perception.runtime.cards import check_here, load_card, load_card_of
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.runtime.sessions import CPU_ALONE, check_providers
+from edge.perception.scoring.choice.mark_scorer import check_size
+from edge.perception.scoring.choice.server import make_server_choice
+from edge.perception.scoring.similarity import is_running_detector
+from edge.perception.scoring.vlm.files import EXTRA
 from edge.policies import find_policy
 from edge.sinks import find_sinks
 from edge.sources import find_source

@@ -91,7 +91,7 @@ class PlannerInOrder(Section):
 
 
 class PlannerOwn(Section):
-    """A class of your own, on Python's path; `options` are its arguments. The tick waits for it.
+    """A class of your own, on Python's path; `options` are its arguments. The tick waits for it."""
 
     kind: OwnKind = MODULE_CLASS
     options: dict[str, Any] = Field(default_factory=dict)

@@ -14,8 +14,8 @@ from edge import names
 from edge.geometry import Grid
 from edge.live.trail import Trail
 from edge.loop.result import Event, MissionFacts, ScoredCandidates, TickResult
-from edge.perception.choice.picture import visible_marks
-from edge.perception.choice.question import LETTERS, Choice
+from edge.perception.scoring.choice.picture import visible_marks
+from edge.perception.scoring.choice.question import LETTERS, Choice
 from edge.policies.base import FRONTIER
 from edge.tasks.facts import TaskFacts, same_words
 from edge.types import Detections, Instance, Observation

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from edge import names
-from edge.perception.choice.question import Choice, View
 from edge.perception.prior import table
+from edge.perception.scoring.choice.question import Choice, View
 from edge.types import Detections
 
 

@@ -24,7 +24,7 @@ from edge.loop.standstill import Standstill
 from edge.mapping.coverage import Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
-from edge.perception.instances import InstanceTracker
+from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import FRONTIER, INSTANCE, LOOK, Context
 from edge.policies.select import Held, choose, ranked
 from edge.types import Goal, GoalStatus, Instance, MissionPhase

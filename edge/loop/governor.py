@@ -17,7 +17,7 @@ from edge.host.worker import Worker
 from edge.loop.ladder import Ladder, Move, Second
 from edge.loop.scorers import Scorers
 from edge.loop.status import detector_health
-from edge.perception.cards import ModelError, how_to_get, load_detector_card
+from edge.perception.runtime.cards import ModelError, how_to_get, load_detector_card
 from edge.perception.swap.swapper import OVER, SwapError, Swapper
 from edge.perception.worker import DetectorWorker
 

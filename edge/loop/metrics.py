@@ -30,8 +30,8 @@ from edge.loop.runner import Running
 from edge.loop.source import NO_DROPS
 from edge.loop.status import detector_health
 from edge.loop.vitals import STATES, Vitals
-from edge.perception.detector import HEALTH_STATES
-from edge.perception.process.detector import ProcessDetector
+from edge.perception.detection.process import ProcessDetector
+from edge.perception.runtime.health import HEALTH_STATES
 from edge.tasks.facts import StepState
 from edge.types import MissionPhase
 

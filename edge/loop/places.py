@@ -26,8 +26,8 @@ from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import Kept, SemanticMap
 from edge.mapping import clusters, gain
 from edge.mapping.grid import RollingMap
-from edge.perception.instances import MAX_POINTS
-from edge.perception.sighting_kernels import POINTS
+from edge.perception.tracking.instances import MAX_POINTS
+from edge.perception.tracking.sighting_kernels import POINTS
 from edge.policies.base import Policy, Remembers
 
 WORD = "U"

@@ -26,7 +26,7 @@ from edge.perception.prior.cooccurrence import NEAR_M
 from edge.perception.prior.nearby import nearby
 from edge.perception.prior.table import Table, load
 from edge.perception.prior.words import Words, make_words
-from edge.perception.sightings import Sightings
+from edge.perception.tracking.sightings import Sightings
 
 PERIOD_NS = 1_000_000_000
 CELL_M = 0.1

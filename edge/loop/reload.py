@@ -17,7 +17,7 @@ from edge.errors import UserError
 from edge.host.interruptible import start_unjoined
 from edge.loop.service import Service
 from edge.loop.warmup import warm_policy
-from edge.perception.similarity import is_running_detector, similarity_card
+from edge.perception.scoring.similarity import is_running_detector, similarity_card
 from edge.perception.swap.swapper import OVER, Swapper
 from edge.policies import make_policy
 from edge.policies.base import Policy

@@ -13,8 +13,8 @@ from edge.errors import UserError
 from edge.loop.result import facts_of
 from edge.loop.status import answer_of
 from edge.mission.brief import Brief
-from edge.perception.card_types import DetectCard, DirectionsCard
-from edge.perception.cards import load_card, load_detector_card
+from edge.perception.runtime.card_types import DetectCard, DirectionsCard
+from edge.perception.runtime.cards import load_card, load_detector_card
 from edge.perception.swap.swapper import SwapError, Swapper
 from edge.text import bounded_repr, one_line
 

@@ -14,7 +14,7 @@ from edge.loop.latency import LatencyReport, Span
 from edge.mission.brief import Brief
 from edge.mission.planning.plan import Knowledge, Plan
 from edge.mission.run import MissionRun
-from edge.perception.choice.question import Choice
+from edge.perception.scoring.choice.question import Choice
 from edge.policies.base import Candidates
 from edge.tasks.facts import TaskFacts
 from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step

@@ -18,12 +18,10 @@ from edge.config.root import ValueSource
 from edge.geometry import SE2
 from edge.loop.cooccurrence import PriorChoice, RelatedScores
 from edge.mapping.values import Sight, ValueMap
-from edge.perception.choice.factory import ViewScorer, make_choice
-from edge.perception.choice.picture import visible_marks
-from edge.perception.choice.question import Choice, Mark, Sighting, View, Ways
-from edge.perception.instances import InstanceTracker
-from edge.perception.sightings import Sightings
-from edge.perception.similarity import (
+from edge.perception.scoring.choice.factory import ViewScorer, make_choice
+from edge.perception.scoring.choice.picture import visible_marks
+from edge.perception.scoring.choice.question import Choice, Mark, Sighting, View, Ways
+from edge.perception.scoring.similarity import (
     SimilarityScorer,
     best_scores,
     is_running_detector,
@@ -31,6 +29,8 @@ from edge.perception.similarity import (
     similarity_card,
 )
 from edge.perception.swap.choice import ChoiceSwap
+from edge.perception.tracking.instances import InstanceTracker
+from edge.perception.tracking.sightings import Sightings
 from edge.perception.worker import ScorerWorker
 from edge.policies.base import FRONTIER, Answers, Candidates, Prior, Similarity
 from edge.types import Detections, Observation

@@ -11,7 +11,7 @@ import numpy as np
 from edge.loop.candidates import CandidatePool
 from edge.mapping.coverage import Viewpoint
 from edge.mapping.grid import RollingMap
-from edge.perception.instances import InstanceTracker
+from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import Context
 
 # With nowhere to go for so long the robot turns on the spot, so often to come round.

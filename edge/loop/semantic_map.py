@@ -19,9 +19,9 @@ from edge.loop.result import VALUE_LAYER
 from edge.mapping.grid import RollingMap
 from edge.mapping.results import MapUpdate
 from edge.mapping.view import MapView
-from edge.perception.instances import InstanceTracker
-from edge.perception.lift import Lifter
-from edge.perception.sightings import SightingTracker
+from edge.perception.tracking.instances import InstanceTracker
+from edge.perception.tracking.lift import Lifter
+from edge.perception.tracking.sightings import SightingTracker
 from edge.types import Detections, Instance, Observation
 
 Kept = dict[str, np.ndarray]

@@ -56,7 +56,7 @@ STAGES: tuple[Stage, ...] = (
         deadline=True,
     ),
     Stage("map", 1.5, "depth or cloud, pose", "grid, frontiers, changed region", "edge/mapping"),
-    Stage("lift", 0.5, "Detections", "Instances", "edge/perception/lift.py"),
+    Stage("lift", 0.5, "Detections", "Instances", "edge/perception/tracking/lift.py"),
     Stage("candidates", 0.4, "grid, Instances", "Candidates", "edge/loop/candidates.py"),
     Stage("score", 0.3, "Candidates, Detections", "scored Candidates", "edge/policies"),
     Stage("plan", 0.1, "Instances, goal status", "active target", "edge/mission/run.py"),

@@ -14,7 +14,7 @@ from edge.loop.publish import statuses
 from edge.loop.result import MissionFacts, Sink, TickResult
 from edge.loop.scorers import Scorers
 from edge.loop.source import InputRow, inputs_status
-from edge.perception.detector import Health
+from edge.perception.runtime.health import Health
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.tasks.facts import TaskFacts, lengths_m, thinned

@@ -7,6 +7,8 @@ is why it says what it is doing.
 from __future__ import annotations
 
 import logging
+import subprocess
+import sys
 from collections.abc import Callable
 from time import perf_counter
 
@@ -15,12 +17,15 @@ import numpy as np
 from edge.bus.wire.kernels import warmup as warm_messages
 from edge.config import Config, PolicyOwn
 from edge.geometry import SE2, CameraModel
+from edge.host.children import python_module
 from edge.loop.candidates import CandidatePool
 from edge.loop.prior import warm_up as warm_prior
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
+from edge.mapping.warmup import warm_values
 from edge.mapping.warmup import warmup as warm_mapping
 from edge.mission.planning.planner import warm_up as warm_planners
+from edge.perception.detection import kernels
 from edge.perception.warmup import warmup as warm_perception
 from edge.policies import make_policy
 from edge.policies.base import Answers, Context
@@ -33,7 +38,7 @@ _SLOW_S = 3.0
 
 
 def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None) -> float:
-    """Run every kernel once on made-up data.
+    """Run every kernel of this configuration once on made-up data.
 
     Args:
         progress: told what is begun.
@@ -41,21 +46,28 @@ def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None)
     Returns:
         Seconds it took.
     """
-    steps: list[tuple[str, Callable[[], object]]] = [
-        ("mapping", lambda: warm_mapping(config.mapping)),
-        ("perception", lambda: warm_perception()),
-        ("prior", lambda: warm_prior(config)),
-        ("policy", lambda: warm_policy(config)),
-        ("planner", warm_planners),
-        ("messages", warm_messages),
-        ("tasks", warm_tasks),
-    ]
+    # A second process compiles these at the same time; then they are read from the cache.
+    apart: dict[str, Callable[[], object]] = {
+        "perception": lambda: warm_perception((config.perception.lift,)),
+        "planner": lambda: warm_planners(weights_of(config)),
+        "messages": warm_messages,
+    }
+    steps: dict[str, Callable[[], object]] = {
+        "mapping": lambda: warm_mapping(config.mapping),
+        "prior": lambda: warm_prior(config),
+        "policy": lambda: warm_policy(config),
+        "tasks": warm_tasks,
+        **apart,
+    }
     started = perf_counter()
-    for i, (name, step) in enumerate(steps, start=1):
+    helper = _compile_apart(config) if _is_cold() else None
+    for i, (name, step) in enumerate(steps.items(), start=1):
         before = perf_counter()
         what = f"preparing kernels {i}/{len(steps)}: {name}"
         log.info(what)
         progress(what)
+        if helper is not None and name in apart:
+            helper.wait()
         step()
         if perf_counter() - before > _SLOW_S:
             log.info("compiled %s kernels in %.0f s; the next start finds them in the cache",
@@ -63,11 +75,42 @@ def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None)
     return perf_counter() - started
 
 
+def weights_of(config: Config) -> str:
+    """Return what the planner weighs targets by."""
+    return getattr(config.mission.planner, "weights", "constant")
+
+
+def _is_cold() -> bool:
+    """Whether kernels have to be compiled: one of them, called here, is not in the cache."""
+    kernel = kernels.to_planes
+    if kernel.signatures:  # this process has called it before
+        return False
+    plane = np.zeros((3, 16, 16), np.float32)
+    kernel(np.zeros((16, 16, 3), np.uint8), np.float32(1 / 255), 0, 0, plane)
+    return bool(kernel.stats.cache_misses)
+
+
+def _compile_apart(config: Config) -> subprocess.Popen[bytes]:
+    """Start `main` in a process of its own. If it fails, this process compiles everything."""
+    words = (*python_module("edge.loop.warmup"), config.perception.lift, weights_of(config))
+    nothing = subprocess.DEVNULL
+    return subprocess.Popen(words, stdin=nothing, stdout=nothing, stderr=nothing)
+
+
+def main(lift: str, weights: str) -> None:
+    """Compile the kernels of perception, planner and messages into the cache."""
+    warm_perception((lift,))
+    warm_planners(weights)
+    warm_messages()
+
+
 def warm_policy(config: Config) -> None:
     """One scoring pass over a map with one frontier and one box in the image.
 
     One's own policy compiles what it needs when it is made.
     """
+    if config.value_source is not None:
+        warm_values(config.mapping)
     if isinstance(config.policy, PolicyOwn):
         return
     grid = RollingMap(config.mapping)
@@ -103,3 +146,7 @@ def warm_policy(config: Config) -> None:
         0,
     )
     make_policy(config.policy).score(context)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

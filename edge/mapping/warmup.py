@@ -13,12 +13,8 @@ from edge.types import Observation
 
 
 def warmup(mapping: config.Mapping) -> None:
-    """Compile every kernel of this package, on a map of its own."""
-    grid = RollingMap(mapping.model_copy(update={"extent_m": 1.0, "max_frontiers": 8}))
-    camera = CameraModel.from_hfov(16, 16, 1.2)
-    T = np.eye(4)
-    T[:3, :3] = ((0, 0, 1), (-1, 0, 0), (0, -1, 0))
-    T[2, 3] = 0.5
+    """Compile the kernels of every map, on a map of its own."""
+    grid, camera, T = _small(mapping)
     holed = np.full((16, 16), 1.0, np.float32)
     holed[8, 8] = np.nan
     grid.update_depth(holed, camera, np.eye(4), T)
@@ -41,12 +37,26 @@ def warmup(mapping: config.Mapping) -> None:
     grid.snapshot()
     _ = grid.known_m2
     grid.kept()
+    far = grid.window.n * grid.resolution_m
+    grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, SE2(far, 0.0, 0.0).matrix(), T)
+
+
+def warm_values(mapping: config.Mapping) -> None:
+    """Compile the kernels of value maps."""
+    grid, camera, T = _small(mapping)
     grid.values.begin(("x",))
     for depth in (None, np.full((16, 16), 1.0, np.float32)):
         sight = grid.values.sight(Observation(0, 0, T, depth_m=depth, camera=camera))
         assert sight is not None
         grid.values.write_view(sight, ("x",), np.ones(1, np.float32))
         grid.values.write_directions(sight, "x", np.ones((1, 2), np.float32), np.ones(1), 1.0)
-    grid.values.best(0, points_m, 1, 0.5, np.zeros(8, np.float32))
-    far = grid.window.n * grid.resolution_m
-    grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, SE2(far, 0.0, 0.0).matrix(), T)
+    grid.values.best(0, read_only(grid.frontiers.xy_m), 1, 0.5, np.zeros(8, np.float32))
+
+
+def _small(mapping: config.Mapping) -> tuple[RollingMap, CameraModel, np.ndarray]:
+    """Return a small map, a camera, and the camera's pose in the robot."""
+    grid = RollingMap(mapping.model_copy(update={"extent_m": 1.0, "max_frontiers": 8}))
+    T = np.eye(4)
+    T[:3, :3] = ((0, 0, 1), (-1, 0, 0), (0, -1, 0))
+    T[2, 3] = 0.5
+    return grid, CameraModel.from_hfov(16, 16, 1.2), T

@@ -15,7 +15,7 @@ from edge.mission.planning.distances import distances
 if TYPE_CHECKING:
     from edge.mapping.grid import RollingMap
     from edge.mission.run import MissionRun
-    from edge.perception.instances import InstanceTracker
+    from edge.perception.tracking.instances import InstanceTracker
 
 PERIOD_NS = 1_000_000_000
 

@@ -18,9 +18,14 @@ import numpy as np
 from edge.host.children import python_module
 from edge.models.make import with_file
 from edge.models.pull import cards_of
-from edge.perception import card_types, kernels
-from edge.perception.backends.runtime import DTYPES, open_session
-from edge.perception.card_types import (
+from edge.perception.detection import kernels
+from edge.perception.detection.onnx import far_px
+from edge.perception.process import wire
+from edge.perception.process.child import begin, by_kind
+from edge.perception.process.link import Link
+from edge.perception.process.wire import FrameFile
+from edge.perception.runtime import card_types
+from edge.perception.runtime.card_types import (
     MARK_FIELDS,
     OTHERS_FIELDS,
     ChoiceCard,
@@ -32,18 +37,14 @@ from edge.perception.card_types import (
     MaskEncoderCard,
     TranslateCard,
 )
-from edge.perception.cards import ModelError, all_cards, verify_file, verify_model
-from edge.perception.choice.onnx_scorer import asked_of
-from edge.perception.choice.question import LETTERS, MAX_MARKS, SYSTEM
-from edge.perception.detector import UNSOUND, log_progress
-from edge.perception.onnx_detector import far_px
-from edge.perception.onnx_file import MASK_OUTPUTS
-from edge.perception.process import wire
-from edge.perception.process.link import Link
-from edge.perception.process.serve import begin, by_kind
-from edge.perception.process.wire import FrameFile
-from edge.perception.remote.session import RemoteSession
-from edge.perception.vlm.model import FIRST_RUN_S, LanguageModel
+from edge.perception.runtime.cards import ModelError, all_cards, verify_file, verify_model
+from edge.perception.runtime.health import UNSOUND, log_progress
+from edge.perception.runtime.kserve import RemoteSession
+from edge.perception.runtime.onnx_file import MASK_OUTPUTS
+from edge.perception.runtime.sessions import DTYPES, open_session
+from edge.perception.scoring.choice.onnx_scorer import asked_of
+from edge.perception.scoring.choice.question import LETTERS, MAX_MARKS, SYSTEM
+from edge.perception.scoring.vlm.model import FIRST_RUN_S, LanguageModel
 from edge.text import one_line, without_secrets
 
 PROGRAM = python_module("edge.models.check")

@@ -6,8 +6,8 @@ import argparse
 import json
 from pathlib import Path
 
-from edge.perception.card_types import ChoiceCard, EmbeddingParity, FileCard
-from edge.perception.cards import Card, all_cards, made_parity
+from edge.perception.runtime.card_types import ChoiceCard, EmbeddingParity, FileCard
+from edge.perception.runtime.cards import Card, all_cards, made_parity
 from edge.text import aligned, one_line, without_secrets
 
 _HEADINGS = ("name", "task", "input", "precision", "licence", "file", "parity")

@@ -16,8 +16,8 @@ from urllib.request import url2pathname
 from edge.host import resources
 from edge.host.files import open_regular
 from edge.models.part import FetchError, Part
-from edge.perception.card_types import FileCard, Source
-from edge.perception.model_file import sha256_of
+from edge.perception.runtime.card_types import FileCard, Source
+from edge.perception.runtime.model_file import sha256_of
 
 _BLOCK = 1 << 20
 MAX_FILES = 10_000

@@ -11,8 +11,9 @@ from edge.host import resources
 from edge.host.children import python_module
 from edge.host.files import read_regular, write_atomically
 from edge.models.local import pulled_weights
-from edge.perception.card_types import ChoiceCard, DetectCard, SegmentCard, SimilarityCard
-from edge.perception.cards import (
+from edge.perception.embedding.text import MAX_VOCABULARY_BYTES, VOCABULARY_FILE, find_vocabulary
+from edge.perception.runtime.card_types import ChoiceCard, DetectCard, SegmentCard, SimilarityCard
+from edge.perception.runtime.cards import (
     FileCard,
     ModelError,
     card_path,
@@ -21,7 +22,6 @@ from edge.perception.cards import (
     verify_model,
     verify_parts,
 )
-from edge.perception.text import MAX_VOCABULARY_BYTES, VOCABULARY_FILE, find_vocabulary
 
 TRAINED = {
     "mini-house": "python -m exporters.training.mini --out RUN",

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from edge.host.files import sync, write_atomically
-from edge.perception.model_file import ModelError
+from edge.perception.runtime.model_file import ModelError
 
 MAX_BYTES = 4 << 30
 """No file of a model is longer."""

@@ -20,9 +20,22 @@ from edge.models.download import LIMITS, Limits, download, read_small, shown
 from edge.models.local import copy_from, extract, local_path, source_file_name, weights_path
 from edge.models.make import how_to_make
 from edge.models.part import FetchError, Part
-from edge.perception.card_types import Card, ChoiceCard, FileCard, FolderFile, Source, TextCard
-from edge.perception.cards import ModelError, expected_of_part, how_to_get, load_card, sidecar
-from edge.perception.model_file import fresh_sha256
+from edge.perception.runtime.card_types import (
+    Card,
+    ChoiceCard,
+    FileCard,
+    FolderFile,
+    Source,
+    TextCard,
+)
+from edge.perception.runtime.cards import (
+    ModelError,
+    expected_of_part,
+    how_to_get,
+    load_card,
+    sidecar,
+)
+from edge.perception.runtime.model_file import fresh_sha256
 
 
 class Wanted(NamedTuple):

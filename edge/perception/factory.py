@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from edge import config
-from edge.perception.cards import ModelError, load_detector_card
-from edge.perception.detector import Detector, Tell, log_progress
-from edge.perception.sim_detector import SimDetector, TruthAt
+from edge.perception.detection.detector import Detector
+from edge.perception.detection.sim import SimDetector, TruthAt
+from edge.perception.runtime.cards import ModelError, load_detector_card
+from edge.perception.runtime.health import Tell, log_progress
 
 if TYPE_CHECKING:  # what the other needs is not loaded
-    from edge.perception.onnx_detector import OnnxDetector
-    from edge.perception.remote.detector import RemoteDetector
+    from edge.perception.detection.onnx import OnnxDetector
+    from edge.perception.detection.remote import RemoteDetector
 
 
 def open_detector(
@@ -22,10 +23,10 @@ def open_detector(
     """The detector of a card, on this computer or on the card's server; see both."""
     card = load_detector_card(detector.model)
     if card.server is not None:
-        from edge.perception.remote.detector import RemoteDetector
+        from edge.perception.detection.remote import RemoteDetector
 
         return RemoteDetector(detector, card, prompts, progress)
-    from edge.perception.onnx_detector import OnnxDetector
+    from edge.perception.detection.onnx import OnnxDetector
 
     return OnnxDetector(detector, prompts, progress)
 
@@ -74,7 +75,7 @@ def make_detector(
         ModelError: the model cannot be loaded, or not with the providers asked for.
     """
     if perception.isolation == "process" and not _on_a_server(perception.detector):
-        from edge.perception.process.detector import ProcessDetector
+        from edge.perception.detection.process import ProcessDetector
 
         return ProcessDetector(perception, prompts, progress, cancelled)
     return REGISTRY[perception.detector.kind](perception.detector, prompts, progress, truth)

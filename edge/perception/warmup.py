@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from edge import config
 from edge.geometry import CameraModel
-from edge.perception import instance_kernels, kernels, look_kernels
-from edge.perception.instances import MAX_POINTS, InstanceTracker
-from edge.perception.lift import Lifter
-from edge.perception.sightings import SightingTracker
+from edge.perception.detection import kernels
+from edge.perception.tracking import instance_kernels, look_kernels
+from edge.perception.tracking.instances import MAX_POINTS, InstanceTracker
+from edge.perception.tracking.lift import Lifter
+from edge.perception.tracking.sightings import SightingTracker
 from edge.types import Detections, Observation
 
 
-def warmup() -> None:
-    """Run every kernel once with the types it is called with; cached on disk afterwards."""
+def warmup(lifts: Sequence[Literal["depth", "cloud"]] = ("depth", "cloud")) -> None:
+    """Run every kernel once with the types it is called with; cached on disk afterwards.
+
+    Args:
+        lifts: what boxes are projected through.
+    """
     rgb = np.zeros((16, 16, 3), np.uint8)
     kernels.to_planes(rgb, np.float32(1 / 255), 0, 0, np.zeros((3, 16, 16), np.float32))
     boxes = np.array([[0, 0, 8, 8], [1, 1, 9, 9]], np.float32)
@@ -36,10 +43,10 @@ def warmup() -> None:
         np.ones((16, 16), np.uint16), np.ones((16, 16), np.float32), np.zeros((1, 4), np.int32),
         np.zeros(1, np.int32), np.zeros(1, np.float32),
     )  # fmt: skip
-    _lift()
+    _lift(lifts)
 
 
-def _lift() -> None:
+def _lift(lifts: Sequence[Literal["depth", "cloud"]]) -> None:
     seen = Observation(
         seq=0,
         stamp_ns=0,
@@ -55,7 +62,7 @@ def _lift() -> None:
         class_id=np.zeros(1, np.int32),
         prompts=("chair",),
     )
-    for way in ("depth", "cloud"):
+    for way in lifts:
         perception = config.Perception(lift=way, detector=config.DetectorSim())
         lifted, _ = Lifter(perception).lift(detections)
     clear = replace(lifted, valid=np.ones(1, np.bool_), n_points=np.ones(1, np.int32))

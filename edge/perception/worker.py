@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeVar
 
 from edge.errors import UserError
 from edge.host.worker import Worker
-from edge.perception.detector import Detector
+from edge.perception.detection.detector import Detector
 from edge.perception.masks.masker import Masker
 from edge.types import Detections, Observation
 

@@ -11,8 +11,8 @@ import numpy as np
 from edge.geometry import SE2
 from edge.mapping.layers import read_only
 from edge.mapping.view import MapView
-from edge.perception.choice.question import Choice
-from edge.perception.sightings import Sightings
+from edge.perception.scoring.choice.question import Choice
+from edge.perception.tracking.sightings import Sightings
 from edge.types import Detections, Observation
 
 FRONTIER, INSTANCE, LOOK = 0, 1, 2

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from edge.loop.journal import Input, Journal
-from edge.perception.detector import Health
+from edge.perception.runtime.health import Health
 from edge.recording import journal
 from edge.recording.file import RecordingError
 from edge.types import Detections, Observation

@@ -25,7 +25,7 @@ from edge.loop.result import TickResult
 from edge.mission import saved
 from edge.mission.logic import ltl
 from edge.mission.translate import Translation
-from edge.perception.choice.question import Choice
+from edge.perception.scoring.choice.question import Choice
 from edge.policies.base import Similarity
 from edge.tasks.legs import Leg
 from edge.tasks.refine import Refined

@@ -29,7 +29,7 @@ from edge.loop.stages import STAGES
 from edge.mission import checkpoint
 from edge.mission.brief import brief_again
 from edge.mission.saved import Saved
-from edge.perception.detector import Detector
+from edge.perception.detection.detector import Detector
 from edge.perception.factory import make_detector
 from edge.perception.masks.masker import make_masker
 from edge.perception.worker import DetectorWorker

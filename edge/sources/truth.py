@@ -13,7 +13,7 @@ from edge.bus import topics
 from edge.bus.session import Ring
 from edge.bus.wire import DecodeError, messages
 from edge.config import Config
-from edge.perception.sim_detector import Segmentation, TruthAt
+from edge.perception.detection.sim import Segmentation, TruthAt
 from edge.text import read_json
 
 log = logging.getLogger("edge.sources.truth")

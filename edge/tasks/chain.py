@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from edge import config
-from edge.perception.detector import check_rgb
+from edge.perception.detection.detector import check_rgb
+from edge.perception.detection.sim import TruthAt
 from edge.perception.factory import make_detector
 from edge.perception.masks.masker import make_masker
-from edge.perception.sim_detector import TruthAt
 from edge.tasks.captions import composed
 from edge.types import Detections, Observation
 

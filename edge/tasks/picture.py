@@ -6,7 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from edge.perception.choice.picture import place
+from edge.perception.scoring.choice.picture import place
 from edge.tasks.scene import Scene
 
 SHOWN_PX = 960

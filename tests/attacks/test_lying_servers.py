@@ -21,7 +21,7 @@ from edge.host import resources
 from edge.models.download import Limits, download, read_small
 from edge.models.part import FetchError, Part
 from edge.models.pull import Where, pull
-from edge.perception.cards import load_card
+from edge.perception.runtime.cards import load_card
 
 pytestmark = pytest.mark.timeout(60)
 

@@ -32,7 +32,7 @@ from edge.errors import EXIT_CODES, FAILED, Stopped, UserError
 from edge.host.ports import free_port
 from edge.mission.checkpoint import CheckpointError
 from edge.mission.language.words import TranslationError
-from edge.perception.model_file import ModelError
+from edge.perception.runtime.model_file import ModelError
 
 HEAVY = ("numba", "cv2", "zenoh", "numpy", "onnxruntime", "matplotlib", "pydantic", "mcap")
 

@@ -118,7 +118,7 @@ def test_int8_without_images_says_so(weights, tmp_path, capsys):
 def test_without_a_vocabulary_the_words_inside_the_checkpoint_are_kept(
     weights, vocabulary, tmp_path
 ):
-    from edge.perception.text import VOCABULARY_FILE, TextEmbeddings
+    from edge.perception.embedding.text import VOCABULARY_FILE, TextEmbeddings
     from exporters.__main__ import main
 
     name = NAME.replace("int8-cpu", "fp32")

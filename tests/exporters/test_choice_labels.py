@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from edge.perception.card_types import MARK_FIELDS
-from edge.perception.choice.question import MAX_MARKS
+from edge.perception.runtime.card_types import MARK_FIELDS
+from edge.perception.scoring.choice.question import MAX_MARKS
 from exporters.files import ExportError
 from exporters.training.choice import labels
 from exporters.training.choice.__main__ import seeds

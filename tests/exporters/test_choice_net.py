@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed (extra `expo
 
 pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
-from edge.perception.card_types import MARK_FIELDS, OTHERS_FIELDS  # noqa: E402
+from edge.perception.runtime.card_types import MARK_FIELDS, OTHERS_FIELDS  # noqa: E402
 from exporters.training.choice.net import FAR, GRID_HW, NEAR, ChoiceNet, cell_centres, tents  # noqa: E402
 from exporters.training.choice.training import _with_hidden  # noqa: E402
 

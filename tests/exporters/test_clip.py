@@ -22,10 +22,10 @@ import transformers
 from edge.config import Perception
 from edge.host import resources
 from edge.models.check import check_model
-from edge.perception.cards import load_card
-from edge.perception.clip import ClipImageEncoder, ClipTextEncoder
-from edge.perception.encoders import make_text_encoder
-from edge.perception.similarity import SENTENCE, make_similarity
+from edge.perception.embedding.clip import ClipImageEncoder, ClipTextEncoder
+from edge.perception.embedding.encoders import make_text_encoder
+from edge.perception.runtime.cards import load_card
+from edge.perception.scoring.similarity import SENTENCE, make_similarity
 from exporters.__main__ import main
 from exporters.clip import image_preprocess
 from exporters.encoder_parity import compare, rank_agreement
@@ -130,7 +130,7 @@ def test_texts_embed_as_the_original_embeds_them(models, folders, kind):
 @pytest.mark.parametrize("kind", ["clip", "siglip"])
 def test_an_image_embeds_as_the_original_embeds_it(models, folders, kind, rgb):
     encoder = ClipImageEncoder(load_card(f"my-{kind}-image-fp32"), ("CPUExecutionProvider",), 1)
-    from edge.perception.clip import pixels_of
+    from edge.perception.embedding.clip import pixels_of
 
     pixels = torch.from_numpy(pixels_of(rgb, encoder.card))
     with torch.inference_mode():

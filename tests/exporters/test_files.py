@@ -13,8 +13,8 @@ pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 import onnx
 
 from edge.host import resources
-from edge.perception.model_file import ModelError
-from edge.perception.onnx_file import MAX_IR, MAX_OPSET
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.runtime.onnx_file import MAX_IR, MAX_OPSET
 from exporters.__main__ import load_card
 from exporters.files import ExportError, check_sha256, sha256_of
 from exporters.images import letterbox, list_images, load_input, load_text_embeddings

@@ -9,9 +9,9 @@ pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `
 
 from edge import config
 from edge.lab.bench.boxes import overlaps
-from edge.perception.attributes import AttributeEncoder
-from edge.perception.cards import load_card, load_detector_card, verify_model
-from edge.perception.onnx_detector import OnnxDetector
+from edge.perception.detection.onnx import OnnxDetector
+from edge.perception.embedding.attributes import AttributeEncoder
+from edge.perception.runtime.cards import load_card, load_detector_card, verify_model
 from edge.types import Observation
 from exporters.training.mini import looks, views
 from exporters.training.mini.evaluate import FLOORS, MAX_BYTES, _counts

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.export
 torch = pytest.importorskip("torch", reason="torch is not installed (extra `export`)")
 pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
-from edge.perception.onnx_file import read_onnx  # noqa: E402
+from edge.perception.runtime.onnx_file import read_onnx  # noqa: E402
 from exporters.files import ExportError, sha256_of  # noqa: E402
 from exporters.onnx_format import cpu_session  # noqa: E402
 from exporters.training import checkpoint  # noqa: E402

@@ -22,10 +22,10 @@ from tiny_vlm import IMAGE_TOKEN, SMOLVLM, SPECIAL, pin, publish, train_tokenize
 from tokenizers import Regex, normalizers, pre_tokenizers
 
 from edge.host import resources
-from edge.perception.choice.question import SYSTEM, direction_question
-from edge.perception.vlm.files import read_files
-from edge.perception.vlm.pictures import make_prepare
-from edge.perception.vlm.prompt import Prompter
+from edge.perception.scoring.choice.question import SYSTEM, direction_question
+from edge.perception.scoring.vlm.files import read_files
+from edge.perception.scoring.vlm.pictures import make_prepare
+from edge.perception.scoring.vlm.prompt import Prompter
 
 pytestmark = [pytest.mark.export, pytest.mark.timeout(300)]
 

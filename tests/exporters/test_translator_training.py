@@ -16,8 +16,8 @@ from edge.lab.eval.translate import Case  # noqa: E402
 from edge.mission.language.compact import NAMES  # noqa: E402
 from edge.mission.language.network import Network  # noqa: E402
 from edge.mission.logic.ltl import parse  # noqa: E402
-from edge.perception.cards import read_card  # noqa: E402
-from edge.perception.onnx_file import check_file  # noqa: E402
+from edge.perception.runtime.cards import read_card  # noqa: E402
+from edge.perception.runtime.onnx_file import check_file  # noqa: E402
 from exporters.files import ExportError  # noqa: E402
 from exporters.training.translator.__main__ import NAME, main  # noqa: E402
 from exporters.training.translator.compose import Composer, Pair, load  # noqa: E402

@@ -19,8 +19,8 @@ import torch
 from onnx import numpy_helper
 
 from edge.host.files import MAX_TEXT_BYTES
-from edge.perception.cards import load_card
-from edge.perception.vlm.model import Asked, LanguageModel
+from edge.perception.runtime.cards import load_card
+from edge.perception.scoring.vlm.model import Asked, LanguageModel
 from exporters import vlm, vlm_files, vlm_quantize
 from exporters.__main__ import main
 from exporters.files import ExportError, sha256_of

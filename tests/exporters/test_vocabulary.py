@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from edge.perception.text import TextEmbeddings
+from edge.perception.embedding.text import TextEmbeddings
 from exporters.vocabulary import DIM, TABLES, main
 
 LVIS = [{"id": 2, "name": "sofa_(red)"}, {"id": 1, "name": "Trash_can"}]

@@ -63,4 +63,4 @@ def test_every_child_is_started_so(monkeypatch):
         run_alone(compare.MEASURE, None, 1.0)
     assert tuple(started[0][:5]) == python_module("edge.cli")
     assert tuple(started[1][:5]) == python_module(compare.MEASURE)
-    assert python_module("edge.perception.process.serve") == link.PROGRAM
+    assert python_module("edge.perception.serve_detector") == link.PROGRAM

@@ -22,8 +22,8 @@ from edge.lab.sim.procthor import load_procthor
 from edge.mission.checkpoint import load as load_checkpoint
 from edge.models.local import extract
 from edge.models.make import keep_vocabulary
-from edge.perception.cards import read_card
-from edge.perception.text import TextEmbeddings
+from edge.perception.embedding.text import TextEmbeddings
+from edge.perception.runtime.cards import read_card
 from edge.sources import recording
 from exporters.files import ExportError, check_sha256
 from exporters.images import load_input, load_text_embeddings

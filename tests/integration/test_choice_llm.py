@@ -18,8 +18,8 @@ from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.status import status_of
-from edge.perception.choice.question import MAX_MARKS, Choice, Mark, Sighting, View
-from edge.perception.choice.scorer import ChoiceScorer, make_server_choice
+from edge.perception.scoring.choice.question import MAX_MARKS, Choice, Mark, Sighting, View
+from edge.perception.scoring.choice.server import ChoiceScorer, make_server_choice
 from edge.types import Observation
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]

@@ -14,7 +14,7 @@ from edge_processes import Edge
 
 from edge import config
 from edge.host import resources
-from edge.perception.cards import ModelError, load_card, verify_model
+from edge.perception.runtime.cards import ModelError, load_card, verify_model
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
 

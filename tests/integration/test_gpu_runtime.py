@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge.perception.backends import binding
-from edge.perception.backends.cuda import gpu_of
-from edge.perception.backends.engines import EngineOptions
-from edge.perception.backends.runtime import ORT_TENSORRT, TENSORRT, open_session
-from edge.perception.model_file import ModelError
+from edge.perception.runtime import binding
+from edge.perception.runtime.cuda import gpu_of
+from edge.perception.runtime.engines import EngineOptions
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.runtime.sessions import ORT_TENSORRT, TENSORRT, open_session
 
 ort = pytest.importorskip("onnxruntime")
 onnx = pytest.importorskip("onnx")

@@ -23,9 +23,9 @@ from live_patience import eventually
 from edge import config
 from edge.cli.main import main
 from edge.host.ports import free_port
-from edge.perception.cards import load_card
+from edge.perception.detection.remote import MAX_PAUSE_S, RemoteDetector
 from edge.perception.factory import make_detector
-from edge.perception.remote.detector import MAX_PAUSE_S, RemoteDetector
+from edge.perception.runtime.cards import load_card
 from edge.types import Observation
 
 HERE = Path(__file__).resolve().parent

@@ -16,9 +16,9 @@ from edge.lab.sim.base import WorldObject, free_poses
 from edge.lab.sim.sensors import CameraRig
 from edge.lab.sim.worlds import load_world
 from edge.perception.factory import make_detector
-from edge.perception.instances import InstanceTracker
-from edge.perception.lift import Lifter
-from edge.perception.sightings import SightingTracker
+from edge.perception.tracking.instances import InstanceTracker
+from edge.perception.tracking.lift import Lifter
+from edge.perception.tracking.sightings import SightingTracker
 from edge.types import Observation
 
 BACKGROUND = (

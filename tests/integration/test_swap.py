@@ -31,7 +31,7 @@ from edge.launch import open_service
 from edge.loop.runner import loop
 from edge.loop.status import status_of
 from edge.models import use
-from edge.perception.detector import UNSOUND
+from edge.perception.runtime.health import UNSOUND
 from edge.types import Observation
 
 pytest.importorskip("onnxruntime")

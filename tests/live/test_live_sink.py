@@ -13,7 +13,7 @@ from task_facts import driving, looking
 from edge.geometry import SE2, CameraModel
 from edge.live.sink import MAX_EVENTS, MAX_SHOT_PX, PERIOD_S, WATCHED_S, LiveSink
 from edge.loop.result import Event, ScoredCandidates
-from edge.perception.choice.question import Choice
+from edge.perception.scoring.choice.question import Choice
 from edge.policies.base import FRONTIER, INSTANCE
 from edge.types import ContextBoxes, Detections, Observation
 

@@ -17,8 +17,8 @@ from edge.loop import governor as module
 from edge.loop import ladder
 from edge.loop.governor import Governor
 from edge.loop.status import status_of
-from edge.perception.cards import ModelError
-from edge.perception.detector import Health
+from edge.perception.runtime.cards import ModelError
+from edge.perception.runtime.health import Health
 from edge.perception.swap import swapper
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker

@@ -11,8 +11,8 @@ from simulated import simulated
 
 from edge.bus.verbs import MAX_CHARS, Request, read_request
 from edge.loop.requests import MODEL_VERBS, handle_model, mission_verbs
-from edge.perception.cards import ModelError
-from edge.perception.sim_detector import SimDetector
+from edge.perception.detection.sim import SimDetector
+from edge.perception.runtime.cards import ModelError
 from edge.perception.swap.swapper import SwapError, Swapper
 from edge.perception.worker import DetectorWorker
 

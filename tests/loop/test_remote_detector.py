@@ -16,10 +16,10 @@ from edge import config
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.runner import loop
 from edge.loop.status import status_of
-from edge.perception.card_types import Server
-from edge.perception.cards import load_card
-from edge.perception.remote import detector as module
-from edge.perception.remote.detector import RemoteDetector
+from edge.perception.detection import remote as module
+from edge.perception.detection.remote import RemoteDetector
+from edge.perception.runtime.card_types import Server
+from edge.perception.runtime.cards import load_card
 from edge.perception.worker import DetectorWorker
 
 SMALL = "mini-house-256x320-int8-cpu"
@@ -40,7 +40,7 @@ def remote(monkeypatch):
     def make(server: KServe) -> RemoteDetector:
         told = Server(url=server.url, model="m", time_limit_s=60)
         card = load_card(SMALL).model_copy(update={"server": told, "file": None})
-        monkeypatch.setattr("edge.perception.onnx_detector.load_detector_card", lambda name: card)
+        monkeypatch.setattr("edge.perception.detection.onnx.load_detector_card", lambda name: card)
         made.append(RemoteDetector(config.DetectorOnnx(model=SMALL, threads=1), card, ("bed",)))
         return made[-1]
 

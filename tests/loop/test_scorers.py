@@ -18,9 +18,9 @@ from edge.lab.eval.closed_loop import START_NS, ClosedLoop
 from edge.loop.scorers import SIGHTED_NS, Scorers, make_scorers, sightings
 from edge.loop.status import status_of
 from edge.mission.brief import prepare
-from edge.perception.cards import ModelError
-from edge.perception.instances import InstanceTracker
-from edge.perception.sightings import Sightings
+from edge.perception.runtime.cards import ModelError
+from edge.perception.tracking.instances import InstanceTracker
+from edge.perception.tracking.sightings import Sightings
 from edge.types import Instance, Observation
 
 DIRECTION = {letter: -1.0 - i for i, letter in enumerate("ABCDEFGHJ")}

@@ -14,7 +14,7 @@ from edge.host import resources
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import MODEL_VERBS, handle_model
 from edge.loop.status import status_of
-from edge.perception.cards import ModelError
+from edge.perception.runtime.cards import ModelError
 from edge.perception.swap.swapper import SwapError
 
 

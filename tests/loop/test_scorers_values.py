@@ -16,9 +16,9 @@ from edge.loop.cooccurrence import PriorChoice, RelatedScores, given
 from edge.loop.scorers import Scorers, ways_to
 from edge.mapping.grid import RollingMap
 from edge.mission.brief import prepare
-from edge.perception.choice.question import Choice, Mark
-from edge.perception.instances import InstanceTracker
 from edge.perception.prior.table import load
+from edge.perception.scoring.choice.question import Choice, Mark
+from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import FRONTIER, Candidates
 from edge.types import ContextBoxes, Detections, Observation
 

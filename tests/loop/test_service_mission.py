@@ -15,7 +15,7 @@ from edge.lab.eval.closed_loop import START_NS, ClosedLoop
 from edge.loop.requests import handle_mission
 from edge.loop.status import status_of
 from edge.mission.brief import prepare
-from edge.perception.text import PromptError
+from edge.perception.embedding.text import PromptError
 
 CHOICE = "F ((chair | sofa) & F television) & !bed W television"
 

@@ -20,7 +20,7 @@ from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.faults import DEGRADED_AFTER
 from edge.loop.runner import Running
 from edge.loop.vitals import HANGS_S, PROBES, Vitals
-from edge.perception.detector import Health
+from edge.perception.runtime.health import Health
 from edge.perception.worker import DetectorWorker
 from edge.sources.synchronizer import TimeSynchronizer
 

@@ -18,7 +18,7 @@ from edge.mission.language.model import SmallModel
 from edge.mission.language.network import Network, Written
 from edge.mission.language.words import TranslationError
 from edge.mission.logic.ltl import parse
-from edge.perception.model_file import ModelError
+from edge.perception.runtime.model_file import ModelError
 
 KNOWN = ("go", "to", "then", "not", "visit", "please", ",", ".")
 

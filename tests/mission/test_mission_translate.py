@@ -18,7 +18,7 @@ from edge.mission.translate import (
     make_translator,
     validated,
 )
-from edge.perception.model_file import ModelError
+from edge.perception.runtime.model_file import ModelError
 
 BACKENDS = [
     (TranslatorGrammar(), "reach a tv, then a couch"),

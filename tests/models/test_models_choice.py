@@ -21,9 +21,9 @@ from edge.lab.bench.boxes import Truth
 from edge.lab.bench.frames import Frames
 from edge.lab.sim.base import FloorPlan, WorldObject
 from edge.models import pull
-from edge.perception.card_types import ChoiceCard
-from edge.perception.cards import all_cards, load_card
-from edge.perception.choice.question import Mark, View
+from edge.perception.runtime.card_types import ChoiceCard
+from edge.perception.runtime.cards import all_cards, load_card
+from edge.perception.scoring.choice.question import Mark, View
 from edge.types import Observation
 
 MARKS = tuple(Mark(i, 0.0, 0.0, bearing, 3.0) for i, bearing in enumerate((0.5, 0.0, -0.5)))

@@ -11,7 +11,7 @@ import pytest
 
 from edge.models.download import Limits, download, read_small, shown
 from edge.models.part import FetchError, Part
-from edge.perception.model_file import ModelError
+from edge.perception.runtime.model_file import ModelError
 
 CONTENT = bytes(range(256)) * 400
 SHA256 = hashlib.sha256(CONTENT).hexdigest()

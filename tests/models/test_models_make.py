@@ -14,7 +14,7 @@ from edge.host.children import python_module
 from edge.models import make
 from edge.models.local import weights_path
 from edge.models.make import need_modules
-from edge.perception.cards import load_card
+from edge.perception.runtime.cards import load_card
 
 ORIGINAL = {
     "name": "big", "family": "f", "task": "detect", "file": "big.onnx", "sha256": None,

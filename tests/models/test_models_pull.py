@@ -15,7 +15,7 @@ from edge.host import resources
 from edge.models import pull
 from edge.models.download import Limits
 from edge.models.local import pulled_weights
-from edge.perception.cards import ModelError, load_card
+from edge.perception.runtime.cards import ModelError, load_card
 
 WEIGHTS = b"not a pickle" * 1000
 MODEL = b"not an ONNX" * 1000

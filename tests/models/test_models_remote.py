@@ -10,7 +10,7 @@ from simulated import simulated
 
 from edge.cli import doctor
 from edge.cli.main import main
-from edge.perception.cards import load_card
+from edge.perception.runtime.cards import load_card
 
 SMALL = "mini-house-256x320-int8-cpu"
 

@@ -1,6 +1,6 @@
 """A model process for tests: its detector does what the first pixel of an image says.
 
-Started in place of `edge.perception.process.serve`. With a model other than `steered` it serves
+Started in place of `edge.perception.serve_detector`. With a model other than `steered` it serves
 that one, by the cards in `$EDGE_TEST_CARDS`. While the file `detector.vocabulary` names says
 `wait` or `build` a steered one is not ready; with `lie` it tells nonsense of its health; what else
 the file says keeps it from loading.
@@ -21,11 +21,12 @@ import onnxruntime
 from onnx_bytes import FLOAT, INT64, graph, interface, model, node
 
 from edge.host import resources
-from edge.perception.cards import ModelError
-from edge.perception.detector import Health
+from edge.perception import serve_detector as serve
+from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
-from edge.perception.process import serve, wire
-from edge.perception.text import PromptError
+from edge.perception.process import wire
+from edge.perception.runtime.cards import ModelError
+from edge.perception.runtime.health import Health
 from edge.types import Detections
 
 SEGFAULT, HANG, NO_MEMORY, NAN, FAILURE, EXIT, ENGINE, TOO_MANY = range(1, 9)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge import names
-from edge.perception.attributes import (
+from edge.perception.embedding.attributes import (
     ALIKE,
     OPPOSITES,
     SYNONYMS,
@@ -18,7 +18,7 @@ from edge.perception.attributes import (
     nearest,
     parse,
 )
-from edge.perception.text import PromptError
+from edge.perception.embedding.text import PromptError
 
 WORDS = Vocabulary(
     ("chair", "table", "coffee table", "sofa", "trash can", "table lamp", "washing machine"),

@@ -12,7 +12,7 @@ import yaml
 from edge.host import resources
 from edge.host.ports import free_port
 from edge.models import listing
-from edge.perception import card_types, cards, model_file
+from edge.perception.runtime import card_types, cards, model_file
 
 CARD = {
     "name": "tiny",

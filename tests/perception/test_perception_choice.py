@@ -20,10 +20,9 @@ from patience import PATIENCE_S
 from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
 from edge.geometry import SE2, CameraModel, optical, se3
-from edge.perception.choice import scorer
-from edge.perception.choice.answers import MISSING_NATS, NoAnswerError, probabilities
-from edge.perception.choice.picture import data_url, draw, place, visible_marks
-from edge.perception.choice.question import (
+from edge.perception.scoring.choice import server as scorer
+from edge.perception.scoring.choice.picture import data_url, draw, place, visible_marks
+from edge.perception.scoring.choice.question import (
     LETTERS,
     MAX_MARKS,
     Choice,
@@ -34,7 +33,8 @@ from edge.perception.choice.question import (
     direction_question,
     scene_question,
 )
-from edge.perception.choice.scorer import make_server_choice
+from edge.perception.scoring.choice.server import make_server_choice
+from edge.perception.scoring.vlm.answers import MISSING_NATS, NoAnswerError, probabilities
 from edge.types import Observation
 
 LOG_HALF, LOG_QUARTER = math.log(0.5), math.log(0.25)

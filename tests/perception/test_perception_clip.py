@@ -10,11 +10,11 @@ import tiny_clip
 from tiny_clip import CONTEXT, DIM, SIDE, WORDS
 
 from edge.host import resources
-from edge.perception import clip, text
-from edge.perception.cards import ModelError, load_card
-from edge.perception.clip import ClipImageEncoder, ClipTextEncoder, fit
-from edge.perception.encoders import make_text_encoder
-from edge.perception.text import PromptError, TextEmbeddings
+from edge.perception.embedding import clip, text
+from edge.perception.embedding.clip import ClipImageEncoder, ClipTextEncoder, fit
+from edge.perception.embedding.encoders import make_text_encoder
+from edge.perception.embedding.text import PromptError, TextEmbeddings
+from edge.perception.runtime.cards import ModelError, load_card
 
 for package in ("onnxruntime", "onnx", "tokenizers"):
     pytest.importorskip(package)

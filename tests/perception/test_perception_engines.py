@@ -24,13 +24,13 @@ from test_perception_onnx import BOXES, tiny  # noqa: F401
 
 from edge import config
 from edge.host import resources
-from edge.perception.backends import binding, cuda, engines, tensorrt
-from edge.perception.backends.engines import EngineOptions, folder_name, obtain, telling
-from edge.perception.backends.runtime import open_session
-from edge.perception.backends.tensorrt import make_monitor
+from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
-from edge.perception.model_file import TRUST_CACHE, ModelError
-from edge.perception.text import PromptError
+from edge.perception.runtime import binding, cuda, engines, tensorrt
+from edge.perception.runtime.engines import EngineOptions, folder_name, obtain, telling
+from edge.perception.runtime.model_file import TRUST_CACHE, ModelError
+from edge.perception.runtime.sessions import open_session
+from edge.perception.runtime.tensorrt import make_monitor
 
 KEY = {"model": "tiny", "sha256": "a" * 64, "sm": "8.7", "gpu": "Orin", "recipe": 1}
 

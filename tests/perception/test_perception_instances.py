@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from edge import config
-from edge.perception.instances import MAX_POINTS, InstanceTracker
-from edge.perception.lift import POINTS, Lifted
-from edge.perception.sightings import SightingTracker
+from edge.perception.tracking.instances import MAX_POINTS, InstanceTracker
+from edge.perception.tracking.lift import POINTS, Lifted
+from edge.perception.tracking.sightings import SightingTracker
 from edge.types import Detections
 
 STEP_NS = 100_000_000

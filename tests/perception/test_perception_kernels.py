@@ -19,7 +19,8 @@ from twins import (
     to_planes,
 )
 
-from edge.perception import instance_kernels, kernels, lift_kernels
+from edge.perception.detection import kernels
+from edge.perception.tracking import instance_kernels, lift_kernels
 
 TAU = np.float32(0.05)
 FAR_PX = 1000.0

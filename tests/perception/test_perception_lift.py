@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from edge import config
 from edge.geometry import CameraModel, invert
-from edge.perception import lift_kernels as kernels
-from edge.perception.lift import POINTS, Lifter
+from edge.perception.tracking import lift_kernels as kernels
+from edge.perception.tracking.lift import POINTS, Lifter
 from edge.types import MASK_SIDE, ContextBoxes, Detections, Observation
 
 SIMULATED = config.Perception(detector=config.DetectorSim())

@@ -12,22 +12,22 @@ from simulated import simulated
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `cpu`)")
 
 from edge.config import ChoiceOnnx, Perception
-from edge.perception.card_types import MARK_FIELDS, MarksCard
-from edge.perception.cards import load_card_of, verify_model
-from edge.perception.choice import mark_scorer
-from edge.perception.choice.factory import make_choice, open_choice
-from edge.perception.choice.mark_scorer import (
+from edge.perception.embedding.text import PromptError
+from edge.perception.runtime.card_types import MARK_FIELDS, MarksCard
+from edge.perception.runtime.cards import load_card_of, verify_model
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.runtime.onnx_file import check_fixed
+from edge.perception.scoring.choice import mark_scorer
+from edge.perception.scoring.choice.factory import make_choice, open_choice
+from edge.perception.scoring.choice.mark_scorer import (
     FAR_M,
     MarkNetwork,
     MarkScorer,
     as_input,
     letterboxed,
 )
-from edge.perception.choice.question import MAX_MARKS, Mark, View, Ways
-from edge.perception.model_file import ModelError
-from edge.perception.onnx_file import check_fixed
-from edge.perception.process.choice import ProcessMarks
-from edge.perception.text import PromptError
+from edge.perception.scoring.choice.process import ProcessMarks
+from edge.perception.scoring.choice.question import MAX_MARKS, Mark, View, Ways
 from edge.types import Observation
 
 NAME = "mini-house-choice"

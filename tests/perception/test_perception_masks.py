@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from patience import eventually
 
 from edge import config
-from edge.perception.detector import Health
 from edge.perception.masks.grabcut import GrabcutSegmenter
 from edge.perception.masks.masker import Masker, make_masker
 from edge.perception.masks.segmenter import Deadline, rasterise
+from edge.perception.runtime.health import Health
 from edge.perception.worker import DetectorWorker
 from edge.types import MASK_SIDE, Detections
 

@@ -14,13 +14,13 @@ from test_perception_cards import CARD, flip_a_byte
 from edge import config
 from edge.host import resources
 from edge.models.check import check_model
-from edge.perception import model_file
-from edge.perception.cards import ModelError, load_detector_card
-from edge.perception.columns import competitors
-from edge.perception.detector import UNSOUND
+from edge.perception.detection.columns import competitors
+from edge.perception.embedding.text import PromptError, TextEmbeddings
 from edge.perception.factory import make_detector
-from edge.perception.model_file import TRUST_CACHE
-from edge.perception.text import PromptError, TextEmbeddings
+from edge.perception.runtime import model_file
+from edge.perception.runtime.cards import ModelError, load_detector_card
+from edge.perception.runtime.health import UNSOUND
+from edge.perception.runtime.model_file import TRUST_CACHE
 
 pytest.importorskip("onnxruntime")
 onnx = pytest.importorskip("onnx")

@@ -21,9 +21,9 @@ from onnx_bytes import (
     value_info,
 )
 
-from edge.perception import card_types
-from edge.perception.model_file import ModelError
-from edge.perception.onnx_file import (
+from edge.perception.runtime import card_types
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.runtime.onnx_file import (
     NotOnnx,
     OnnxFile,
     Value,
@@ -136,7 +136,7 @@ def test_nesting_without_end_is_given_up(check):
     [("FIELDS", field(1, 9) * 1001), ("PARTS", field(7, field(1, b"") * 1000))],
 )
 def test_a_file_that_would_take_time_or_memory_without_end_is_given_up(monkeypatch, limit, content):
-    monkeypatch.setattr(f"edge.perception.onnx_file.MAX_{limit}", 1000)
+    monkeypatch.setattr(f"edge.perception.runtime.onnx_file.MAX_{limit}", 1000)
     with pytest.raises(NotOnnx, match=f"more than 1000 {limit.lower()}"):
         parse_onnx(content)
 

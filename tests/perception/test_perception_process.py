@@ -21,14 +21,14 @@ from live_patience import PATIENCE_S, eventually
 
 from edge import config
 from edge.host import resources
-from edge.perception.cards import ModelError, card_names
-from edge.perception.detector import Health, log_progress
+from edge.perception.detection import process as process_detector
+from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
-from edge.perception.process import detector as process_detector
 from edge.perception.process import kept, link, wire
 from edge.perception.process.wire import ModelProcessError
+from edge.perception.runtime.cards import ModelError, card_names
+from edge.perception.runtime.health import Health, log_progress
 from edge.perception.swap import swapper as swaps
-from edge.perception.text import PromptError
 from edge.perception.worker import DetectorWorker
 
 FAKE = Path(__file__).parent / "fake_model_process.py"

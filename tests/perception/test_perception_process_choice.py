@@ -13,11 +13,11 @@ from tiny_vlm import publish
 
 from edge.config import ChoiceOnnx, ModelProcess, Perception
 from edge.host import priority, resources
-from edge.perception.choice.factory import make_choice
-from edge.perception.choice.onnx_scorer import asked_of, open_model
-from edge.perception.choice.question import SYSTEM
-from edge.perception.model_file import ModelError
-from edge.perception.process.choice import ProcessModel, _decode
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.scoring.choice.factory import make_choice
+from edge.perception.scoring.choice.onnx_scorer import asked_of, open_model
+from edge.perception.scoring.choice.process import ProcessModel, _decode
+from edge.perception.scoring.choice.question import SYSTEM
 
 RULES = ModelProcess(timeout_s=PATIENCE_S, start_timeout_s=PATIENCE_S)
 ASKED = asked_of(2, "lamp")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from edge.perception.cards import ModelError
-from edge.perception.detector import Health
+from edge.perception.embedding.text import PromptError
 from edge.perception.process import wire
 from edge.perception.process.wire import FrameFile, FrameView, ModelProcessError
-from edge.perception.text import PromptError
+from edge.perception.runtime.cards import ModelError
+from edge.perception.runtime.health import Health
 from edge.text import read_json_object
 from edge.types import ContextBoxes, Detections
 
@@ -31,8 +30,7 @@ def detections(xyxy, score, class_id, rival, context=None):
 
 
 def encode(found, health=("ok", ""), seq=3):
-    detector = SimpleNamespace(health=lambda: health, invalid_boxes=2)
-    answer = wire.encode_answer(seq, found, detector)
+    answer = wire.encode_answer(seq, found, health, invalid_boxes=2)
     header, _, block = answer.partition(wire.END_OF_HEADER)
     return read_json_object(header), block
 

@@ -18,16 +18,16 @@ from tiny_clip import DIM, IMAGE, SIDE
 
 from edge import config
 from edge.host.ports import free_port
-from edge.perception.card_types import ImageCard, Server
-from edge.perception.cards import ModelError, load_card, verify_model
-from edge.perception.clip import ClipImageEncoder
+from edge.perception.detection import remote as module
+from edge.perception.detection.onnx import OnnxDetector
+from edge.perception.detection.remote import RemoteDetector
+from edge.perception.embedding.clip import ClipImageEncoder
+from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
-from edge.perception.onnx_detector import OnnxDetector
-from edge.perception.remote import detector as module
-from edge.perception.remote.detector import RemoteDetector
-from edge.perception.remote.session import RemoteSession, ServerError
-from edge.perception.similarity import make_similarity, similarity_card
-from edge.perception.text import PromptError
+from edge.perception.runtime.card_types import ImageCard, Server
+from edge.perception.runtime.cards import ModelError, load_card, verify_model
+from edge.perception.runtime.kserve import RemoteSession, ServerError
+from edge.perception.scoring.similarity import make_similarity, similarity_card
 from edge.perception.worker import DetectorWorker
 
 SMALL = "mini-house-256x320-int8-cpu"
@@ -75,7 +75,7 @@ def far(monkeypatch):
         def make(server, **more):
             card = card_of(server, **more)
             monkeypatch.setattr(
-                "edge.perception.onnx_detector.load_detector_card", lambda name: card
+                "edge.perception.detection.onnx.load_detector_card", lambda name: card
             )
             settings = config.DetectorOnnx(model=SMALL, tau_vl=1e-6, threads=1)
             clock = SimpleNamespace(s=0.0)

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from edge.perception.remote import messages
-from edge.perception.remote.messages import HEADER_LENGTH, infer_answer, infer_request
+from edge.perception.runtime import kserve_messages as messages
+from edge.perception.runtime.kserve_messages import HEADER_LENGTH, infer_answer, infer_request
 
 ONE = {"name": "boxes", "datatype": "FP32", "shape": [1, 2], "data": [0.5, 1.5]}
 

@@ -20,14 +20,15 @@ import pytest
 from test_perception_cards import flip_a_byte
 
 from edge.host import resources
-from edge.perception.backends import binding, cuda, engines, runtime
-from edge.perception.backends.engines import EngineOptions
-from edge.perception.backends.runtime import (
+from edge.perception.runtime import binding, cuda, engines
+from edge.perception.runtime import sessions as runtime
+from edge.perception.runtime.engines import EngineOptions
+from edge.perception.runtime.model_file import ModelError, fresh_sha256
+from edge.perception.runtime.sessions import (
     ORT_TENSORRT,
     open_session,
     provider_options,
 )
-from edge.perception.model_file import ModelError, fresh_sha256
 
 ort = pytest.importorskip("onnxruntime")
 

@@ -10,9 +10,9 @@ from edge import config
 from edge.cli.main import main
 from edge.host import resources
 from edge.models.make import with_file
-from edge.perception.cards import ModelError, load_card, load_detector_card
 from edge.perception.masks.sam import SamSegmenter
 from edge.perception.masks.segmenter import Deadline
+from edge.perception.runtime.cards import ModelError, load_card, load_detector_card
 from edge.types import MASK_SIDE
 
 for package in ("onnxruntime", "onnx"):

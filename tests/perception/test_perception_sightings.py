@@ -8,10 +8,10 @@ from twins import fuse, match, strongest_rival
 
 from edge import config
 from edge.geometry import invert, optical, se3
-from edge.perception import sighting_kernels as kernels
-from edge.perception.lift import POINTS, Lifted
-from edge.perception.look_kernels import NO_DEPTH
-from edge.perception.sightings import SightingTracker
+from edge.perception.tracking import sighting_kernels as kernels
+from edge.perception.tracking.lift import POINTS, Lifted
+from edge.perception.tracking.look_kernels import NO_DEPTH
+from edge.perception.tracking.sightings import SightingTracker
 from edge.types import Detections
 
 NEAR, FAR = 2.0, 5.0

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from edge import config
+from edge.perception.detection.sim import Segmentation
+from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
-from edge.perception.sim_detector import Segmentation
-from edge.perception.text import PromptError
 
 LABELS = ("ChairA", "sofa", "Trash")
 

@@ -9,17 +9,17 @@ import tiny_clip
 from edge.config import Perception
 from edge.errors import UserError
 from edge.host import resources
-from edge.perception import clip
-from edge.perception.backends import runtime
-from edge.perception.cards import ModelError, load_card
-from edge.perception.similarity import (
+from edge.perception.embedding import clip
+from edge.perception.embedding.text import PromptError
+from edge.perception.runtime import sessions as runtime
+from edge.perception.runtime.cards import ModelError, load_card
+from edge.perception.scoring.similarity import (
     SENTENCE,
     best_scores,
     is_running_detector,
     make_similarity,
     similarity_card,
 )
-from edge.perception.text import PromptError
 from edge.types import Detections
 
 

@@ -12,12 +12,12 @@ from frames import Slot
 from patience import PATIENCE_S, eventually
 from simulated import simulated
 
-from edge.perception.cards import ModelError
-from edge.perception.detector import UNSOUND, Health
+from edge.perception.embedding.text import PromptError
+from edge.perception.runtime.cards import ModelError
+from edge.perception.runtime.health import UNSOUND, Health
 from edge.perception.swap import swapper
 from edge.perception.swap.swapper import SwapError, Swapper
 from edge.perception.swap.trial import Sample, boxes_found_again, sample
-from edge.perception.text import PromptError
 from edge.perception.worker import DetectorWorker
 from edge.types import Detections
 

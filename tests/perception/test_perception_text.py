@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from edge.models.make import keep_vocabulary
-from edge.perception.encoders import make_text_encoder
-from edge.perception.text import (
+from edge.perception.embedding.encoders import make_text_encoder
+from edge.perception.embedding.text import (
     PromptError,
     TextEmbeddings,
     find_vocabulary,

@@ -17,14 +17,14 @@ from tiny_vlm import F32, HIDDEN, SIDE, Graph, pin, publish, train_tokenizer
 
 from edge.config import Perception
 from edge.host import resources
-from edge.perception.cards import ModelError, load_card
-from edge.perception.choice.answers import probabilities, shares, spellings
-from edge.perception.choice.factory import make_choice
-from edge.perception.choice.onnx_scorer import OnnxChoice, asked_of
-from edge.perception.choice.question import SYSTEM, Mark, Sighting, View
-from edge.perception.vlm.files import read_files, vocabulary
-from edge.perception.vlm.model import LanguageModel
-from edge.perception.vlm.pictures import make_prepare, positions, smart_resize
+from edge.perception.runtime.cards import ModelError, load_card
+from edge.perception.scoring.choice.factory import make_choice
+from edge.perception.scoring.choice.onnx_scorer import OnnxChoice, asked_of
+from edge.perception.scoring.choice.question import SYSTEM, Mark, Sighting, View
+from edge.perception.scoring.vlm.answers import probabilities, shares, spellings
+from edge.perception.scoring.vlm.files import read_files, vocabulary
+from edge.perception.scoring.vlm.model import LanguageModel
+from edge.perception.scoring.vlm.pictures import make_prepare, positions, smart_resize
 
 FAMILIES = ("text", "smolvlm", "qwen2-vl")
 EVERY = asked_of(8, "chair")

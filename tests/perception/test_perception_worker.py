@@ -13,7 +13,7 @@ from patience import PATIENCE_S, eventually
 
 from edge.chat import ChatError
 from edge.host import worker as host
-from edge.perception.detector import Health
+from edge.perception.runtime.health import Health
 from edge.perception.worker import DetectorWorker, ScorerWorker
 from edge.types import Detections, Observation
 

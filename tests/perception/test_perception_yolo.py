@@ -8,9 +8,9 @@ import pytest
 
 from edge import config
 from edge.models.check import check_model
-from edge.perception.cards import ModelError, load_card, verify_model
+from edge.perception.embedding.text import PromptError, find_vocabulary
 from edge.perception.factory import make_detector
-from edge.perception.text import PromptError, find_vocabulary
+from edge.perception.runtime.cards import ModelError, load_card, verify_model
 
 pytestmark = pytest.mark.weights
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge.perception.kernels import ROUNDING
-from edge.perception.lift_kernels import APART, LEFT, MASKED, NEARLY, OTHER_M
-from edge.perception.look_kernels import LOOK_MIN_M, LOOK_RIM, MOST, OCCLUDED_M
-from edge.perception.sighting_kernels import FORGET, PARTIAL, PRIOR, SAME_M, WITHIN
+from edge.perception.detection.kernels import ROUNDING
+from edge.perception.tracking.lift_kernels import APART, LEFT, MASKED, NEARLY, OTHER_M
+from edge.perception.tracking.look_kernels import LOOK_MIN_M, LOOK_RIM, MOST, OCCLUDED_M
+from edge.perception.tracking.sighting_kernels import FORGET, PARTIAL, PRIOR, SAME_M, WITHIN
 
 
 def to_planes(rgb, scale, top, left, out):

@@ -21,7 +21,7 @@ from edge.loop.behaviours.draft import Draft
 from edge.loop.journal import Input, Journal
 from edge.loop.prior import Rooms
 from edge.mission.brief import prepare
-from edge.perception.choice.question import Choice
+from edge.perception.scoring.choice.question import Choice
 from edge.policies.base import Similarity
 from edge.recording import journal
 from edge.recording.journal import decode_page, encode_page

@@ -28,7 +28,7 @@ from edge.loop.place_keeper import SUFFIX
 from edge.loop.scorers import Scorers
 from edge.loop.service import Service
 from edge.mission.brief import prepare
-from edge.perception.choice.question import Choice
+from edge.perception.scoring.choice.question import Choice
 from edge.policies import make_policy
 from edge.policies.hvl import Hvl
 from edge.recording import commands

@@ -10,7 +10,7 @@ from fake_zenoh import Flooded
 from simulated import simulated
 
 from edge.bus.wire import messages
-from edge.perception.sim_detector import Segmentation
+from edge.perception.detection.sim import Segmentation
 from edge.sources.truth import TruthInbox, make_truth, parse_labels
 
 MS = 1_000_000

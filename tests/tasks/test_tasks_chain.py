@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edge import config
-from edge.perception.sim_detector import Segmentation
+from edge.perception.detection.sim import Segmentation
 from edge.tasks.chain import Chain, boxes_alone, in_tiles, open_chain, see
 from edge.types import MASK_SIDE, Detections, Observation
 

@@ -26,9 +26,9 @@ from edge.lab.bench.alone import run_alone
 from edge.lab.bench.frames import Frames
 from edge.lab.bench.variants import PROVIDERS, providers_here, runs_on
 from edge.lab.eval import geodesic
-from edge.perception.card_types import DirectionsCard
-from edge.perception.cards import all_cards, how_to_get
-from edge.perception.choice.question import Mark, Sighting, View, Ways
+from edge.perception.runtime.card_types import DirectionsCard
+from edge.perception.runtime.cards import all_cards, how_to_get
+from edge.perception.scoring.choice.question import Mark, Sighting, View, Ways
 from edge.text import aligned
 from edge.types import Observation
 

@@ -20,9 +20,9 @@ from edge.lab.bench.frames import Frames
 from edge.lab.bench.measure import Job, Measured
 from edge.lab.bench.report import Report
 from edge.lab.bench.variants import PROVIDERS, Variant, families, providers_here, variants
-from edge.perception.cards import how_to_get, load_detector_card
-from edge.perception.encoders import make_text_encoder
-from edge.perception.model_file import remembered_sha256
+from edge.perception.embedding.encoders import make_text_encoder
+from edge.perception.runtime.cards import how_to_get, load_detector_card
+from edge.perception.runtime.model_file import remembered_sha256
 from edge.perception.swap.swapper import LOAD_TIMEOUT_S
 
 log = logging.getLogger(__name__)

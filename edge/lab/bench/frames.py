@@ -20,7 +20,8 @@ from edge.lab.bench.boxes import KIND, NAMED, NO, Truth
 from edge.lab.sim.base import World, WorldObject, free_poses
 from edge.lab.sim.sensors import CameraRig
 from edge.lab.sim.worlds import load_world
-from edge.perception import kernels, text
+from edge.perception.detection import kernels
+from edge.perception.embedding import text
 
 SEED = 7
 MIN_SIDE_PX = 12
@@ -152,7 +153,7 @@ def prompts_for(
 
 
 def words_for(labels: Sequence[str], resolve: Callable[[str], str]) -> dict[str, str]:
-    """See `edge.perception.text.words_for`."""
+    """See `edge.perception.embedding.text.words_for`."""
     logging.disable(logging.WARNING)  # of words that stand in for others
     try:
         return text.words_for(labels, resolve)

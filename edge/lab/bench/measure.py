@@ -14,9 +14,9 @@ from edge.host import machine
 from edge.lab.bench import alone
 from edge.lab.bench.boxes import Found
 from edge.lab.bench.service import resident_mb
-from edge.perception.backends.cuda import gpu_of
-from edge.perception.detector import Health
 from edge.perception.factory import make_detector
+from edge.perception.runtime.cuda import gpu_of
+from edge.perception.runtime.health import Health
 from edge.perception.warmup import warmup
 from edge.types import Detections, Observation
 

@@ -11,7 +11,7 @@ from edge.errors import UserError
 from edge.lab.bench import alone
 from edge.lab.bench.choices import Job, Measured
 from edge.lab.bench.service import resident_mb
-from edge.perception.choice.factory import open_choice
+from edge.perception.scoring.choice.factory import open_choice
 
 
 def measure(job: Job) -> Measured:

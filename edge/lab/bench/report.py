@@ -16,8 +16,8 @@ from edge.errors import UserError
 from edge.host import machine, resources
 from edge.host.files import save
 from edge.lab.bench.variants import RUNTIMES
-from edge.perception.cards import card_path
-from edge.perception.detector import UNSOUND
+from edge.perception.runtime.cards import card_path
+from edge.perception.runtime.health import UNSOUND
 
 Report = dict[str, Any]
 _CARD_WIDTH = 110

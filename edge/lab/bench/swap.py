@@ -36,7 +36,7 @@ class SwapBench:
     """Asks for the swap halfway and follows it; `beat` is to be called after every beat."""
 
     def __init__(self, running: Running, model: str, seconds: float) -> None:
-        from edge.perception.cards import load_detector_card
+        from edge.perception.runtime.cards import load_detector_card
 
         self._running = running
         self._model = load_detector_card(model).name

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from edge.errors import UnavailableError, UserError
-from edge.perception.backends.runtime import TENSORRT
-from edge.perception.card_types import DetectCard, DirectionsCard
-from edge.perception.cards import all_cards
+from edge.perception.runtime.card_types import DetectCard, DirectionsCard
+from edge.perception.runtime.cards import all_cards
+from edge.perception.runtime.sessions import TENSORRT
 
 PROVIDERS = {
     "cpu": ("CPUExecutionProvider",),

@@ -18,9 +18,9 @@ from edge.lab.sim.worlds import load_world
 from edge.loop.result import Sink, TickResult
 from edge.loop.scorers import make_scorers
 from edge.loop.service import Service
+from edge.perception.detection.sim import Segmentation
 from edge.perception.factory import make_detector
 from edge.perception.masks.masker import make_masker
-from edge.perception.sim_detector import Segmentation
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
 from edge.tasks.brief import prepared

@@ -47,7 +47,7 @@ from edge.mission.logic.ltl import (
     to_text,
 )
 from edge.mission.translate import AmbiguousError, TranslationError, Translator, make_translator
-from edge.perception.cards import load_card
+from edge.perception.runtime.cards import load_card
 from edge.text import aligned, one_line
 
 _TASKS = 2000

@@ -13,8 +13,8 @@ from edge.lab.report.album import MAX_FRAME_PX
 from edge.lab.report.document import data_url
 from edge.lab.report.record import Asked, RunRecord
 from edge.loop.result import TickResult
-from edge.perception.choice.picture import draw, visible_marks
-from edge.perception.choice.question import LETTERS
+from edge.perception.scoring.choice.picture import draw, visible_marks
+from edge.perception.scoring.choice.question import LETTERS
 from edge.policies.base import FRONTIER
 
 JPEG_QUALITY = 85

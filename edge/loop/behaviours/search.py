@@ -11,7 +11,7 @@ from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
 from edge.mission.surveyor import Surveyor
-from edge.perception.instances import InstanceTracker
+from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import Context
 from edge.types import Goal, Instance
 

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from edge.mission.language.compact import NAMES, OPERATORS, REFUSED, allowed
-from edge.perception.backends.runtime import open_session
-from edge.perception.card_types import TranslateCard
-from edge.perception.cards import load_card_of, verify_model
-from edge.perception.model_file import ModelError
+from edge.perception.runtime.card_types import TranslateCard
+from edge.perception.runtime.cards import load_card_of, verify_model
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.runtime.sessions import open_session
 
 MOST_WORDS = 90
 """Of a sentence that is read; longer ones are refused before."""

@@ -63,8 +63,8 @@ def find_own_planner(config: PlannerOwn, where: str) -> Callable[..., Planner]:
     return find_named("planner", config.kind, config.options, REGISTRY, where, needs, given)
 
 
-def warm_up() -> None:
-    """Compile the kernels of all planners and of `distances`, or read them from the cache."""
+def warm_up(weights: str) -> None:
+    """Compile the planner's kernels for these weights, or read them from the cache."""
     automaton = Automaton(
         formula=Formula("ap", name="a"),
         letters=("a",),
@@ -72,6 +72,6 @@ def warm_up() -> None:
         accepting=np.array([False, True]),
         steps_left=np.array([1, 0], np.int32),
     )
-    for weights in ("constant", "distance"):
-        make_planner(PlannerVitl(weights=weights), automaton).plan(0, Knowledge())
-    distances.warm_up()
+    make_planner(PlannerVitl(weights=weights), automaton).plan(0, Knowledge())
+    if weights == "distance":
+        distances.warm_up()

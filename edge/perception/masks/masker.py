@@ -11,7 +11,7 @@ import numpy as np
 
 from edge import config
 from edge.errors import UserError
-from edge.perception.detector import check_rgb
+from edge.perception.detection.detector import check_rgb
 from edge.perception.masks.segmenter import Deadline, Segmenter
 from edge.text import one_line
 from edge.types import MASK_SIDE, Detections

@@ -25,12 +25,12 @@ import cv2
 import numpy as np
 
 from edge import config
-from edge.perception.backends.engines import EngineOptions
-from edge.perception.backends.runtime import DTYPES, TENSORRT, failing_as, open_session
-from edge.perception.card_types import SegmentCard
-from edge.perception.cards import ModelError, load_card_of, verify_model
 from edge.perception.masks.segmenter import Deadline, rasterise
-from edge.perception.onnx_file import MASK_OUTPUTS, PROMPTS
+from edge.perception.runtime.card_types import SegmentCard
+from edge.perception.runtime.cards import ModelError, load_card_of, verify_model
+from edge.perception.runtime.engines import EngineOptions
+from edge.perception.runtime.onnx_file import MASK_OUTPUTS, PROMPTS
+from edge.perception.runtime.sessions import DTYPES, TENSORRT, failing_as, open_session
 from edge.types import MASK_SIDE
 
 _KEY = "perception.segmenter.providers"

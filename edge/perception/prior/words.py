@@ -7,8 +7,8 @@ import logging
 import numpy as np
 
 from edge import config, names
+from edge.perception.embedding.text import PromptError, find_vocabulary, load_vocabulary
 from edge.perception.prior.table import Table
-from edge.perception.text import PromptError, find_vocabulary, load_vocabulary
 
 log = logging.getLogger(__name__)
 

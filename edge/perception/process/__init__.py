@@ -1,9 +1,9 @@
 """A model in a process of its own: it may crash, hang or run out of memory, the robot goes on.
 
-The protocol of a detector, between the service (`detector.py`, `link.py`) and the model process
-(`serve.py`):
+The protocol of a detector, between the service (`detection/process.py`, `link.py`) and the model
+process (`serve_detector.py`):
 
- 1. The service starts the program `edge.perception.process.serve`, writes one JSON object to its
+ 1. The service starts the program `edge.perception.serve_detector`, writes one JSON object to its
     stdin: configuration, prompts, logging, and descriptors of two sockets and the frame file.
  2. The sockets, `images` and `control`, keep messages apart (SOCK_SEQPACKET). While it loads its
     model it says {health} on control now and then; when that has run once it says {} there, else
@@ -19,7 +19,7 @@ The protocol of a detector, between the service (`detector.py`, `link.py`) and t
     is killed. A process that ended is started again by the rules of `kept.Restarts`.
  7. The process ends with SIGTERM, and the kernel ends it (PR_SET_PDEATHSIG) with its parent.
 
-A model that chooses directions (`choice.py`, `serve_choice.py`) is asked on `images`: a language
+A model that chooses directions (`scoring/choice/process.py`) is asked on `images`: a language
 model {seq, hw, rules, view, asked, limit_s}, where hw is null for a view in words, a network for
 marks {seq, hw, marks, target, limit_s}; it answers {seq, p}. There is nothing to be asked on its
 `control`; it gives way to whatever else runs.

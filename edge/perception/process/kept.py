@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 from edge import config
 from edge.errors import UserError
-from edge.perception.detector import Tell
 from edge.perception.process.link import Link
 from edge.perception.process.wire import FrameFile
+from edge.perception.runtime.health import Tell
 
 BACKOFF_S, BACKOFF_MAX_S = 0.2, 5.0
 """Pause before a restart: the first, and the longest after doublings."""

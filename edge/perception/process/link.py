@@ -19,14 +19,14 @@ import numpy as np
 
 from edge.host.children import python_module
 from edge.logs import LEVELS, JsonFormatter
-from edge.perception.detector import Tell
 from edge.perception.process import wire
 from edge.perception.process.wire import FrameFile, ModelProcessError, shared_dir
+from edge.perception.runtime.health import Tell
 from edge.text import read_json_object
 
 log = logging.getLogger(__name__)
 
-PROGRAM = python_module("edge.perception.process.serve")
+PROGRAM = python_module("edge.perception.serve_detector")
 
 _LOOK_S = 0.05  # how long an end may go unnoticed while an answer is awaited
 _END_S = 0.2

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 
-from edge.perception.cards import ModelError
-from edge.perception.detector import Detector, Health, fault_of
-from edge.perception.text import PromptError
+from edge.perception.embedding.text import PromptError
+from edge.perception.runtime.cards import ModelError
+from edge.perception.runtime.health import Health, fault_of
 from edge.text import bounded_repr, one_line
 from edge.types import ContextBoxes, Detections
 
@@ -50,8 +50,8 @@ def encode(**header: object) -> bytes:
     return json.dumps(header).encode()
 
 
-def encode_answer(seq: int, found: Detections, detector: Detector) -> bytes:
-    """What `detector` found in image `seq`, and how it is: header, its end, and block."""
+def encode_answer(seq: int, found: Detections, health: Health, invalid_boxes: int) -> bytes:
+    """Encode what a detector found in image `seq`, and its health: header, its end, and block."""
     around = found.context
     header = {
         "seq": seq,
@@ -59,8 +59,8 @@ def encode_answer(seq: int, found: Detections, detector: Detector) -> bytes:
         "rival": found.rival is not None,
         "prompts": found.prompts,
         "context": None if around is None else {"n": len(around), "words": around.words},
-        "health": detector.health(),
-        "invalid_boxes": detector.invalid_boxes,
+        "health": health,
+        "invalid_boxes": invalid_boxes,
     }
     block = _packed(found, found.rival)
     if around is not None:

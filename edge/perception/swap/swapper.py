@@ -19,9 +19,10 @@ from edge.config import DetectorOnnx, Perception
 from edge.errors import UserError
 from edge.host.interruptible import start_unjoined
 from edge.host.worker import LONGEST_ERROR
-from edge.perception.cards import ModelError, load_detector_card
-from edge.perception.detector import Detector, Health
+from edge.perception.detection.detector import Detector
 from edge.perception.factory import make_detector
+from edge.perception.runtime.cards import ModelError, load_detector_card
+from edge.perception.runtime.health import Health
 from edge.perception.swap.trial import failure, judge, median_ms, run, sample, unsound
 from edge.perception.worker import DetectorWorker
 from edge.text import one_line

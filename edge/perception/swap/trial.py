@@ -11,7 +11,8 @@ import numpy as np
 from edge.config import Perception
 from edge.errors import UserError
 from edge.geometry import overlaps
-from edge.perception.detector import UNSOUND, Detector, fault_of
+from edge.perception.detection.detector import Detector
+from edge.perception.runtime.health import UNSOUND, fault_of
 from edge.text import one_line
 from edge.types import Detections, Observation
 

@@ -29,8 +29,8 @@ from edge.lab.sim.base import World, free_poses
 from edge.lab.sim.generator.house import HELD_OUT
 from edge.lab.sim.worlds import load_world
 from edge.loop.result import TickResult
-from edge.perception.choice.picture import visible_marks
-from edge.perception.choice.question import MAX_MARKS
+from edge.perception.scoring.choice.picture import visible_marks
+from edge.perception.scoring.choice.question import MAX_MARKS
 from edge.policies.base import FRONTIER
 from exporters.training.mini import looks
 

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from edge.lab.eval.intervals import Interval, bootstrap
-from edge.perception.choice.question import MAX_MARKS
+from edge.perception.scoring.choice.question import MAX_MARKS
 from exporters.images import as_input
 from exporters.onnx_format import cpu_session
 from exporters.training.choice import labels

@@ -16,8 +16,8 @@ from onnx import compose
 from torch import Tensor, nn
 
 from edge.host.files import replace_atomically
-from edge.perception.card_types import MARK_FIELDS, OTHERS_FIELDS
-from edge.perception.choice.question import MAX_MARKS
+from edge.perception.runtime.card_types import MARK_FIELDS, OTHERS_FIELDS
+from edge.perception.scoring.choice.question import MAX_MARKS
 from exporters.files import ExportError, sha256_of
 from exporters.onnx_format import check_format, export_module
 from exporters.training import checkpoint as checkpoints

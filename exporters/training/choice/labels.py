@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge.perception.card_types import MARK_FIELDS
-from edge.perception.choice.mark_scorer import FAR_M
-from edge.perception.choice.question import MAX_MARKS
+from edge.perception.runtime.card_types import MARK_FIELDS
+from edge.perception.scoring.choice.mark_scorer import FAR_M
+from edge.perception.scoring.choice.question import MAX_MARKS
 from exporters.training.choice.collect import BEFORE, HW, Views
 
 SOFT_M = 1.5

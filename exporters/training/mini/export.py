@@ -50,7 +50,7 @@ def export_detector(detector: nn.Module, out: Path) -> None:
 
 
 def export_encoder(encoder: nn.Module, out: Path) -> None:
-    """With the vocabulary in the file's metadata; see `edge.perception.attributes`."""
+    """With the vocabulary in the file's metadata; see `edge.perception.embedding.attributes`."""
     tokens = torch.zeros(2, 3, dtype=torch.int64)
     free = {"tokens": {0: "prompts"}, "embeddings": {0: "prompts"}}
     export_module(encoder, out, {"tokens": tokens}, ("embeddings",), free)

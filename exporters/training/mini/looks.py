@@ -12,7 +12,7 @@ import numpy as np
 
 from edge import names
 from edge.lab.sim import assemblies
-from edge.perception.attributes import ALIKE, Vocabulary
+from edge.perception.embedding.attributes import ALIKE, Vocabulary
 
 PALETTE: dict[str, tuple[float, float, float]] = {
     "red": (200, 48, 44),

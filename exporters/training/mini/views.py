@@ -25,7 +25,7 @@ from edge.lab.sim import assemblies, kernels
 from edge.lab.sim.boxworld import BoxWorld
 from edge.lab.sim.generator import contents
 from edge.lab.sim.house import House, build_house
-from edge.perception import kernels as perception
+from edge.perception.detection import kernels as perception
 from exporters.files import ExportError
 from exporters.training.mini import houses, looks
 from exporters.training.mini.houses import Look, extent_m, random_house

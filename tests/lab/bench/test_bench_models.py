@@ -35,8 +35,8 @@ from edge.lab.bench.boxes import (
 )
 from edge.lab.sim.sensors import CameraRig
 from edge.lab.sim.worlds import load_world
-from edge.perception.cards import card_path, load_detector_card
-from edge.perception.text import PromptError
+from edge.perception.embedding.text import PromptError
+from edge.perception.runtime.cards import card_path, load_detector_card
 
 SOFA, CHAIR = [0, 0, 40, 40], [60, 60, 80, 100]
 

@@ -21,7 +21,7 @@ def bench(monkeypatch):
     clock = SimpleNamespace(now_ns=10**9)
     monkeypatch.setattr(swap_bench, "time", SimpleNamespace(monotonic_ns=lambda: clock.now_ns))
     monkeypatch.setattr(
-        "edge.perception.cards.load_detector_card", lambda name: SimpleNamespace(name=name)
+        "edge.perception.runtime.cards.load_detector_card", lambda name: SimpleNamespace(name=name)
     )
     asked: list = []
     swapper = SimpleNamespace(state="idle", request=lambda *args: asked.append(args), asked=asked)

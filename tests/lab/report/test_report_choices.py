@@ -12,7 +12,7 @@ from edge.geometry import CameraModel, Grid, optical, se3
 from edge.lab.report import choices
 from edge.lab.report.recorder import Recorder
 from edge.loop.result import VALUE_LAYER, ScoredCandidates
-from edge.perception.choice.question import Choice
+from edge.perception.scoring.choice.question import Choice
 from edge.policies.base import FRONTIER
 from edge.types import Observation
 

@@ -36,7 +36,7 @@ from edge.host.processes import Process, descendants
 from edge.lab.eval.soak import recordings
 from edge.lab.eval.soak.log import Log
 from edge.lab.eval.soak.relay import Relay
-from edge.perception.cards import card_path, load_detector_card
+from edge.perception.runtime.cards import card_path, load_detector_card
 
 BEAT = Sink(kind="edge.lab.eval.soak.beat:BeatSink")
 TWIN, BROKEN = "soak-twin", "soak-broken"

@@ -18,7 +18,7 @@ from edge.lab.eval import kitti
 from edge.lab.sim.sensors import CameraRig, LidarRig
 from edge.lab.sim.street import Street, street
 from edge.lab.sim.worlds import load_world
-from edge.perception.sim_detector import Segmentation, TruthAt
+from edge.perception.detection.sim import Segmentation, TruthAt
 from edge.tasks.chain import Chain, boxes_alone, open_chain
 from edge.tasks.scene import Scene
 from edge.tasks.survey import Survey

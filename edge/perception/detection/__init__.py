@@ -1,0 +1,1 @@
+"""Detectors: find what the prompts name in an image."""

@@ -1,0 +1,340 @@
+"""Open-vocabulary detection with an ONNX model (YOLO-World) in onnxruntime."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from edge import config
+from edge.host import resources
+from edge.perception.detection import kernels
+from edge.perception.detection.columns import Columns, columns_for
+from edge.perception.detection.detector import check_rgb
+from edge.perception.embedding.encoders import make_text_encoder
+from edge.perception.embedding.text import PromptError, TextEncoder, check_prompts, words_for
+from edge.perception.runtime.binding import Bound, bind
+from edge.perception.runtime.card_types import ImageCard
+from edge.perception.runtime.cards import (
+    DetectCard,
+    ModelError,
+    expected_sha256,
+    load_detector_card,
+    verify_model,
+)
+from edge.perception.runtime.engines import EngineOptions
+from edge.perception.runtime.health import UNSOUND, Health, Tell, log_progress
+from edge.perception.runtime.sessions import (
+    TENSORRT_PROVIDERS,
+    failing_as,
+    open_session,
+)
+from edge.types import ContextBoxes, Detections, Observation
+
+log = logging.getLogger(__name__)
+
+INPUTS = ("images", "txt_feats")
+OUTPUTS = ("boxes", "scores")
+NMS_IOU = 0.5
+USUAL_COLUMNS, MAX_COLUMNS = 16, 256
+"""Prompts, background counted in, that a TensorRT engine is tuned for and can take."""
+
+
+def engine_options(
+    card: DetectCard | ImageCard,
+    detector: config.DetectorOnnx,
+    progress: Tell = log_progress,
+) -> EngineOptions:
+    """What TensorRT is told of a model; only a detector's number of prompts may change."""
+    shapes = {}
+    if isinstance(card, DetectCard):
+        few, usual, many = ((1, n, card.text_dim) for n in (1, USUAL_COLUMNS, MAX_COLUMNS))
+        shapes["txt_feats"] = (few, usual, many)
+    cache = None if detector.engine_cache is None else resources.expand(detector.engine_cache)
+    return EngineOptions(card.name, card.precision, shapes, cache, progress, expected_sha256(card))
+
+
+def far_px(card: DetectCard) -> float:
+    """Return how far from the origin a corner of a box may lie, in pixels of the network's input.
+
+    YOLO's boxes reach past a small input: at most 15 cells of 32 pixels from their anchor.
+    """
+    return 16.0 * max(card.input.height, card.input.width)
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """The prompts of one moment with all buffers bound for them; swapped whole."""
+
+    prompts: tuple[str, ...]
+    columns: Columns
+    folded: np.ndarray
+    anchor: np.ndarray
+    label: np.ndarray
+    score: np.ndarray
+    bound: Bound | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Placement:
+    """Where an image of some size comes to lie in the network's input."""
+
+    width_px: int
+    height_px: int
+    scale: float
+    top: int
+    left: int
+    resized: np.ndarray | None
+
+
+class _Kept(NamedTuple):
+    """What is left of the candidates: which, their boxes in the image, and whether it cuts them."""
+
+    kept: np.ndarray
+    xyxy_px: np.ndarray
+    cut: np.ndarray
+
+    @classmethod
+    def of(cls, n: int) -> _Kept:
+        return cls(np.empty(n, np.int32), np.empty((n, 4), np.float32), np.empty(n, np.bool_))
+
+
+class OnnxDetector:
+    """Every buffer is made once; an image costs one resize, one run and two kernels.
+
+    Each prompt has its own boxes, also where another scores higher: whoever weighs what a thing
+    is over many images needs to hear of the losers too. Background words (`config.background`)
+    are the context; of these, what scores best has the place. The best score of any other thing,
+    prompt or background, on the place of a box is its `Detections.rival`; what may be said of
+    the same thing (chair, armchair) does not compete. A thing is looked for under all names that
+    the text encoder has for it, see `Columns`.
+
+    Attributes:
+        invalid_boxes: how many were dropped since they are not sound (`UNSOUND`).
+        stages_ns: what filling the input, the session and picking boxes took at the last image.
+    """
+
+    def __init__(
+        self,
+        detector: config.DetectorOnnx,
+        prompts: Sequence[str],
+        progress: Tell = log_progress,
+        session: Any = None,
+        text: TextEncoder | None = None,
+    ) -> None:
+        """
+        Args:
+            progress: told while a TensorRT engine is built, which takes minutes.
+            session, text: to work with; None: those of the card.
+
+        Raises:
+            ModelError: card, file or providers are unusable.
+            PromptError: see `make_text_encoder`, `TextEncoder.embed`.
+        """
+        self.config = detector
+        self.card = load_detector_card(detector.model)
+        self.name = self.card.name
+        self.invalid_boxes = 0
+        self.stages_ns = (0, 0, 0)
+        self._text = text or make_text_encoder(self.card, detector.vocabulary)
+        self._background = self._known_background()
+        height, width = self.card.input.height, self.card.input.width
+        self._images = np.empty((1, 3, height, width), np.float32)
+        self._place = _Placement(0, 0, 1.0, 0, 0, None)
+        self._scale = np.float32(self.card.preprocess.scale)
+        self._far_px = far_px(self.card)
+        self._session = session or open_session(
+            verify_model(self.card, believe_cache=True),
+            detector.providers,
+            detector.threads,
+            detector.device_id,
+            engine_options(self.card, detector, progress),
+        )
+        self._anchors = self._count_anchors()
+        self._top = np.empty(self._anchors, np.float32)
+        self._against = np.empty(detector.max_detections, np.float32)
+        self._mine, self._around = (_Kept.of(detector.max_detections) for _ in range(2))
+        self.set_prompts(prompts)
+
+    @property
+    def prompts(self) -> tuple[str, ...]:
+        return self._asked.prompts
+
+    def set_prompts(self, prompts: Sequence[str]) -> None:
+        """See `Detector.set_prompts`."""
+        with failing_as(f"model {self.name}: it cannot be given the prompts"):
+            self._asked = self._ask(check_prompts(prompts))
+
+    def _ask(self, prompts: tuple[str, ...]) -> _Asked:
+        """Encode prompts and bind buffers for them, which may take memory of a GPU."""
+        columns = columns_for(prompts, self._background, self._text)
+        text = self._text.embed(columns.words)
+        if text.shape[1] > MAX_COLUMNS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:
+            raise PromptError(
+                f"{text.shape[1]} prompts, synonyms, background and contrasts counted in: engines "
+                f"of TensorRT are built for at most {MAX_COLUMNS}; name fewer"
+            )
+        bound = bind(
+            self._session,
+            dict(zip(INPUTS, (self._images, text), strict=True)),
+            {"boxes": (1, self._anchors, 4), "scores": (1, self._anchors, text.shape[1])},
+            live=("images",),
+        )
+        most = self._anchors * (len(prompts) + len(columns.context))
+        return _Asked(
+            prompts, columns, np.empty((self._anchors, columns.things), np.float32),
+            np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32), bound,
+        )  # fmt: skip
+
+    def _known_background(self) -> tuple[str, ...]:
+        """The configured background, made for any model, without what this one has no word for."""
+        known = tuple(words_for(self.config.background, self._text.resolve))
+        unknown = [repr(word) for word in self.config.background if word not in known]
+        if unknown:
+            log.warning(
+                "model %s does not know %s of perception.detector.background: goes without",
+                self.name, ", ".join(unknown),
+            )  # fmt: skip
+        return known
+
+    def detect(self, observation: Observation) -> Detections:
+        """See `Detector.detect`."""
+        start_ns = time.perf_counter_ns()
+        rgb, asked = check_rgb(observation), self._asked
+        self._fill_input(rgb)
+        filled_ns = time.perf_counter_ns()
+        boxes, scores = asked.bound.run()
+        ran_ns = time.perf_counter_ns()
+        found, around = self._pick(asked, boxes[0], scores[0])
+        end_ns = time.perf_counter_ns()
+        self.stages_ns = (filled_ns - start_ns, ran_ns - filled_ns, end_ns - ran_ns)
+        mine, others = found.kept, around.kept
+        return Detections(
+            observation=observation,
+            xyxy_px=found.xyxy_px.copy(),
+            score=asked.score[mine],
+            class_id=asked.label[mine],
+            prompts=asked.prompts,
+            rival=self._against[: len(mine)].copy(),
+            context=ContextBoxes(
+                around.xyxy_px.copy(),
+                asked.score[others],
+                asked.label[others] - np.int32(len(asked.prompts)),
+                asked.columns.context,
+            ),
+            model=self.name,
+            latency_ns=end_ns - start_ns,
+        )
+
+    def best_scores(self, rgb: np.ndarray) -> np.ndarray:
+        """The highest score that each prompt has anywhere in an image, however low.
+
+        Args:
+            rgb: (h, w, 3) uint8.
+
+        Returns:
+            (n,) float32 in 0 to 1.
+
+        Raises:
+            ModelError: the model returns values that are not sound.
+        """
+        asked = self._asked
+        self._fill_input(np.ascontiguousarray(rgb))
+        boxes, scores = asked.bound.run()
+        kernels.fold(scores[0], asked.columns.thing, asked.folded)
+        if invalid := kernels.count_unsound(boxes[0], asked.folded, self._far_px):
+            raise ModelError(f"model {self.name}: {invalid} boxes are {UNSOUND}")
+        return asked.folded[:, : len(asked.prompts)].max(axis=0)
+
+    def health(self) -> Health:
+        """See `Detector.health`."""
+        return Health()
+
+    def close(self) -> None:
+        """Let the session and its buffers go; no detect afterwards."""
+        self._session = None
+        self._asked = replace(self._asked, bound=None)
+
+    def _count_anchors(self) -> int:
+        """Boxes per image, from one run on an empty image (it also warms the session up)."""
+        self._images.fill(self.card.preprocess.letterbox_pad * self._scale)
+        text = np.zeros((1, 1, self.card.text_dim), np.float32)
+        text[..., 0] = 1.0
+        with failing_as(f"model {self.name}: it fails at its first image"):
+            boxes, scores = self._session.run(
+                list(OUTPUTS), {"images": self._images, "txt_feats": text}
+            )
+        anchors = boxes.shape[1] if boxes.ndim == 3 else 0
+        most = self.card.input.height * self.card.input.width  # buffers are made for all of them
+        if boxes.shape != (1, anchors, 4) or scores.shape != (1, anchors, 1) or anchors > most:
+            raise ModelError(
+                f"{self.card.file or self.name}: boxes {boxes.shape} and scores {scores.shape} do "
+                f"not belong together, must be (1, a, 4) and (1, a, n), a at most {most}: export "
+                "it again"
+            )
+        return anchors
+
+    def _fill_input(self, rgb: np.ndarray) -> None:
+        height, width = rgb.shape[:2]
+        if (width, height) != (self._place.width_px, self._place.height_px):
+            self._place = self._placement(width, height)
+            self._images.fill(self.card.preprocess.letterbox_pad * self._scale)
+        place = self._place
+        if place.resized is not None:
+            size = (place.resized.shape[1], place.resized.shape[0])
+            how = cv2.INTER_AREA if place.scale < 1.0 else cv2.INTER_LINEAR
+            rgb = cv2.resize(rgb, size, dst=place.resized, interpolation=how)
+        kernels.to_planes(rgb, self._scale, place.top, place.left, self._images[0])
+
+    def _placement(self, width_px: int, height_px: int) -> _Placement:
+        """Scaled to fit and centred, as in training."""
+        h, w = self.card.input.height, self.card.input.width
+        scale = min(w / width_px, h / height_px)
+        new_w, new_h = max(1, round(width_px * scale)), max(1, round(height_px * scale))
+        resized = None if scale == 1.0 else np.empty((new_h, new_w, 3), np.uint8)
+        top, left = (h - new_h) // 2, (w - new_w) // 2
+        return _Placement(width_px, height_px, scale, top, left, resized)
+
+    def _pick(self, asked: _Asked, boxes: np.ndarray, scores: np.ndarray) -> tuple[_Kept, _Kept]:
+        """Boxes (a, 4) and scores (a, columns) → those of targets, whose rivals lie in `_against`,
+        and those of the context."""
+        tau, targets = np.float32(self.config.tau_vl), len(asked.prompts)
+        named = targets + len(asked.columns.context)
+        kernels.fold(scores, asked.columns.thing, asked.folded)
+        found, invalid = kernels.candidates(
+            boxes, asked.folded, named, tau, self._far_px, asked.anchor, asked.label, asked.score,
+            self._top,
+        )  # fmt: skip
+        if invalid:
+            if not self.invalid_boxes:
+                log.error(
+                    "model %s: %d of %d boxes are %s; dropped and counted",
+                    self.name, invalid, self._anchors, UNSOUND,
+                )  # fmt: skip
+            self.invalid_boxes += invalid
+        mine = self._keep(asked, boxes, found, (0, targets), self._mine)
+        kernels.strongest_rivals(
+            boxes, asked.folded, asked.columns.competes, tau, self._top, asked.anchor, asked.label,
+            mine.kept, len(mine.kept), mine.cut, NMS_IOU, self._against,
+        )  # fmt: skip
+        return mine, self._keep(asked, boxes, found, (targets, named), self._around)
+
+    def _keep(
+        self, asked: _Asked, boxes: np.ndarray, found: int, labels: tuple[int, int], out: _Kept
+    ) -> _Kept:
+        """Of the candidates with a label in a half-open range, those that stay; parts of `out`."""
+        place, one_word = self._place, labels[0] > 0
+        n = kernels.suppress(
+            boxes, asked.anchor, asked.label, asked.score, found, *labels, one_word,
+            NMS_IOU, out.kept,
+        )  # fmt: skip
+        n = kernels.to_image(
+            boxes, asked.anchor, out.kept, n, place.scale, place.top, place.left,
+            place.width_px, place.height_px, out.xyxy_px, out.cut,
+        )  # fmt: skip
+        return _Kept(*(array[:n] for array in out))

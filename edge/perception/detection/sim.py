@@ -1,0 +1,218 @@
+"""A detector for simulated worlds: what the simulator says is there, with noise, and no network."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from edge import config, names
+from edge.perception.detection import kernels
+from edge.perception.embedding.text import PromptError, check_prompts
+from edge.perception.runtime.health import Health
+from edge.types import ContextBoxes, Detections, Observation
+
+MIN_VISIBLE_PX = 40
+_FULL_VIEW = 0.02
+"""Share of the image that an object must fill for its score not to suffer from smallness."""
+_MAX_JITTER = 0.05
+"""Box edges are off by up to this share of the box."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segmentation:
+    """What is truly where in a picture.
+
+    Attributes:
+        ids: (h, w) uint16, 0 = no object.
+        labels: of id i at index i - 1.
+    """
+
+    ids: np.ndarray
+    labels: tuple[str, ...]
+
+
+TruthAt = Callable[[int], "Segmentation | None"]
+"""The segmentation of the picture that was taken at a stamp (ns), None where there is none; called
+by whoever detects."""
+
+
+class _Roles(NamedTuple):
+    """What the objects of a world are to some prompts.
+
+    Attributes:
+        words: of the context.
+        classes: of object i at index i: a prompt's index, or, counted on from there, a word's;
+            -1: not looked for.
+    """
+
+    prompts: tuple[str, ...]
+    words: tuple[str, ...]
+    classes: tuple[int, ...]
+
+
+class SimDetector:
+    """Boxes around the visible pixels of objects that answer to a prompt, made imperfect.
+
+    The score falls with range and smallness and carries Gaussian noise; objects are missed
+    (`miss_rate` near by, three times that at `max_range_m`); now and then another object is
+    taken for the target. A prompt means the objects of that very name (a dog bed), and where the
+    world has none, those of its noun. All else that the world has is context, unless
+    `config.background` says what is, and is seen and missed alike; what is taken for a target is
+    not seen as itself in that image. Noise depends on `config.seed` and `observation.seq` only, so
+    a run replays the same.
+    """
+
+    name = "sim (ground-truth ids + noise, no neural network)"
+    invalid_boxes = 0
+    looks_at = "depth_m"
+
+    def __init__(
+        self, detector: config.DetectorSim, prompts: Sequence[str], truth: TruthAt | None = None
+    ) -> None:
+        """
+        Args:
+            truth: None where nobody tells.
+
+        Raises:
+            PromptError: no prompt, or an empty one.
+        """
+        self.config = detector
+        self._truth = truth
+        self._labels: tuple[str, ...] = ()
+        self._names: tuple[str, ...] = ()
+        self._present: set[str] = set()
+        self._roles = _Roles((), (), ())
+        self._resize(0)
+        self.set_prompts(prompts)
+
+    @property
+    def prompts(self) -> tuple[str, ...]:
+        return self._asked[0]
+
+    def set_prompts(self, prompts: Sequence[str]) -> None:
+        """See `Detector.set_prompts`."""
+        prompts = check_prompts(prompts)
+        try:
+            nouns = tuple(_noun(prompt) for prompt in prompts)
+        except names.NotANameError as error:
+            raise PromptError(f"prompt: {error}, such as 'chair'") from None
+        self._asked = (prompts, nouns)
+
+    def detect(self, observation: Observation) -> Detections:
+        """See `Detector.detect`; the observation must have depth, and a segmentation be there."""
+        start_ns = time.perf_counter_ns()
+        there = self._truth(observation.stamp_ns) if self._truth is not None else None
+        depth = observation.depth_m
+        if there is None or depth is None or there.ids.shape != depth.shape or depth.size == 0:
+            raise ValueError(
+                f"observation {observation.seq}: no segmentation with depth: lost on the way, or "
+                "no simulator sends it (for a real camera use perception.detector.kind: onnx)"
+            )
+        ids = there.ids
+        if there.labels != self._labels:
+            self._labels = there.labels
+            self._names = tuple(names.canonical(label) for label in self._labels)
+            self._present = set(self._names)
+            self._roles = _Roles((), (), ())
+            self._resize(len(self._labels))
+        kernels.object_boxes(ids, depth, self._box, self._pixels, self._distance)
+        prompts, nouns = self._asked
+        if self._roles.prompts != prompts:
+            self._roles = self._cast(prompts, nouns)
+        roles = self._roles
+        found = self._noisy(observation.seq, roles, ids.shape)
+        found.sort(key=lambda row: -row[0])
+        xyxy_px = np.array([row[2] for row in found], np.float32).reshape(-1, 4)
+        score = np.array([row[0] for row in found], np.float32)
+        class_id = np.array([row[1] for row in found], np.int32)
+        mine, other = class_id < len(prompts), class_id >= len(prompts)
+        return Detections(
+            observation=observation,
+            xyxy_px=xyxy_px[mine],
+            score=score[mine],
+            class_id=class_id[mine],
+            prompts=prompts,
+            context=ContextBoxes(
+                xyxy_px[other],
+                score[other],
+                class_id[other] - np.int32(len(prompts)),
+                roles.words,
+            ),
+            model=self.name,
+            latency_ns=time.perf_counter_ns() - start_ns,
+        )
+
+    def health(self) -> Health:
+        """See `Detector.health`."""
+        return Health()
+
+    def close(self) -> None:
+        """Nothing to let go."""
+
+    def _resize(self, n: int) -> None:
+        self._box = np.empty((n, 4), np.int32)
+        self._pixels = np.empty(n, np.int32)
+        self._distance = np.empty(n, np.float32)
+
+    def _cast(self, prompts: tuple[str, ...], nouns: tuple[str, ...]) -> _Roles:
+        """What each object is to these prompts."""
+        exact = [names.canonical(prompt) for prompt in prompts]
+        wanted = tuple(e if e in self._present else n for e, n in zip(exact, nouns, strict=True))
+        around = self.config.background
+        there = sorted(self._present) if around is None else map(names.canonical, around)
+        words = names.outside(there, (*wanted, *prompts))
+        number = {word: len(prompts) + i for i, word in enumerate(words)}
+        for i in reversed(range(len(wanted))):  # the first of two prompts for one thing
+            number[wanted[i]] = i
+        return _Roles(prompts, words, tuple(number.get(name, -1) for name in self._names))
+
+    def _noisy(
+        self, seq: int, roles: _Roles, image_hw: tuple[int, int]
+    ) -> list[tuple[float, int, np.ndarray]]:
+        """(score, class, box) of everything reported, in no order; see `_Roles`."""
+        c, targets = self.config, len(roles.prompts)
+        random = np.random.default_rng((c.seed, seq))
+        h, w = image_hw
+        found = []
+        for i in np.flatnonzero(self._pixels >= MIN_VISIBLE_PX):
+            # Drawn for every visible object, so that one prompt's noise does not shift another's.
+            missed, mistaken, noise, edges = (
+                random.random(), random.random(), random.normal(), random.uniform(-1, 1, 4),
+            )  # fmt: skip
+            distance = float(self._distance[i])
+            if not 0.0 < distance <= c.max_range_m:
+                continue
+            far = distance / c.max_range_m
+            quality = (1.0 - 0.4 * far) * min(
+                1.0, math.sqrt(self._pixels[i] / (_FULL_VIEW * (h * w)))
+            )
+            class_id = roles.classes[i]
+            if not 0 <= class_id < targets and mistaken < c.false_positive_rate:
+                class_id, quality = int(mistaken * 1e6) % targets, 0.5 * quality
+            elif class_id < 0 or missed < c.miss_rate * (1.0 + 2.0 * far):
+                continue
+            score = min(1.0, max(0.0, 0.9 * quality + c.score_noise * noise))
+            if score >= c.tau_vl and score > 0.0:
+                found.append((score, class_id, _jitter(self._box[i], edges, w, h)))
+        return found
+
+
+def _noun(prompt: str) -> str:
+    """What a prompt asks for: its longest known ending, else its last word's phrase."""
+    phrase = names.head_phrase(prompt)
+    if names.is_known(prompt):
+        return names.canonical(prompt)
+    known = (noun for noun in names.head_nouns(phrase) if names.is_known(noun))
+    return names.canonical(next(known, phrase))
+
+
+def _jitter(box: np.ndarray, edges: np.ndarray, width: int, height: int) -> np.ndarray:
+    size = np.array([box[2] - box[0], box[3] - box[1]] * 2)
+    moved = box + edges * _MAX_JITTER * size
+    limit = np.array([width, height] * 2)
+    return np.clip(moved, 0, limit).astype(np.float32)

@@ -1,0 +1,1 @@
+"""Embeddings of texts and images, by vocabularies and encoders."""

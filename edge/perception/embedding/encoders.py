@@ -1,0 +1,92 @@
+"""Which text encoder turns prompts into embeddings."""
+
+from __future__ import annotations
+
+import logging
+
+from edge.perception.embedding.attributes import AttributeEncoder
+from edge.perception.embedding.clip import ClipTextEncoder, open_tokenizer
+from edge.perception.embedding.text import PromptError, TextEmbeddings, TextEncoder
+from edge.perception.runtime.card_types import ClipTokenizer, DetectCard, TextCard
+from edge.perception.runtime.cards import ModelError, card_names, load_card, load_card_of
+
+log = logging.getLogger(__name__)
+
+VOCABULARY_FAMILY = "clip-vit-b-32"
+"""Family of the text cards whose embeddings the vocabulary holds. Other CLIP models embed words
+elsewhere, many of them at the same length, so neither can stand in for the other."""
+
+
+def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
+    """The encoder for a detector's prompts.
+
+    The card's own; where it names none, CLIP ViT-B/32's: the text model, when its file is there,
+    else the vocabulary.
+
+    Args:
+        vocabulary: as configured; see `find_vocabulary`.
+
+    Raises:
+        ModelError: a model is there and cannot be used.
+        PromptError: there is neither a model nor a vocabulary, or its embeddings do not fit.
+    """
+    named = None if card.text_encoder is None else load_card_of(TextCard, card.text_encoder)
+    encoder = open_text_encoder(named, vocabulary)
+    if encoder.dim != card.text_dim:
+        raise PromptError(
+            f"{encoder!r}: embeddings have length {encoder.dim}, "
+            f"model {card.name} needs {card.text_dim}"
+        )
+    return encoder
+
+
+def check_text_encoder(named: str | None, vocabulary: str | None) -> None:
+    """Refuse a text encoder that `open_text_encoder` could not find; no network is loaded.
+
+    Args:
+        named: the text card; None for CLIP ViT-B/32's.
+
+    Raises:
+        ModelError, PromptError: see `make_text_encoder`.
+    """
+    card = None if named is None else load_card_of(TextCard, named)
+    models = [card] if card is not None else _vocabulary_models()
+    here = [model for model in models if model.path.is_file()]
+    if not here:
+        open_text_encoder(card, vocabulary)
+    elif isinstance(here[0].tokenizer, ClipTokenizer):
+        open_tokenizer(here[0])
+
+
+def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEncoder:
+    """See `make_text_encoder`.
+
+    Args:
+        named: the encoder asked for; None for CLIP ViT-B/32's.
+    """
+    if named is not None and named.tokenizer.kind == "attributes":
+        return AttributeEncoder(named)
+    models = [named] if named is not None else _vocabulary_models()
+    for model in models:
+        if model.path.is_file() or model.family != VOCABULARY_FAMILY:
+            return ClipTextEncoder(model)
+    try:
+        return TextEmbeddings(vocabulary)
+    except PromptError as error:
+        wanted = " or ".join(str(model.path) for model in models)
+        wanted = wanted or f"no text card of family {VOCABULARY_FAMILY}"
+        raise PromptError(f"no CLIP text model ({wanted}), and {error}") from None
+
+
+def _vocabulary_models() -> list[TextCard]:
+    """Cards of text models that embed as the vocabulary does."""
+    found = []
+    for name in card_names():
+        try:
+            card = load_card(name)
+        except ModelError as error:  # a detector need not wait for another model's card
+            log.warning("%s: passed over", error)
+            continue
+        if isinstance(card, TextCard) and card.family == VOCABULARY_FAMILY:
+            found.append(card)
+    return found

@@ -1,0 +1,116 @@
+"""A session with its buffers bound once, so that an image costs no allocation by our hand.
+
+`bind` chooses by where the session runs: on the CPU both ends are NumPy arrays that onnxruntime
+reads and writes in place; on CUDA they are onnxruntime's own values on the device, and only what
+changes is uploaded; sessions of TensorRT (`edge.perception.runtime.tensorrt`) and of a server
+(`kserve.py`) bind themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+DEVICES = {
+    "CUDAExecutionProvider": "cuda",
+    "TensorrtExecutionProvider": "cuda",
+    "tensorrt": "itself",
+    "kserve": "itself",
+}
+"""Where a provider's memory is; every other provider takes and gives the host's. `itself`: its
+session binds itself."""
+
+Shapes = Mapping[str, tuple[int, ...]]
+
+
+class Bound(Protocol):
+    """A session with its inputs and outputs."""
+
+    def run(self) -> Sequence[np.ndarray]:
+        """The outputs in the order they were named, valid until the next run."""
+        ...
+
+
+def bind(
+    session: Any, inputs: Mapping[str, np.ndarray], outputs: Shapes, live: Sequence[str]
+) -> Bound:
+    """Bind a session's float32 inputs and outputs.
+
+    Args:
+        inputs: contiguous arrays, kept.
+        outputs: shapes of the outputs for these inputs.
+        live: inputs whose arrays are filled anew before each run; the others are read now.
+    """
+    provider = session.get_providers()[0]
+    device = DEVICES.get(provider, "cpu")
+    if device == "itself":
+        return session.bind(inputs, outputs, live)
+    if device == "cpu":
+        return HostBound(session, inputs, outputs)
+    index = int(session.get_provider_options()[provider].get("device_id", 0))
+    return DeviceBound(session, inputs, outputs, live, device, index)
+
+
+class HostBound:
+    """onnxruntime reads and writes the host's arrays in place."""
+
+    def __init__(self, session: Any, inputs: Mapping[str, np.ndarray], outputs: Shapes) -> None:
+        self._session, self._inputs = session, inputs
+        self._outputs = [np.empty(shape, np.float32) for shape in outputs.values()]
+        self._binding = binding = session.io_binding()
+        for name, array in inputs.items():
+            binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+        for name, array in zip(outputs, self._outputs, strict=True):
+            binding.bind_output(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+
+    def run(self) -> Sequence[np.ndarray]:
+        """See `Bound.run`."""
+        self._binding.synchronize_inputs()
+        self._session.run_with_iobinding(self._binding)
+        self._binding.synchronize_outputs()
+        return self._outputs
+
+
+class DeviceBound:
+    """onnxruntime's values on a device: uploaded before a run, downloaded once after it.
+
+    Args:
+        device: onnxruntime's name of it, `cuda` (`cpu` works too).
+    """
+
+    def __init__(
+        self,
+        session: Any,
+        inputs: Mapping[str, np.ndarray],
+        outputs: Shapes,
+        live: Sequence[str],
+        device: str,
+        index: int,
+    ) -> None:
+        import onnxruntime as ort
+
+        values = ort.OrtValue
+        self._session = session
+        self._binding = binding = session.io_binding()
+        on_device = {n: values.ortvalue_from_numpy(a, device, index) for n, a in inputs.items()}
+        for name, value in on_device.items():
+            binding.bind_ortvalue_input(name, value)
+        self._live = [(on_device[name], inputs[name]) for name in live]
+        self._fixed = [value for name, value in on_device.items() if name not in live]
+        self._outputs = [
+            values.ortvalue_from_shape_and_type(shape, np.float32, device, index)
+            for shape in outputs.values()
+        ]
+        for name, value in zip(outputs, self._outputs, strict=True):
+            binding.bind_ortvalue_output(name, value)
+
+    def run(self) -> Sequence[np.ndarray]:
+        """See `Bound.run`."""
+        for value, array in self._live:
+            value.update_inplace(array)
+        self._binding.synchronize_inputs()
+        self._session.run_with_iobinding(self._binding)
+        self._binding.synchronize_outputs()
+        return [value.numpy() for value in self._outputs]

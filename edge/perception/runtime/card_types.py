@@ -1,0 +1,528 @@
+"""The fields of model cards, one type for each task."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal, Union
+from urllib.parse import urlsplit
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from edge.host import resources
+from edge.text import split_url
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
+OnnxName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.onnx$")]
+FilePath = Annotated[
+    str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*(/[A-Za-z0-9_][A-Za-z0-9_.-]*)*$")
+]
+FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
+Positive = Annotated[int, Field(ge=1)]
+Side = Annotated[int, Field(ge=32, multiple_of=32)]
+Precision = Literal["fp32", "fp16", "int8-cpu", "int8-trt", "int8", "q4"]
+"""Of `int8` and `q4` only the weights have few bits, in blocks with a scale each (MatMulNBits)."""
+_NOT_GIVEN = ""
+Measured = dict[str, dict[str, Union[float, int, str]]]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Source(_Part):
+    """`bytes` is the file's length, so that a server that sends more is not heard out."""
+
+    sha256: Sha256
+    bytes: Positive | None = None
+
+
+class SourceUrl(_Source):
+    """A file on a server."""
+
+    kind: Literal["url"] = "url"
+    url: Annotated[str, Field(pattern=r"^https?://")]
+
+    @field_validator("url")
+    @classmethod
+    def _is_address(cls, url: str) -> str:
+        urlsplit(url)  # a ValueError for `http://[bad`
+        return url
+
+
+class SourceWheel(_Source):
+    """A file inside a wheel of the package index: `package` as `name==version`."""
+
+    kind: Literal["wheel"] = "wheel"
+    package: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+==[A-Za-z0-9.+!_-]+$")]
+    member: str
+
+
+class SourcePath(_Source):
+    """A file on this machine, or a folder that has it."""
+
+    kind: Literal["path"] = "path"
+    path: str
+
+
+Source = Annotated[Union[SourceUrl, SourceWheel, SourcePath], Field(discriminator="kind")]
+
+
+class Input(_Part):
+    """Size of the image that the network takes, in pixels."""
+
+    height: Side
+    width: Side
+
+
+class EncoderInput(_Part):
+    """Size of the image that an image encoder takes, in pixels; CLIP ViT-L/14 takes 336."""
+
+    height: Annotated[int, Field(ge=16)]
+    width: Annotated[int, Field(ge=16)]
+
+
+class Preprocess(_Part):
+    """Pixels as the network wants them: `rgb * scale`, the frame around them `letterbox_pad`."""
+
+    color: Literal["rgb"]
+    scale: Annotated[float, Field(gt=0)]
+    letterbox_pad: Annotated[int, Field(ge=0, le=255)]
+
+
+class Normalise(_Part):
+    """Pixels as an image encoder wants them: `(rgb * scale - mean) / std`, by channel.
+
+    `fit` says how an image of another aspect gets the input's: CLIP keeps its middle (`crop`),
+    SigLIP squeezes it (`stretch`).
+    """
+
+    color: Literal["rgb"]
+    scale: Annotated[float, Field(gt=0)]
+    mean: tuple[float, float, float]
+    std: tuple[float, float, float]
+    fit: Literal["crop", "stretch"] = "crop"
+
+
+class ClipTokenizer(_Part):
+    """Byte-pair encoding, or SentencePiece, from a file that lies beside the ONNX.
+
+    A text is filled up to `context` tokens with `pad`: SigLIP reads that too.
+    """
+
+    kind: Literal["clip"] = "clip"
+    file: FileName
+    sha256: Sha256 | None
+    context: Positive = 77
+    pad: Annotated[int, Field(ge=0)] = 0
+
+
+class AttributesTokenizer(_Part):
+    """Category, colour and size by the vocabulary in the ONNX file's metadata."""
+
+    kind: Literal["attributes"] = "attributes"
+
+
+class Parity(_Part):
+    """How a detector compares with the step before it, on images it was not calibrated on."""
+
+    reference: str
+    images: int
+    recall: float
+    precision: float
+    score_error: float | None
+
+
+class EmbeddingParity(_Part):
+    """How an encoder compares with the step before it.
+
+    Attributes:
+        inputs: images or texts that it was compared on.
+        cosine: the lowest between the two embeddings of an input.
+        rank_agreement: see `exporters.encoder_parity`; None where nothing was ranked.
+    """
+
+    reference: str
+    inputs: int
+    cosine: float
+    rank_agreement: float | None
+
+
+class Server(_Part):
+    """A server that runs a model and speaks KServe's protocol, version 2 (docs/remote.md).
+
+    Attributes:
+        url: without the protocol's own path, as `http://base:8000`.
+        model: what the server calls it.
+        time_limit_s: for one inference in all, from the connection to the last byte.
+    """
+
+    url: str
+    model: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
+    time_limit_s: Annotated[float, Field(gt=0, le=60)] = 1.0
+
+    @field_validator("url")
+    @classmethod
+    def _is_address(cls, url: str) -> str:
+        split_url(url, "a model's server", "give it as http://HOST:PORT")
+        return url
+
+
+class BaseCard(_Part):
+    """What all cards have.
+
+    Attributes:
+        family: what this is a variant of.
+        sources: where files can be had, in the order to try. A source whose hash is the model's
+            (or the tokenizer's) gives that file; any other gives the weights it is made from.
+        derived_from: the card that this variant is quantized or converted from.
+        parity: against `derived_from`, as measured by the export.
+        measured: other figures, by what was measured (a machine's key, a test set's name).
+    """
+
+    name: Name
+    family: str
+    sources: tuple[Source, ...]
+    license: str
+    derived_from: str | None
+    parity: Union[Parity, EmbeddingParity, None]
+    measured: Measured = {}
+
+    @property
+    def files(self) -> tuple[FileCard | ChoiceCard, ...]:
+        """What of it are files, here or on a server: a card that only names others has none."""
+        return ()
+
+
+class _FileCard(BaseCard):
+    """A card with an ONNX file, here or on a server.
+
+    Attributes:
+        file: its name, beside the card (small models of our own) or in the models' cache; None
+            where a server runs the model.
+        sha256: of the file; None when it is made here, then `FILE.json` beside it holds it.
+        server: that runs the model, in the place of a file here.
+    """
+
+    server: Server | None = None
+    file: OnnxName | None = Field(default=None, validate_default=True)
+    sha256: Sha256 | None = Field(default=_NOT_GIVEN, validate_default=True)
+    precision: Precision
+
+    @field_validator("file")
+    @classmethod
+    def _or_a_server(cls, file: str | None, others: ValidationInfo) -> str | None:
+        if "server" not in others.data:  # it is none, and that is told
+            return file
+        if file is None and others.data["server"] is None:
+            raise ValueError("missing: name it, or a server that runs the model")
+        if file is not None and others.data["server"] is not None:
+            raise ValueError("a server runs the model: name no file")
+        return file
+
+    @field_validator("sha256", mode="before")
+    @classmethod
+    def _of_a_file(cls, sha256: object, others: ValidationInfo) -> object:
+        if sha256 == _NOT_GIVEN and others.data.get("file") is not None:
+            raise ValueError("missing: null where FILE.json beside the file holds it")
+        return None if sha256 == _NOT_GIVEN else sha256
+
+    @property
+    def files(self) -> tuple[FileCard, ...]:
+        """See `BaseCard.files`."""
+        return (self,)
+
+    @property
+    def path(self) -> Path:
+        """Where the ONNX file lies, if it is there: shipped beside its card, else the cache."""
+        return _locate(self.file or f"{self.name}.onnx")
+
+    def is_here(self) -> bool:
+        """Whether there is a file at `path`; a folder that may not be looked into has none."""
+        return self.server is None and os.path.isfile(self.path)
+
+    def weights_sources(self) -> tuple[Source, ...]:
+        """The sources of what the model is made from."""
+        return tuple(s for s in self.sources if s.sha256 not in self._own_hashes())
+
+    def _own_hashes(self) -> set[str | None]:
+        return {self.sha256}
+
+
+class DetectCard(_FileCard):
+    """An open-vocabulary detector: `images`, `txt_feats` → `boxes`, `scores`.
+
+    Attributes:
+        text_dim: length of a text embedding.
+        text_encoder: card of the encoder for its prompts; None is CLIP ViT-B/32's
+            (any text card of family `clip-vit-b-32`, else the vocabulary).
+    """
+
+    task: Literal["detect"]
+    input: Input
+    preprocess: Preprocess
+    parity: Parity | None
+    text_dim: Positive
+    text_encoder: str | None = None
+
+
+class TextCard(_FileCard):
+    """A text encoder: `tokens` (n, t) int64 → `embeddings` (n, dim) float32 unit rows.
+
+    The loop waits for it where a mission begins, so no server runs it.
+    """
+
+    task: Literal["text"]
+    server: None = None
+    parity: EmbeddingParity | None
+    dim: Positive
+    tokenizer: Annotated[Union[ClipTokenizer, AttributesTokenizer], Field(discriminator="kind")]
+
+    @property
+    def tokenizer_path(self) -> Path | None:
+        """Where the tokenizer's file lies, if it is there; None where there is no file."""
+        t = self.tokenizer
+        return self.path.with_name(t.file) if isinstance(t, ClipTokenizer) else None
+
+    def _own_hashes(self) -> set[str | None]:
+        return {self.sha256, getattr(self.tokenizer, "sha256", None)}
+
+
+class ImageCard(_FileCard):
+    """An image encoder: `pixels` (1, 3, h, w) float32 → `embeddings` (1, dim) float32."""
+
+    task: Literal["image"]
+    input: EncoderInput
+    preprocess: Normalise
+    parity: EmbeddingParity | None
+    dim: Positive
+
+
+class MaskEncoderCard(_FileCard):
+    """The image encoder of a `SegmentCard`: an image (1, 3, h, w) float32 → features, float32."""
+
+    task: Literal["segment"] = "segment"
+    input: Input
+
+
+class MaskDecoderCard(_FileCard):
+    """The prompt encoder and mask decoder of a `SegmentCard`: features, `point_coords` and
+    `point_labels` → `low_res_masks` or `masks` (1, k, rows, columns), `iou_predictions` (1, k)."""
+
+    task: Literal["segment"] = "segment"
+
+
+class PartFile(_Part):
+    """One of the files of a model that has several."""
+
+    file: OnnxName
+    sha256: Sha256
+
+
+class SegmentCard(BaseCard):
+    """A segmenter that takes boxes as prompts, as SAM does: an image encoder and a mask decoder.
+
+    What the two take and make beyond their prompts, the files say themselves.
+
+    Attributes:
+        fit: how an image comes to the encoder's size: scaled and padded on its right and below
+            (`pad`: SAM, MobileSAM, EfficientViT-SAM), or stretched (`stretch`: SAM 2).
+        prompt_px: longer side of the frame that points are given in; the encoder's own, but for
+            EfficientViT-SAM.
+    """
+
+    task: Literal["segment"]
+    encoder: PartFile
+    decoder: PartFile
+    precision: Precision
+    input: Input
+    preprocess: Normalise
+    fit: Literal["pad", "stretch"] = "pad"
+    prompt_px: Positive = 1024
+
+    @property
+    def files(self) -> tuple[MaskEncoderCard, MaskDecoderCard]:
+        """See `BaseCard.files`: image encoder and mask decoder."""
+        shared = {
+            key: getattr(self, key)
+            for key in ("name", "family", "license", "derived_from", "precision")
+        }
+        encoder, decoder = (
+            {
+                "file": part.file, "sha256": part.sha256, "parity": None,
+                "sources": tuple(s for s in self.sources if s.sha256 == part.sha256), **shared,
+            }
+            for part in (self.encoder, self.decoder)
+        )  # fmt: skip
+        return MaskEncoderCard(**encoder, input=self.input), MaskDecoderCard(**decoder)
+
+
+MARK_FIELDS, OTHERS_FIELDS = 7, 3
+MAX_MARKS = 8
+
+
+class MarksCard(_FileCard):
+    """A network that chooses among marked frontiers (ViTL eq. 4 and 5).
+
+    `images` (1, 3, h, w), `txt_feats` (1, text_dim) of the target, `marks` (1, MAX_MARKS,
+    MARK_FIELDS) and `others` (1, OTHERS_FIELDS) → `directions` (1, MAX_MARKS + 1), logits of the
+    marks and of "elsewhere", and `scene` (1, 1), the logit of the second question; all float32.
+    A mark is its column and row as shares of the letterboxed image, its bearing [rad, to the left],
+    its distance [m], the driving distance [m, at most 20], the unknown area that it is expected to
+    show [m²], and 1; all 0 where there is none. `others` is `Ways.others` of
+    `edge.perception.scoring.choice.question`.
+
+    Attributes:
+        text_encoder: card of the encoder for targets.
+    """
+
+    task: Literal["marks"]
+    input: Input
+    preprocess: Preprocess
+    text_dim: Positive
+    text_encoder: str
+
+
+class TranslateCard(_FileCard):
+    """A small network from instructions to formulas, and back (`edge.mission.language.network`).
+
+    `source` (1, n) int64 → `across` (2 x layers, 1, heads, n, d) float32; `target` (b, m) int64,
+    `past` (2 x layers, b, heads, p, d) and `across_in` → `logits` (b, m, tokens) and `present`,
+    the past with the target before the next call. Its tokens are in the file's metadata.
+    """
+
+    task: Literal["translate"]
+    server: None = None
+    parity: None = None
+
+
+RUNNING = "running detector"
+"""What a similarity card names in the place of one detector: whichever runs."""
+
+
+class SimilarityCard(BaseCard):
+    """An image-text scorer: two encoders of one embedding, or a detector. It has no file.
+
+    `detector` names a card, or is `running detector`. With `related: cooccurrence` boxes of other
+    things count too, by how often the target stands in one room with them.
+    """
+
+    task: Literal["similarity"]
+    sources: tuple[Source, ...] = ()
+    derived_from: str | None = None
+    parity: Parity | None = None
+    image_encoder: str | None = None
+    text_encoder: str | None = None
+    detector: str | None = None
+    related: Literal["cooccurrence"] | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> SimilarityCard:
+        named = tuple(bool(n) for n in (self.image_encoder, self.text_encoder, self.detector))
+        if named not in ((True, True, False), (False, False, True)):
+            raise ValueError("name image_encoder and text_encoder, or detector alone")
+        if self.related is not None and self.detector != RUNNING:
+            raise ValueError(f"related: only with detector: {RUNNING}")
+        return self
+
+
+class FolderFile(_Part):
+    """One file in the folder of a model that has several.
+
+    Attributes:
+        file: below the model's folder.
+        sha256: None where nobody tells it; then that of the first pull counts from then on.
+        mb: megabytes, as its publisher lists it; None where that is not known.
+    """
+
+    file: FilePath
+    sha256: Sha256 | None = None
+    mb: Annotated[float, Field(gt=0)] | None = None
+
+
+class ChoiceCard(BaseCard):
+    """A language model that chooses among directions, with eyes or without (ViTL eq. 4 and 5).
+
+    Attributes:
+        folder: in the models' cache, with the files; variants of one model share it.
+        url: what `file` is appended to; None: the files are brought or made here.
+        decoder: takes `inputs_embeds`, or `input_ids` where there is no `embed_tokens`.
+        others: what says how to feed it: `config.json`, `tokenizer.json`, `tokenizer_config.json`,
+            and what else it has; also the files that its networks keep weights in.
+        image_tokens: the most that an image may become.
+        max_tokens: of a whole question; a longer one is not asked.
+    """
+
+    server: ClassVar[None] = None  # a KServe server would keep nothing of what was read
+
+    task: Literal["choice"]
+    sources: tuple[()] = ()
+    derived_from: str | None = None
+    parity: Parity | None = None
+    precision: Literal["fp32", "fp16", "int8", "uint8", "q4", "q4f16", "bnb4"]
+    folder: FileName
+    url: Annotated[str, Field(pattern=r"^https://.*/$")] | None = None
+    vision_encoder: FolderFile | None = None
+    embed_tokens: FolderFile | None = None
+    decoder: FolderFile
+    others: tuple[FolderFile, ...]
+    image_tokens: Positive = 64
+    max_tokens: Positive = 1024
+
+    @model_validator(mode="after")
+    def _can_be_shown_images(self) -> ChoiceCard:
+        if self.vision_encoder is not None and self.embed_tokens is None:
+            raise ValueError("vision_encoder: needs embed_tokens, whose rows its features replace")
+        return self
+
+    @property
+    def networks(self) -> tuple[FolderFile, ...]:
+        """The ONNX files."""
+        named = (self.vision_encoder, self.embed_tokens, self.decoder)
+        return tuple(part for part in named if part is not None)
+
+    @property
+    def parts(self) -> tuple[FolderFile, ...]:
+        """All its files."""
+        return (*self.networks, *self.others)
+
+    @property
+    def files(self) -> tuple[ChoiceCard]:
+        """See `BaseCard.files`: they are pulled and checked together."""
+        return (self,)
+
+    @property
+    def path(self) -> Path:
+        """The folder that its files lie in."""
+        return resources.models_dir() / self.folder
+
+    def path_of(self, part: FolderFile) -> Path:
+        return self.path / part.file
+
+    def is_here(self) -> bool:
+        """Whether all its files are there."""
+        return all(os.path.isfile(self.path_of(part)) for part in self.parts)
+
+
+DirectionsCard = Union[ChoiceCard, MarksCard]
+"""What `perception.choice.card` may name."""
+FileCard = Union[
+    DetectCard, TextCard, ImageCard, MarksCard, MaskEncoderCard, MaskDecoderCard, TranslateCard
+]
+Card = Union[
+    DetectCard, TextCard, ImageCard, MarksCard, SegmentCard, SimilarityCard, ChoiceCard,
+    TranslateCard,
+]  # fmt: skip
+
+
+def _locate(file: str) -> Path:
+    shipped = resources.data_dir("models") / file
+    return shipped if shipped.is_file() else resources.models_dir() / file

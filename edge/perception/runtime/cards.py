@@ -1,0 +1,306 @@
+"""Model cards: reading them, and holding a model's file against its card.
+
+Cards are those that the package brings, and own ones in the models' cache. A name that the package
+has too means the package's card.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from edge.config.explain import explain_all
+from edge.config.yaml_text import parse_yaml
+from edge.host import resources
+from edge.host.files import read_regular
+from edge.perception.runtime.card_types import (
+    BaseCard,
+    Card,
+    ChoiceCard,
+    DetectCard,
+    EmbeddingParity,
+    FileCard,
+    FolderFile,
+    ImageCard,
+    MarksCard,
+    Parity,
+    SegmentCard,
+    SimilarityCard,
+    TextCard,
+    TranslateCard,
+)
+from edge.perception.runtime.model_file import ModelError, fresh_sha256, known_sha256, trusts_cache
+from edge.perception.runtime.onnx_file import check_file, check_network
+from edge.text import bounded_repr, one_line, read_json_object, without_secrets
+
+log = logging.getLogger(__name__)
+
+C = TypeVar("C", bound=BaseCard)
+
+_BY_TASK: dict[str, type[Card]] = {
+    "detect": DetectCard,
+    "text": TextCard,
+    "image": ImageCard,
+    "segment": SegmentCard,
+    "marks": MarksCard,
+    "similarity": SimilarityCard,
+    "choice": ChoiceCard,
+    "translate": TranslateCard,
+}
+
+
+def card_names() -> list[str]:
+    return sorted(_card_paths())
+
+
+def card_path(name: str) -> Path:
+    """Where the card of this name is.
+
+    Raises:
+        ModelError: no such card.
+    """
+    paths = _card_paths()
+    if name not in paths:
+        choices = ", ".join(sorted(paths)) or "none"
+        raise ModelError(f"model {bounded_repr(name)}: no such card (choices: {choices})")
+    return paths[name]
+
+
+def _card_paths() -> dict[str, Path]:
+    """Every card file by its card's name."""
+    folders = (resources.models_dir(), resources.data_dir("models"))  # the later one wins
+    return {path.stem: path for folder in folders for path in _cards_in(folder)}
+
+
+def _cards_in(folder: Path) -> list[Path]:
+    """None where the folder is not there or may not be read: what is shipped needs no cache."""
+    try:
+        return [folder / name for name in os.listdir(folder) if name.endswith(".yaml")]
+    except OSError:
+        return []
+
+
+def load_card(name: str) -> Card:
+    """The card of a model, of any task.
+
+    Raises:
+        ModelError: no such card, or one that is not valid (file, key, what is wrong).
+    """
+    return read_card(card_path(name))
+
+
+def load_detector_card(name: str) -> DetectCard:
+    """See `load_card`; raises ModelError for a card of another task too."""
+    return load_card_of(DetectCard, name)
+
+
+def load_card_of(kind: type[C], name: str) -> C:
+    """See `load_detector_card`, for any kind."""
+    card = load_card(name)
+    if isinstance(card, kind):
+        return card
+    wanted = next(task for task, other in _BY_TASK.items() if other is kind)
+    raise ModelError(f"model {card.name!r}: is a model of task {card.task!r}, not {wanted!r}")
+
+
+def all_cards() -> list[Card]:
+    """Every card, by name; those that are not valid are told in the log and left out."""
+    found = []
+    for _, path in sorted(_card_paths().items()):
+        try:
+            found.append(read_card(path))
+        except ModelError as error:
+            log.warning("%s: passed over", "; ".join(str(error).splitlines()))
+    return found
+
+
+def read_card(path: Path) -> Card:
+    """Read and validate one card; see `load_card`."""
+    try:
+        data = parse_yaml(read_regular(path))
+    except (OSError, ValueError) as error:
+        raise ModelError(f"{path}: cannot be read: {one_line(error)}") from None
+    if not isinstance(data, dict):
+        raise ModelError(f"{path}: expected keys such as name, task, file")
+    task = data.get("task")
+    if not isinstance(task, str) or task not in _BY_TASK:
+        what = f"unknown {bounded_repr(task)}" if task else "missing"
+        raise ModelError(f"{path}: task: {what} (choices: {', '.join(_BY_TASK)})")
+    try:
+        card = _BY_TASK[task].model_validate(data)
+    except ValidationError as error:
+        raise ModelError(explain_all(error, str(path), _BY_TASK[task])) from None
+    if card.name != path.stem:
+        raise ModelError(f"{path}: name: {card.name!r}, must be the file's name {path.stem!r}")
+    return card
+
+
+def check_here(card: Card) -> None:
+    """Refuse a card whose model has a file that is not here, unless a server has it.
+
+    Raises:
+        ModelError: it names the first such file and what to do.
+    """
+    for file in card.files:
+        if isinstance(file, ChoiceCard):
+            missing = [file.path_of(p) for p in file.parts if not os.path.isfile(file.path_of(p))]
+        else:
+            missing = [] if file.server is not None or file.is_here() else [file.path]
+        if missing:
+            raise ModelError(f"{missing[0]}: model {card.name} is not there; {how_to_get(file)}")
+
+
+def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
+    """The model's file, sound as far as can be seen without running it.
+
+    Its hash is the card's, and it is an ONNX model with the card's inputs and outputs; see
+    `edge.perception.runtime.onnx_file`.
+
+    Args:
+        believe_cache: where `$EDGE_TRUST_CACHE` is set, a file that was sound when it was last
+            looked at, and has not been written since, is not hashed.
+
+    Raises:
+        ModelError: the file or its hash is missing, they do not belong together, or no session
+            should be made of it.
+    """
+    path = card.path
+    if card.server is not None:
+        raise ModelError(f"model {card.name}: no file of it is here, {how_to_get(card)}")
+    if not card.is_here():
+        raise ModelError(f"{path}: model {card.name} is not there; {how_to_get(card)}")
+    if not _has_its_hash(card, path, believe_cache):
+        raise ModelError(
+            f"{sidecar(path)}: no sha256 to check the model against; {how_to_get(card)}"
+        )
+    check_file(path, card)
+    return path
+
+
+def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
+    """The same for each file of a model that has several; the networks' formats too.
+
+    Args:
+        believe_cache: see `verify_model`.
+
+    Raises:
+        ModelError: as `verify_model`.
+    """
+    for part in card.parts:
+        path = card.path_of(part)
+        if not os.path.isfile(path):
+            raise ModelError(f"{path}: model {card.name} is not there; {how_to_get(card)}")
+        sha256, size = expected_of_part(card, part)
+        if sha256 is None:
+            raise ModelError(
+                f"{sidecar(path)}: no sha256 to check the file against; {how_to_get(card)}"
+            )
+        _hold_to(card, path, sha256, size, believe_cache)
+    covered = {part.file for part in card.parts}
+    for part in card.networks:
+        beside = os.path.dirname(part.file)
+        check_network(card.path_of(part), lambda where, d=beside: os.path.join(d, where) in covered)
+
+
+def expected_of_part(card: ChoiceCard, part: FolderFile) -> tuple[str | None, int | None]:
+    """(sha256, size in bytes) from the card, else from what was put beside the file when it was
+    made or first pulled."""
+    if part.sha256 is not None:
+        return part.sha256, None
+    return _told_beside(card.path_of(part))
+
+
+def verify_file(card: FileCard, path: Path) -> bool:
+    """Whether a hash was there to compare; else as `verify_model`, for any file.
+
+    Raises:
+        ModelError: the file is not there or not what the card says; see `verify_model`.
+    """
+    if not os.path.isfile(path):
+        raise ModelError(f"{path}: no such file; name an ONNX file of {card.name}")
+    compared = _has_its_hash(card, path)
+    check_file(path, card)
+    return compared
+
+
+def _has_its_hash(card: FileCard, path: Path, believe_cache: bool = False) -> bool:
+    """False where no hash is known; raises ModelError for a file of another hash or size."""
+    expected, size = _expected(card, path)
+    if expected is None:
+        return False
+    _hold_to(card, path, expected, size, believe_cache)
+    return True
+
+
+def _hold_to(
+    card: FileCard | ChoiceCard, path: Path, expected: str, size: int | None, believe_cache: bool
+) -> None:
+    """Raise ModelError for a file of another hash or size."""
+    found = path.stat().st_size
+    if size is not None and found != size:
+        what = "truncated" if found < size else "longer than it was made"
+        raise ModelError(f"{path}: {what}: {found} of {size} bytes; {how_to_get(card)}")
+    believed = believe_cache and trusts_cache() and known_sha256(path) == expected
+    if not believed and fresh_sha256(path) != expected:
+        raise ModelError(
+            f"{path}: damaged or another model: sha256 is not {expected[:12]}…; {how_to_get(card)}"
+        )
+
+
+def how_to_get(card: FileCard | ChoiceCard) -> str:
+    """What to do for a model's file: a command, for the end of a message."""
+    if isinstance(card, ChoiceCard):
+        from_where = "" if card.url is not None else " --from FOLDER"
+        return f"run `edge models pull {card.name}{from_where}`"
+    if card.server is not None:
+        return f"the server {without_secrets(card.server.url)} runs it"
+    if card.path.parent == resources.data_dir("models"):
+        return "reinstall edge-vln, which brings it"
+    if any(source.sha256 == card.sha256 for source in card.sources):
+        return f"run `edge models pull {card.name}`"
+    if card.task == "segment":
+        return "put it there, as the exporter of its own project makes it"
+    return f"run `edge models export {card.name}`"
+
+
+def expected_sha256(card: FileCard) -> str | None:
+    """What the model's file hashes to when it is sound; None where nothing says so."""
+    return _expected(card, card.path)[0]
+
+
+def _expected(card: FileCard, path: Path) -> tuple[str | None, int | None]:
+    """(sha256, size in bytes) from the card, else from what the export put beside the file."""
+    if card.sha256 is not None:
+        return card.sha256, None
+    return _told_beside(path)
+
+
+def _told_beside(path: Path) -> tuple[str | None, int | None]:
+    made = _made(path)
+    digest, size = made.get("sha256"), made.get("bytes")
+    return digest if isinstance(digest, str) else None, size if isinstance(size, int) else None
+
+
+def sidecar(path: Path) -> Path:
+    """What an export says of the file that it made."""
+    return path.with_name(path.name + ".json")
+
+
+def _made(path: Path) -> dict[str, Any]:
+    try:
+        return read_json_object(read_regular(sidecar(path)))
+    except (OSError, ValueError):
+        return {}
+
+
+def made_parity(card: FileCard) -> Parity | EmbeddingParity | None:
+    """The parity that the export wrote beside the model, None where there is none."""
+    kind = EmbeddingParity if isinstance(card, (ImageCard, TextCard)) else Parity
+    try:
+        return kind.model_validate(_made(card.path).get("parity"))
+    except ValidationError:
+        return None

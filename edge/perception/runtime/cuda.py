@@ -1,0 +1,152 @@
+"""A GPU: what it is, from the driver, and memory on it, by NVIDIA's `cuda-bindings`."""
+
+from __future__ import annotations
+
+import ctypes
+import weakref
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from edge.perception.runtime.model_file import ModelError
+
+_CAPABILITY = (75, 76)  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, _MINOR in cuda.h
+
+
+def load() -> Any:
+    """The module `cuda.bindings.runtime`; ModelError where it is not installed."""
+    try:
+        from cuda.bindings import runtime
+    except ImportError:
+        raise ModelError(
+            "cuda-bindings is not installed: pip install edge-vln[tensorrt], or choose other "
+            "perception.detector.providers"
+        ) from None
+    return runtime
+
+
+class Device:
+    """One GPU with one stream.
+
+    `upload` and `download` only ask the GPU to copy: the arrays must stay as they are until `wait`.
+
+    Args:
+        index: `perception.detector.device_id`.
+
+    Raises:
+        ModelError: no driver, or no such GPU.
+    """
+
+    def __init__(self, index: int, cuda: Any = None) -> None:
+        self._cuda = cuda = load() if cuda is None else cuda
+        self.index = index
+        try:
+            (count,) = self._call("cudaGetDeviceCount")
+        except RuntimeError as error:
+            raise ModelError(
+                f"no CUDA device: {error}; check the driver, or choose other "
+                "perception.detector.providers"
+            ) from None
+        if index >= count:
+            raise ModelError(f"perception.detector.device_id: {index}, there are {count} GPUs here")
+        self.use()
+        self._pinned: weakref.WeakValueDictionary[int, np.ndarray] = weakref.WeakValueDictionary()
+        (self._stream,) = self._call("cudaStreamCreate")
+        _at_end(self, cuda.cudaStreamDestroy, self._stream)
+
+    @property
+    def stream(self) -> int:
+        """Handle of the stream."""
+        return int(self._stream)
+
+    def use(self) -> None:
+        """Make it the calling thread's device."""
+        self._call("cudaSetDevice", self.index)
+
+    def allocate(self, nbytes: int) -> DeviceBuffer:
+        """Memory on the device, freed with the object."""
+        (pointer,) = self._call("cudaMalloc", nbytes)
+        return DeviceBuffer(int(pointer), nbytes, self._cuda)
+
+    def pin(self, array: np.ndarray) -> None:
+        """Keep an array's pages in memory, so that copies need no detour.
+
+        It stays so for the life of the array. Where the system refuses, copies are slower.
+        """
+        address = array.ctypes.data
+        if address in self._pinned:
+            return
+        (error,) = self._cuda.cudaHostRegister(address, array.nbytes, 0)
+        if error != self._cuda.cudaError_t.cudaSuccess:
+            self._cuda.cudaGetLastError()  # or whoever asks next takes it for its own
+        else:
+            self._pinned[address] = array
+            _at_end(array, self._cuda.cudaHostUnregister, address)
+
+    def upload(self, buffer: DeviceBuffer, array: np.ndarray) -> None:
+        """Array (contiguous) → buffer, in the stream's order."""
+        kind = self._cuda.cudaMemcpyKind.cudaMemcpyHostToDevice
+        self._copy(buffer.pointer, array.ctypes.data, array.nbytes, kind)
+
+    def download(self, array: np.ndarray, buffer: DeviceBuffer) -> None:
+        """Buffer → array (contiguous), in the stream's order: `wait` before it is read."""
+        kind = self._cuda.cudaMemcpyKind.cudaMemcpyDeviceToHost
+        self._copy(array.ctypes.data, buffer.pointer, array.nbytes, kind)
+
+    def wait(self) -> None:
+        """Until everything that was asked for is done."""
+        self._call("cudaStreamSynchronize", self._stream)
+
+    def _copy(self, to: int, source: int, nbytes: int, kind: Any) -> None:
+        self._call("cudaMemcpyAsync", to, source, nbytes, kind, self._stream)
+
+    def _call(self, name: str, *arguments: object) -> tuple:
+        """What a CUDA function returns besides its error; that raises RuntimeError."""
+        error, *values = getattr(self._cuda, name)(*arguments)
+        if error != self._cuda.cudaError_t.cudaSuccess:
+            _, text = self._cuda.cudaGetErrorString(error)
+            raise RuntimeError(f"{name}: {text.decode()}")
+        return tuple(values)
+
+
+class DeviceBuffer:
+    """Bytes on a device.
+
+    Attributes:
+        pointer: where they begin.
+    """
+
+    def __init__(self, pointer: int, nbytes: int, cuda: Any) -> None:
+        self.pointer, self.nbytes = pointer, nbytes
+        _at_end(self, cuda.cudaFree, pointer)
+
+
+def _at_end(owner: object, free: Callable[[Any], object], what: Any) -> None:
+    """Free with the owner; at the end of the process the driver does it."""
+    weakref.finalize(owner, free, what).atexit = False
+
+
+def gpu_of(device_id: int) -> tuple[str, str]:
+    """A GPU's name and compute capability, such as `Orin` and `8.7`, from the driver itself
+    (onnxruntime does not tell).
+
+    Raises:
+        ModelError: no driver or no such GPU.
+    """
+    try:
+        cuda = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        raise ModelError(
+            "no CUDA driver (libcuda.so.1): choose other perception.detector.providers"
+        ) from None
+    device = ctypes.c_int()
+    failed = cuda.cuInit(0) or cuda.cuDeviceGet(ctypes.byref(device), device_id)
+    if failed:
+        raise ModelError(f"perception.detector.device_id: no GPU {device_id} (CUDA error {failed})")
+    name, value, capability = ctypes.create_string_buffer(256), ctypes.c_int(), []
+    cuda.cuDeviceGetName(name, len(name), device)
+    for attribute in _CAPABILITY:
+        cuda.cuDeviceGetAttribute(ctypes.byref(value), attribute, device)
+        capability.append(str(value.value))
+    return name.value.decode(errors="replace"), ".".join(capability)

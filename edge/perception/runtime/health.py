@@ -1,0 +1,49 @@
+"""How a model is: its health, and what makes its output unsound."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+
+log = logging.getLogger(__name__)
+
+HealthState = Literal["ok", "building engine", "restarting", "degraded"]
+HEALTH_STATES: tuple[HealthState, ...] = get_args(HealthState)
+
+
+class Health(NamedTuple):
+    """How a detector is.
+
+    Attributes:
+        state: `ok`; `building engine` (TensorRT, takes minutes); `restarting` (its process ended);
+            `degraded` (it ended too often, or fails at every image: nothing is detected).
+        detail: one line for a person, empty when there is nothing to say.
+    """
+
+    state: HealthState = "ok"
+    detail: str = ""
+
+
+UNSOUND = "not finite, far outside the image, or scored outside 0 to 1"
+"""The boxes of a model that are dropped, in the words of every message about them."""
+
+Tell = Callable[[Health], None]
+"""Told every few seconds how a detector is that is still being made; from any thread."""
+
+
+def log_progress(health: Health) -> None:
+    """A line in the log."""
+    log.info("%s: %s", health.state, health.detail)
+
+
+def fault_of(xyxy_px: np.ndarray, score: np.ndarray, rival: np.ndarray | None = None) -> str:
+    """Return what is wrong with boxes and scores that a detector returned; empty: nothing."""
+    if not np.isfinite(xyxy_px).all():
+        return "boxes that are not finite"
+    for scores in (score, *(() if rival is None else (rival,))):
+        if not ((scores >= 0) & (scores <= 1)).all():  # NaN is neither
+            return "scores that are not in 0 to 1"
+    return ""

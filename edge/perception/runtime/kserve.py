@@ -1,0 +1,239 @@
+"""A model on a server, with the interface that `edge.perception.runtime.sessions` gives sessions.
+
+One connection is kept open, and made anew after every failure. Neither redirects nor the
+environment's proxies are followed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ssl
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Literal
+
+import httpx
+import numpy as np
+
+from edge.host.http import Connection, Exchange, GivenUpError, Reply, explanation, failure
+from edge.perception.runtime import kserve_messages as messages
+from edge.perception.runtime.card_types import DetectCard, ImageCard
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.runtime.onnx_file import FLOAT, INT64, Value, wanted
+from edge.text import one_line, without_secrets
+
+KSERVE = "kserve"
+MOST_BYTES = 16 << 20
+"""Of an answer; boxes and scores of a large detector and 200 words are 7 MB."""
+_DATATYPES = {FLOAT: "FP32", INT64: "INT64"}
+
+Kind = Literal["dead", "slow", "lying", "refusing"]
+
+
+class ServerError(ModelError):
+    """A server that gave no usable answer: one line that says which, what, and what to do.
+
+    Attributes:
+        kind: nobody answers; not in time; what comes is not what was asked for; it says no.
+    """
+
+    def __init__(self, model: str, url: str, kind: Kind, what: str) -> None:
+        super().__init__(f"model {model}: the server {without_secrets(url)} is {kind}: {what}")
+        self.kind = kind
+
+
+class RemoteSession:
+    """For one thread at a time; any may close it. Nothing is asked before the first run.
+
+    Attributes:
+        binary: whether tensors go as bytes, once there was a connection.
+    """
+
+    def __init__(self, card: DetectCard | ImageCard) -> None:
+        assert card.server is not None
+        self.name, self._server = card.name, card.server
+        self.binary = False
+        inputs, outputs = wanted(card)
+        self._inputs, self._outputs = _told(inputs), _told(outputs)
+        self._line: _Line | None = None
+        self._under_way: Exchange | None = None
+        self._lock, self._closed = threading.Lock(), False
+
+    def get_providers(self) -> list[str]:
+        """As a session of onnxruntime."""
+        return [KSERVE]
+
+    def run(self, names: Sequence[str] | None, feed: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+        """As a session of onnxruntime; takes at most the card's `server.time_limit_s`.
+
+        Raises:
+            ServerError: no usable answer.
+        """
+        names = list(self._outputs) if names is None else names
+        return self.infer(feed, {name: self._outputs[name][1] for name in names})
+
+    def bind(
+        self,
+        inputs: Mapping[str, np.ndarray],
+        outputs: Mapping[str, tuple[int, ...]],
+        live: Sequence[str],
+    ) -> RemoteBound:
+        """See `edge.perception.runtime.binding.bind`; every input goes with every request."""
+        return RemoteBound(self, inputs, outputs)
+
+    def infer(
+        self, feed: Mapping[str, np.ndarray], shapes: Mapping[str, messages.Shape]
+    ) -> list[np.ndarray]:
+        """Outputs of these shapes; see `run`."""
+        until_s = time.monotonic() + self._server.time_limit_s
+        try:
+            line = self._line or self._connect(until_s)
+            headers, body = messages.infer_request(feed, list(shapes), self.binary)
+            reply = self._ask(line, "POST", "/infer", until_s, headers, body)
+            with self._lies():
+                length = reply.headers.get(messages.HEADER_LENGTH)
+                found = messages.infer_answer(reply.body, length, shapes)
+        except ServerError as error:
+            self._hang_up(at_work=error.kind == "slow")
+            raise
+        return [found[name] for name in shapes]
+
+    def close(self) -> None:
+        """Give up at once what is being asked; nothing can be asked afterwards."""
+        with self._lock:
+            self._closed, under_way = True, self._under_way
+        if under_way is not None:
+            under_way.give_up(GivenUpError())
+        self._hang_up(at_work=under_way is not None)
+
+    def _connect(self, until_s: float) -> _Line:
+        """A line to the server, which has the model."""
+        self._line = line = _Line(self._server.url)
+        server = self._ask(line, "GET", None, until_s)
+        model = self._ask(line, "GET", "", until_s)
+        with self._lies():
+            self.binary = messages.speaks_binary(server.body)
+            messages.check_metadata(model.body, self._inputs, self._outputs)
+        return line
+
+    def _ask(
+        self,
+        line: _Line,
+        method: str,
+        path: str | None,
+        until_s: float,
+        headers: Mapping[str, str] = MappingProxyType({}),
+        body: bytes | None = None,
+    ) -> Reply:
+        """A whole answer of status 200.
+
+        Args:
+            path: below the model's; None: the server's own.
+        """
+        url = f"{self._server.url.rstrip('/')}/v2"
+        if path is not None:
+            url += f"/models/{self._server.model}{path}"
+        left_s = until_s - time.monotonic()
+        exchange = Exchange(line.connection)
+        with self._lock:
+            if self._closed:
+                raise self._error("dead", "it is no longer asked")
+            self._under_way = exchange
+        try:
+            if left_s <= 0.0:
+                raise TimeoutError
+            request = line.client.build_request(
+                method, url, headers={**headers, "Accept-Encoding": "identity"}, content=body,
+                timeout=left_s,
+            )  # fmt: skip
+            reply = exchange.carry_out(line.client, request, MOST_BYTES, left_s)
+        except GivenUpError:
+            raise self._error("dead", "it is no longer asked") from None
+        except (TimeoutError, httpx.TimeoutException):
+            limit_s = self._server.time_limit_s
+            what = f"no whole answer within {limit_s:g} s; use a faster one, or raise time_limit_s"
+            raise self._error("slow", what) from None
+        except Exception as error:  # httpx wraps much, but not all, of what sockets raise
+            raise self._error("dead", failure(error)) from None
+        finally:
+            with self._lock:
+                self._under_way = None
+        if len(reply.body) > MOST_BYTES:
+            raise self._error("lying", f"it answers more than {MOST_BYTES >> 20} MB; see what runs")
+        if reply.status != 200:
+            raise self._error("refusing", _refusal(reply))
+        return reply
+
+    @contextlib.contextmanager
+    def _lies(self) -> Iterator[None]:
+        """A ValueError within the block is what is wrong with an answer."""
+        try:
+            yield
+        except ValueError as error:
+            what = f"{one_line(error)}; see what runs there"
+            raise self._error("lying", what) from None
+
+    def _error(self, kind: Kind, what: str) -> ServerError:
+        return ServerError(self.name, self._server.url, kind, what)
+
+    def _hang_up(self, at_work: bool) -> None:
+        """Another connection next time.
+
+        Args:
+            at_work: a thread still waits on this one, which ends as it is cut.
+        """
+        line, self._line = self._line, None
+        if line is not None:
+            line.connection.cut()
+            if not at_work:
+                line.client.close()
+
+
+class RemoteBound:
+    """See `edge.perception.runtime.binding.Bound`: outputs are copied into arrays of its own."""
+
+    def __init__(
+        self,
+        session: RemoteSession,
+        inputs: Mapping[str, np.ndarray],
+        outputs: Mapping[str, tuple[int, ...]],
+    ) -> None:
+        self._session, self._inputs, self._shapes = session, inputs, outputs
+        self._outputs = [np.empty(shape, np.float32) for shape in outputs.values()]
+
+    def run(self) -> Sequence[np.ndarray]:
+        """See `Bound.run`; raises ServerError."""
+        found = self._session.infer(self._inputs, self._shapes)
+        for mine, came in zip(self._outputs, found, strict=True):
+            np.copyto(mine, came)
+        return self._outputs
+
+
+class _Line:
+    """A client with one connection."""
+
+    def __init__(self, url: str) -> None:
+        # Reading the certificates takes longer than a short answer.
+        verify = ssl.create_default_context() if url.startswith("https:") else False
+        limits = httpx.Limits(max_connections=1, max_keepalive_connections=1, keepalive_expiry=None)
+        self.client = httpx.Client(verify=verify, trust_env=False, limits=limits)
+        self.connection = Connection()
+
+
+def _told(values: Sequence[Value]) -> dict[str, tuple[str, messages.Shape]]:
+    """Datatype and shape by name; sizes that may be anything are None."""
+    return {
+        v.name: (_DATATYPES[v.dtype], tuple(s if s and s > 0 else None for s in v.shape or ()))
+        for v in values
+    }
+
+
+def _refusal(reply: Reply) -> str:
+    if 300 <= reply.status < 400:
+        where = one_line(without_secrets(reply.headers.get("Location", "nowhere")))
+        return f"HTTP {reply.status}, see {where}; configure another URL"
+    said = explanation(reply.body)
+    said = said.decode("utf-8", "replace") if isinstance(said, bytes) else said
+    return f"HTTP {reply.status}: {one_line(said) or 'it does not say why'}; see the server's log"

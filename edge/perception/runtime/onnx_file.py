@@ -1,0 +1,406 @@
+"""What a model's file must be before a session is made of it: its format, inputs and outputs.
+
+Read by our own hand, since onnxruntime opens files that a model names, and since the package onnx
+takes a file's size in memory for a sound one, and 73 times that for one made of empty parts.
+Field numbers: onnx.proto3 of ONNX 1.20 (github.com/onnx/onnx, onnx/onnx.proto3).
+"""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from edge.host.files import open_regular
+from edge.perception.runtime.card_types import (
+    MARK_FIELDS,
+    MAX_MARKS,
+    OTHERS_FIELDS,
+    DetectCard,
+    FileCard,
+    MarksCard,
+    MaskDecoderCard,
+    MaskEncoderCard,
+    TextCard,
+    TranslateCard,
+)
+from edge.perception.runtime.model_file import ModelError
+
+MAX_IR = 10
+MAX_OPSET = 20
+"""What the onnxruntime of every supported Python and JetPack loads."""
+KNOWN_DOMAINS = {"", "ai.onnx", "ai.onnx.ml", "com.microsoft"}
+MAX_DEPTH = 40
+MAX_FIELDS = 1_000_000
+"""Far more than a model has whose weights are stored as bytes."""
+MAX_PARTS = 200_000
+"""Of those, messages that are looked into; each takes some 500 bytes of memory."""
+
+PROMPTS = {"point_coords", "point_labels", "mask_input", "has_mask_input", "orig_im_size"}
+"""Inputs of a mask decoder that are no features of the image."""
+MASK_OUTPUTS = ("low_res_masks", "masks")
+"""Outputs of a mask decoder that hold its masks, the one that is taken where both are there first:
+the other is enlarged to the image."""
+
+FLOAT, INT64 = 1, 7
+_TYPES = {1: "float32", 7: "int64", 10: "float16", 11: "float64", 6: "int32", 2: "uint8"}
+_ANY = -1
+_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+
+Tree = dict[str, list[Any]]
+"""A message: what each of its fields holds, in order: numbers, texts, or messages."""
+Shape = tuple["int | None", ...]
+
+_FIELDS: dict[str, dict[int, str]] = {
+    "model": {1: "ir", 7: "graph", 8: "opset", 20: "training", 25: "function"},
+    "opset": {1: "domain", 2: "version"},
+    "graph": {1: "node", 5: "tensor", 11: "input", 12: "output", 15: "sparse"},
+    "training": {1: "graph", 2: "graph"},
+    "function": {7: "node", 10: "domain", 11: "attribute"},
+    "node": {5: "attribute", 7: "domain"},
+    "attribute": {5: "tensor", 6: "graph", 10: "tensor", 11: "graph", 22: "sparse", 23: "sparse"},
+    "sparse": {1: "tensor", 2: "tensor"},
+    "tensor": {8: "name", 13: "external", 14: "location"},
+    "external": {1: "key", 2: "value"},
+    "input": {1: "name", 2: "type"},
+    "output": {1: "name", 2: "type"},
+    "type": {1: "tensor_type"},
+    "tensor_type": {1: "dtype", 2: "shape"},
+    "shape": {1: "dim"},
+    "dim": {1: "size"},
+}
+"""By message: the fields that are looked at; those that are messages too have entries here."""
+_NUMBERS = {"ir", "version", "location", "dtype", "size"}
+
+
+class NotOnnx(ValueError):
+    """The bytes are no ONNX model; says why."""
+
+
+class Value(NamedTuple):
+    """An input or output of the model.
+
+    Attributes:
+        dtype: number of its type (TensorProto.DataType): 1 float32, 7 int64; 0 unknown.
+        shape: None for a free size; None altogether where no shape is declared.
+    """
+
+    name: str
+    dtype: int
+    shape: Shape | None
+
+
+class OnnxFile(NamedTuple):
+    """What a model declares.
+
+    Attributes:
+        opset: of ONNX's own operators.
+        strange: domains of operators that neither onnxruntime nor the model itself brings along,
+            also in subgraphs.
+        external: files that it names for its weights.
+        inputs: without those that are initializers.
+    """
+
+    ir: int
+    opset: int
+    strange: list[str]
+    external: list[str]
+    inputs: list[Value]
+    outputs: list[Value]
+
+
+def check_file(path: Path, card: FileCard) -> None:
+    """Raise ModelError unless the file is an ONNX model that a session can be made of, and has
+    the card's inputs and outputs.
+    """
+    model = _read(path)
+    check_format(path, model)
+    check_interface(path, model, card)
+
+
+def check_network(path: Path, is_covered: Callable[[str], bool]) -> None:
+    """Raise ModelError unless the file is an ONNX model that a session can be made of.
+
+    Args:
+        is_covered: whether a file that it keeps weights in, named as from its folder, is one that
+            a hash covers.
+    """
+    model = _read(path)
+    outside = [where for where in model.external if not is_covered(where)]
+    check_format(path, model._replace(external=outside))
+
+
+def check_fixed(path: Path, key: str) -> None:
+    """Raise ModelError unless every input of a network has one shape, as TensorRT's engines have.
+
+    Args:
+        key: of the configuration that asked for TensorRT, for the message.
+    """
+    for value in _read(path).inputs:
+        if value.shape is None or None in value.shape:
+            raise ModelError(
+                f"{path}: its input {value.name!r:.60} has no fixed shape, of which TensorRT would "
+                f"build an engine: name CUDAExecutionProvider or CPUExecutionProvider in {key}"
+            )
+
+
+def _read(path: Path) -> OnnxFile:
+    try:
+        return read_onnx(path)
+    except NotOnnx as error:
+        raise ModelError(f"{path}: not an ONNX model: {error}; get or make it again") from None
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read ({error.strerror})") from None
+
+
+def check_format(path: Path, model: OnnxFile) -> None:
+    """Raise ModelError for weights in other files, and for versions or operators unknown here."""
+    if model.external:
+        where = model.external[0]
+        outside = where.startswith(("/", "\\")) or ".." in Path(where.replace("\\", "/")).parts
+        what = "outside its folder" if outside else "that no hash covers"
+        raise ModelError(
+            f"{path}: keeps weights in another file, {where!r}, {what}; save it as one file"
+        )
+    if model.ir > MAX_IR:
+        raise ModelError(f"{path}: ONNX IR {model.ir}, at most {MAX_IR}: export it again")
+    if not 1 <= model.opset <= MAX_OPSET:
+        raise ModelError(
+            f"{path}: ONNX opset {model.opset}, must be 1 … {MAX_OPSET}: export it again"
+        )
+    if model.strange:
+        raise ModelError(
+            f"{path}: operators of {model.strange[0]!r}, which onnxruntime lacks: export it again"
+        )
+
+
+def check_interface(path: Path, model: OnnxFile, card: FileCard) -> None:
+    """Raise ModelError unless inputs and outputs are what the card's task asks for."""
+    if isinstance(card, (MaskEncoderCard, MaskDecoderCard)):
+        return _check_segmenter(path, model, card)
+    inputs, outputs = wanted(card)
+    found = sorted(model.inputs), model.outputs
+    fits = [len(some) == len(asked) for some, asked in zip(found, (inputs, outputs), strict=True)]
+    fits += [_fits(value, spec) for value, spec in zip(found[0], sorted(inputs), strict=False)]
+    # Exporters often leave outputs' sizes open; those that are told must be right.
+    fits += [
+        _fits(value, spec, open_too=True) for value, spec in zip(found[1], outputs, strict=False)
+    ]
+    if not all(fits):
+        raise ModelError(
+            f"{path}: inputs {_list(model.inputs)}, outputs {_list(model.outputs)}; "
+            f"model {card.name} must have inputs {_list(inputs)}, "
+            f"outputs {_list(outputs)}: export it again"
+        )
+
+
+def _check_segmenter(path: Path, model: OnnxFile, card: MaskEncoderCard | MaskDecoderCard) -> None:
+    """As `check_interface`: exporters agree in a decoder's prompts, and in no other name."""
+    made, taken = {v.name: v for v in model.outputs}, {v.name: v for v in model.inputs}
+    if isinstance(card, MaskEncoderCard):
+        image = (_ANY, 3, card.input.height, card.input.width)
+        fits = len(taken) == 1 and all(_fits(v, Value(v.name, FLOAT, image)) for v in model.inputs)
+        asked = f"one input {_list([Value('image', FLOAT, image)])}"
+    else:
+        coords = Value("point_coords", FLOAT, (_ANY, _ANY, 2))
+        masks = [made[name] for name in MASK_OUTPUTS if name in made]
+        fits = "point_coords" in taken and _fits(taken["point_coords"], coords)
+        fits = fits and "point_labels" in taken and bool(set(taken) - PROMPTS)
+        fits = fits and bool(masks) and "iou_predictions" in made
+        asked = (
+            f"features, {_list([coords])[1:-1]} and point_labels as inputs, "
+            f"{' or '.join(MASK_OUTPUTS)} and iou_predictions as outputs"
+        )
+    if not fits:
+        raise ModelError(
+            f"{path}: inputs {_list(model.inputs)}, outputs {_list(model.outputs)}; "
+            f"model {card.name} must have {asked}: export it again"
+        )
+
+
+def wanted(card: FileCard) -> tuple[list[Value], list[Value]]:
+    """(inputs in any order, outputs); a size that is None must be free, one that is -1 may be."""
+    if isinstance(card, TextCard):
+        length = card.tokenizer.context if card.tokenizer.kind == "clip" else _ANY
+        tokens = Value("tokens", INT64, (None, length))
+        return [tokens], [Value("embeddings", FLOAT, (_ANY, card.dim))]
+    if isinstance(card, TranslateCard):
+        kept, over = (_ANY, None, _ANY, None, _ANY), (_ANY, 1, _ANY, None, _ANY)
+        inputs = [Value("source", INT64, (1, None)), Value("target", INT64, (None, None))]
+        inputs += [Value("past", FLOAT, kept), Value("across_in", FLOAT, over)]
+        outputs = [Value("across", FLOAT, over), Value("logits", FLOAT, (None, None, _ANY))]
+        return inputs, [*outputs, Value("present", FLOAT, kept)]
+    image = (1, 3, card.input.height, card.input.width)
+    if isinstance(card, DetectCard):
+        texts = Value("txt_feats", FLOAT, (1, None, card.text_dim))
+        boxes = Value("boxes", FLOAT, (1, _ANY, 4))
+        scores = Value("scores", FLOAT, (1, _ANY, _ANY))
+        return [Value("images", FLOAT, image), texts], [boxes, scores]
+    if isinstance(card, MarksCard):
+        text = Value("txt_feats", FLOAT, (1, card.text_dim))
+        marks = Value("marks", FLOAT, (1, MAX_MARKS, MARK_FIELDS))
+        others = Value("others", FLOAT, (1, OTHERS_FIELDS))
+        directions = Value("directions", FLOAT, (1, MAX_MARKS + 1))
+        return (
+            [Value("images", FLOAT, image), text, marks, others],
+            [directions, Value("scene", FLOAT, (1, 1))],
+        )
+    return [Value("pixels", FLOAT, image)], [Value("embeddings", FLOAT, (_ANY, card.dim))]
+
+
+def _fits(value: Value, spec: Value, open_too: bool = False) -> bool:
+    if (value.name, value.dtype) != (spec.name, spec.dtype):
+        return False
+    if value.shape is None:
+        return open_too
+    return len(value.shape) == len(spec.shape) and all(
+        want in (_ANY, size) or (open_too and size is None)
+        for want, size in zip(spec.shape, value.shape, strict=True)
+    )
+
+
+def _list(values: list[Value]) -> str:
+    def size(n: int | None) -> str:
+        return {None: "n", _ANY: "?"}.get(n, str(n))
+
+    shown = (
+        f"{v.name} {_TYPES.get(v.dtype, f'type {v.dtype}')} "
+        f"[{', '.join(map(size, v.shape)) if v.shape is not None else '…'}]"
+        for v in values[:8]
+    )
+    return "(" + ", ".join(shown) + ")"
+
+
+def read_onnx(path: Path) -> OnnxFile:
+    """What the model in a file declares.
+
+    Raises:
+        NotOnnx: it is not a whole model.
+        OSError: it cannot be read.
+    """
+    with open_regular(path) as file:
+        try:
+            content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except ValueError:
+            raise NotOnnx("it is empty") from None
+        with content:
+            return parse_onnx(content)
+
+
+def parse_onnx(content: bytes | mmap.mmap) -> OnnxFile:
+    """See `read_onnx`."""
+    model = _Reader(content).message("model", 0, len(content), 0)
+    graphs, ir = model.get("graph", []), _last(model, "ir", 0)
+    if len(graphs) != 1 or not ir:
+        raise NotOnnx("its header is not ONNX's" if graphs else "it has no graph")
+    graph = graphs[0]
+    opsets = {_last(o, "domain", ""): _last(o, "version", 0) for o in model.get("opset", [])}
+    brought = {_last(function, "domain", "") for function in model.get("function", [])}
+    used = {_last(node, "domain", "") for node in _all(model, "node")}
+    outside = [tensor for tensor in _all(model, "tensor") if _is_outside(tensor)]
+    initializers = {_last(tensor, "name", "") for tensor in graph.get("tensor", [])}
+    inputs = [_value(value) for value in graph.get("input", [])]
+    return OnnxFile(
+        ir=ir,
+        opset=max(opsets.get(domain, 0) for domain in ("", "ai.onnx")),
+        strange=sorted(used - KNOWN_DOMAINS - brought),
+        external=[_location(tensor) for tensor in outside],
+        inputs=[value for value in inputs if value.name not in initializers],
+        outputs=[_value(value) for value in graph.get("output", [])],
+    )
+
+
+def _last(message: Tree, name: str, default: Any) -> Any:
+    """What a field holds; where it is there twice, the last one counts."""
+    return message.get(name, [default])[-1]
+
+
+def _all(message: Tree, name: str) -> Iterator[Tree]:
+    """Every message in a field of this name, however deep."""
+    for field, held in message.items():
+        if field in _FIELDS:
+            for part in held:
+                if field == name:
+                    yield part
+                yield from _all(part, name)
+
+
+def _is_outside(tensor: Tree) -> bool:
+    """Whether it keeps its values elsewhere."""
+    return "external" in tensor or any(tensor.get("location", []))
+
+
+def _location(tensor: Tree) -> str:
+    pairs = {_last(e, "key", ""): _last(e, "value", "") for e in tensor.get("external", [])}
+    return pairs.get("location", "")
+
+
+def _value(info: Tree) -> Value:
+    kind = _last(_last(info, "type", {}), "tensor_type", {})
+    shape = _last(kind, "shape", None)
+    sizes = None if shape is None else tuple(_last(d, "size", None) for d in shape.get("dim", []))
+    return Value(_last(info, "name", ""), _last(kind, "dtype", 0), sizes)
+
+
+class _Reader:
+    """Walks the protocol buffers' wire format once, and keeps what is asked about."""
+
+    def __init__(self, content: bytes | mmap.mmap) -> None:
+        self._content = content
+        self._fields = self._parts = 0
+
+    def message(self, kind: str, begin: int, end: int, depth: int) -> Tree:
+        """One message and those in it that are in `_FIELDS`."""
+        self._parts += 1
+        if self._parts > MAX_PARTS:
+            raise NotOnnx(f"it has more than {MAX_PARTS} parts")
+        if depth > MAX_DEPTH:
+            raise NotOnnx(f"its parts are nested more than {MAX_DEPTH} deep")
+        found: Tree = {}
+        for number, wire, value, stop in self._in(begin, end):
+            name = _FIELDS[kind].get(number, "")
+            if not name or wire != (_VARINT if name in _NUMBERS else _BYTES):
+                continue
+            if name in _FIELDS:
+                value = self.message(name, value, stop, depth + 1)
+            elif wire == _BYTES:
+                value = self._content[value : min(stop, value + 4096)].decode("utf-8", "replace")
+            found.setdefault(name, []).append(value)
+        return found
+
+    def _in(self, begin: int, end: int) -> Iterator[tuple[int, int, int, int]]:
+        """(field number, wire type, value or first byte, one behind the last byte), in order."""
+        at = begin
+        while at < end:
+            self._fields += 1
+            if self._fields > MAX_FIELDS:
+                raise NotOnnx(f"it has more than {MAX_FIELDS} fields")
+            tag, at = self._varint(at, end)
+            number, wire = tag >> 3, tag & 7
+            if wire == _VARINT:
+                value, at = self._varint(at, end)
+                yield number, wire, value, at
+                continue
+            if wire == _BYTES:
+                size, at = self._varint(at, end)
+            elif wire in (_FIXED64, _FIXED32):
+                size = 8 if wire == _FIXED64 else 4
+            else:
+                raise NotOnnx(f"byte {at} is not protocol buffers")
+            if number == 0 or size > end - at:
+                raise NotOnnx(f"it ends within a field, at byte {at}: truncated or damaged")
+            yield number, wire, at, at + size
+            at += size
+
+    def _varint(self, at: int, end: int) -> tuple[int, int]:
+        value = 0
+        for shift in range(0, 70, 7):
+            if at >= end:
+                break
+            byte = self._content[at]
+            at += 1
+            value |= (byte & 0x7F) << shift
+            if byte < 0x80:
+                return value & (1 << 64) - 1, at
+        raise NotOnnx(f"it ends within a number, at byte {at}: truncated or damaged")

@@ -1,0 +1,232 @@
+"""Sessions that run a model: on exactly the providers named, or an error that says why not.
+
+A provider is onnxruntime's name of one (`CPUExecutionProvider`, `CUDAExecutionProvider`,
+`TensorrtExecutionProvider`), or `tensorrt` alone, which is TensorRT itself without onnxruntime.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import importlib.util
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge.errors import UserError
+from edge.perception.runtime import tensorrt
+from edge.perception.runtime.engines import EngineOptions, engine_of
+from edge.perception.runtime.model_file import ModelError
+from edge.text import one_line
+
+CPU_ALONE = ("CPUExecutionProvider",)
+TENSORRT = "tensorrt"
+ORT_TENSORRT = "TensorrtExecutionProvider"
+TENSORRT_PROVIDERS = {TENSORRT, ORT_TENSORRT}
+
+DTYPES = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(int64)": np.int64,
+    "tensor(int32)": np.int32,
+    "tensor(bool)": np.bool_,
+}
+"""onnxruntime's names of what networks take and make."""
+
+RECIPE = 1
+"""Counts what `provider_options` tells TensorRT's builder: one more where that changes."""
+
+
+def open_session(
+    path: Path,
+    providers: Sequence[str],
+    threads: int,
+    device_id: int = 0,
+    engine: EngineOptions | None = None,
+    key: str = "perception.detector.providers",
+) -> Any:
+    """A session that runs on exactly the providers named.
+
+    It is onnxruntime's, or one of TensorRT that has `run` and `get_providers` as those have;
+    `edge.perception.runtime.binding.bind` takes either.
+
+    Args:
+        threads: of the CPU.
+        device_id: which GPU.
+        engine: for TensorRT; the default takes the file for an `fp32` model of fixed shapes.
+        key: of the configuration that named the providers, for messages.
+
+    Raises:
+        ModelError: a package or provider is not there, or the file is no model.
+    """
+    engine = engine or EngineOptions(path.stem, "fp32")
+    if engine.precision == "int8-cpu" and TENSORRT_PROVIDERS.intersection(providers):
+        raise ModelError(
+            f"model {engine.model}: its INT8 is not symmetric, which TensorRT demands; choose its "
+            "int8-trt or fp16 variant"
+        )
+    check_providers(providers, key)
+    if TENSORRT in providers:
+        return tensorrt.open_engine(path, device_id, engine)
+    return _open_onnxruntime(path, providers, threads, device_id, engine, key)
+
+
+def check_providers(providers: Sequence[str], key: str, look: bool = True) -> None:
+    """Refuse providers that this installation does not have.
+
+    Args:
+        key: of the configuration that named them, for messages.
+        look: False: onnxruntime is not imported, so it is not asked which providers it has.
+
+    Raises:
+        ModelError: there are none, or a package or a provider is not there.
+    """
+    if not providers:
+        raise ModelError(f"{key}: empty, name at least one")
+    if TENSORRT in providers:
+        if len(providers) > 1:
+            raise ModelError(f"{key}: {TENSORRT!r} stands alone, without others")
+        tensorrt.load()
+        return
+    lacks = ModelError("onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])")
+    if not look:
+        if importlib.util.find_spec("onnxruntime") is None:
+            raise lacks
+        return
+    try:
+        import onnxruntime as ort
+    except ImportError:
+        raise lacks from None
+    available = ort.get_available_providers()
+    for provider in providers:
+        if provider not in available:
+            raise ModelError(
+                f"{key}: {provider!r} is not available here (available: {', '.join(available)})"
+            )
+
+
+def _open_onnxruntime(
+    path: Path,
+    providers: Sequence[str],
+    threads: int,
+    device_id: int,
+    engine: EngineOptions,
+    key: str,
+) -> Any:
+    import onnxruntime as ort
+
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.inter_op.allow_spinning", "0")
+    options.log_severity_level = 3
+
+    def load(folder: Path) -> Any:
+        named = [(p, provider_options(p, device_id, engine, folder)) for p in providers]
+        return _load(ort, path, options, named, key)
+
+    if ORT_TENSORRT not in providers:
+        return load(engine.folder)
+    built = engine_of(
+        path,
+        engine,
+        lambda folder, _: load(folder),
+        device_id,
+        builder=f"onnxruntime {ort.__version__}",
+        tensorrt=tensorrt_version(),
+        recipe=RECIPE,
+    )
+    return load(built)
+
+
+def _load(
+    ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[str, str]]], key: str
+) -> Any:
+    try:
+        # Its fallback would print, and go on with other providers than those named.
+        session = ort.InferenceSession(str(path), options, providers=providers, enable_fallback=0)
+    except Exception as error:  # onnxruntime raises many types of its own
+        raise ModelError(f"{path}: onnxruntime cannot load it: {reason_of(error)}") from None
+    # A provider that fails to start is only logged by onnxruntime, which then uses the CPU.
+    if missing := [p for p, _ in providers if p not in session.get_providers()]:
+        raise ModelError(
+            f"{path}: {', '.join(missing)} did not start; onnxruntime would run on "
+            f"{', '.join(session.get_providers())} instead: check the driver, or change "
+            f"{key}"
+        )
+    return session
+
+
+@contextlib.contextmanager
+def failing_as(what: str) -> Iterator[None]:
+    """Whatever a model or its runtime raises within the block is a ModelError of one line.
+
+    Args:
+        what: the line's beginning: which model, and what it failed at.
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:  # onnxruntime raises many types of its own, CUDA RuntimeError
+        reason = one_line(error) or type(error).__name__
+        raise ModelError(f"{what}: {reason}") from None
+
+
+def reason_of(error: Exception) -> str:
+    """What onnxruntime means, without the path and the place in its source that come before."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    text = re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ", "", text)
+    text = re.sub(r"^.* failed: ?", "", text)
+    text = re.sub(r"/onnxruntime_src/\S+:\d+ .*?\) ", "", text)
+    return one_line(text.rpartition(", Error ")[2])
+
+
+def provider_options(
+    provider: str, device_id: int, engine: EngineOptions, folder: Path
+) -> dict[str, str]:
+    """What onnxruntime's provider is told; empty for those that need nothing.
+
+    The TensorRT provider builds weakly typed networks: the flags allow the types that are in the
+    file. Q/DQ pairs in the file take the place of a calibration table.
+    https://onnxruntime.ai/docs/execution-providers/TensorRT-ExecutionProvider.html
+    """
+    if provider == "CUDAExecutionProvider":
+        return {"device_id": str(device_id)}
+    if provider != ORT_TENSORRT:
+        return {}
+    told = {
+        "device_id": str(device_id),
+        "trt_engine_cache_enable": "True",
+        "trt_engine_cache_path": str(folder),
+        "trt_timing_cache_enable": "True",
+        "trt_timing_cache_path": str(engine.folder),
+        "trt_fp16_enable": str(engine.precision in ("fp16", "int8-trt")),
+        "trt_int8_enable": str(engine.precision == "int8-trt"),
+    }
+    for index, end in enumerate(("min", "opt", "max")):
+        shapes = (f"{n}:{'x'.join(map(str, s[index]))}" for n, s in engine.shapes.items())
+        if text := ",".join(shapes):
+            told[f"trt_profile_{end}_shapes"] = text
+    return told
+
+
+def tensorrt_version() -> str:
+    """Of the TensorRT that onnxruntime will load, from Python's package or the library itself."""
+    if importlib.util.find_spec("tensorrt") is not None:
+        import tensorrt  # loads its libraries, where onnxruntime then finds them
+
+        return str(tensorrt.__version__)
+    for name in ("libnvinfer.so.10", "libnvinfer.so.11", "libnvinfer.so"):
+        try:
+            return str(ctypes.CDLL(name).getInferLibVersion())
+        except (OSError, AttributeError):
+            continue
+    raise ModelError(
+        "TensorRT's libnvinfer is not found: install TensorRT, or choose other "
+        "perception.detector.providers"
+    )

@@ -1,0 +1,274 @@
+"""Engines of TensorRT itself: built from ONNX, kept, and run without onnxruntime.
+
+Written against TensorRT 10 (JetPack 6 and 7) and 11, whose networks are always strongly typed:
+the file's own types decide what is float32, float16 or int8, and a builder flag could only undo
+what was measured. TensorRT's Python package comes with JetPack, or from the package index on
+x86-64 (extra `tensorrt`).
+https://docs.nvidia.com/deeplearning/tensorrt/latest/_static/python-api/
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge.perception.runtime.binding import Bound, Shapes
+from edge.perception.runtime.cuda import Device
+from edge.perception.runtime.engines import EngineOptions, engine_of
+from edge.perception.runtime.model_file import ModelError
+from edge.text import one_line
+
+log = logging.getLogger(__name__)
+
+_PLAN = "model.engine"
+_WORKSPACE_BYTES = 1 << 30
+RECIPE = 1
+"""Counts what `build_plan` tells the builder: one more where that changes."""
+
+
+def load() -> Any:
+    """The module `tensorrt`; ModelError where it is not installed."""
+    try:
+        import tensorrt
+    except ImportError:
+        raise ModelError(
+            "TensorRT for Python is not installed: pip install edge-vln[tensorrt]; on a Jetson "
+            "take JetPack's, in an environment made with --system-site-packages"
+        ) from None
+    return tensorrt
+
+
+def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtSession:
+    """The engine of an ONNX file, from the cache or built now.
+
+    Raises:
+        ModelError: TensorRT, the GPU or the cache cannot be used, or TensorRT refuses the model.
+    """
+    trt, device = load(), Device(device_id)
+
+    def build(folder: Path, note: Callable[[str], None]) -> None:
+        plan = build_plan(trt, path, options.shapes, note)
+        (folder / _PLAN).write_bytes(plan)
+
+    folder = engine_of(
+        path,
+        options,
+        build,
+        device_id,
+        builder="tensorrt",
+        tensorrt=str(trt.__version__),
+        recipe=RECIPE,
+    )
+    logger = make_logger(trt)
+    runtime = trt.Runtime(logger)
+    engine = runtime.deserialize_cuda_engine((folder / _PLAN).read_bytes())
+    if engine is None:  # as it was written, for this GPU and TensorRT: want of memory
+        raise ModelError(
+            f"{folder}: TensorRT cannot load this engine: {logger.last}; free memory on the GPU, "
+            "or remove the folder to have the engine built again"
+        )
+    return TensorrtSession((logger, runtime), engine, device)
+
+
+def build_plan(trt: Any, path: Path, shapes: Mapping[str, Any], note: Callable[[str], None]) -> Any:
+    """Build the engine of an ONNX file; minutes.
+
+    Args:
+        shapes: see `EngineOptions.shapes`.
+        note: told how far it is.
+
+    Returns:
+        The serialized engine, a buffer.
+
+    Raises:
+        ModelError: TensorRT refuses the model.
+    """
+    logger = make_logger(trt)
+    builder = trt.Builder(logger)
+    network = builder.create_network(1 << int(trt.NetworkDefinitionCreationFlag.STRONGLY_TYPED))
+    parser = trt.OnnxParser(network, logger)
+    if not parser.parse_from_file(str(path)):
+        faults = [parser.get_error(i).desc() for i in range(parser.num_errors)]
+        reason = one_line(faults[0] if faults else logger.last)
+        raise ModelError(f"{path}: TensorRT cannot read it: {reason}")
+    config = builder.create_builder_config()
+    config.set_memory_pool_limit(trt.MemoryPoolType.WORKSPACE, _WORKSPACE_BYTES)
+    config.progress_monitor = make_monitor(trt, note)
+    if shapes:
+        profile = builder.create_optimization_profile()
+        for name, (least, usual, largest) in shapes.items():
+            profile.set_shape(name, least, usual, largest)
+        config.add_optimization_profile(profile)
+    plan = builder.build_serialized_network(network, config)
+    if plan is None:
+        raise ModelError(f"{path}: TensorRT cannot build an engine of it: {logger.last}")
+    return plan
+
+
+def make_logger(trt: Any) -> Any:
+    """A TensorRT logger that writes to ours; `last` is the newest error, for one line of ours."""
+    severity = trt.ILogger.Severity
+    levels = {
+        severity.INTERNAL_ERROR: logging.ERROR,
+        severity.ERROR: logging.ERROR,
+        severity.WARNING: logging.WARNING,
+        severity.INFO: logging.DEBUG,
+        severity.VERBOSE: logging.DEBUG,
+    }
+
+    class Logger(trt.ILogger):
+        def __init__(self) -> None:
+            trt.ILogger.__init__(self)
+            self.last = "no reason given"
+
+        def log(self, level: Any, message: str) -> None:
+            if levels[level] == logging.ERROR:
+                self.last = one_line(message)
+            if level != severity.VERBOSE:
+                log.log(levels[level], "%s", one_line(message, 1000))
+
+    return Logger()
+
+
+def make_monitor(trt: Any, note: Callable[[str], None]) -> Any:
+    """A TensorRT progress monitor that notes lines such as `45% of building engine`."""
+    lock = threading.Lock()  # TensorRT tells from several threads
+    phases: dict[str, list[Any]] = {}  # name → [parent, steps, done], outermost first
+
+    class Monitor(trt.IProgressMonitor):
+        def __init__(self) -> None:
+            trt.IProgressMonitor.__init__(self)
+
+        def phase_start(self, phase_name: str, parent_phase: str | None, num_steps: int) -> None:
+            with lock:
+                phases[phase_name] = [parent_phase, max(1, num_steps), 0]
+                note(how_far(phases))
+
+        def step_complete(self, phase_name: str, step: int) -> bool:
+            with lock:
+                if phase_name in phases:
+                    phases[phase_name][2] = step + 1  # counted from 0
+                note(how_far(phases))
+            return True  # go on
+
+        def phase_finish(self, phase_name: str) -> None:
+            with lock:
+                phases.pop(phase_name, None)
+                note(how_far(phases))
+
+    return Monitor()
+
+
+def how_far(phases: Mapping[str, Sequence[Any]]) -> str:
+    """The outermost phase and its share done, inner phases counted in; empty for no phase.
+
+    Args:
+        phases: (parent, steps, steps done) by name.
+    """
+
+    def share(name: str) -> float:
+        _, steps, done = phases[name]
+        inner = [share(child) for child, phase in phases.items() if phase[0] == name]
+        return min(1.0, (done + max(inner, default=0.0)) / steps)
+
+    root = next((name for name, phase in phases.items() if phase[0] is None), None)
+    return "" if root is None else f"{share(root):.0%} of {root.lower()}"
+
+
+class TensorrtSession:
+    """An engine with the part of onnxruntime's interface that is used here.
+
+    Inputs and outputs are float32, as `onnx_file` made sure of. Different threads may bind and
+    run.
+
+    Args:
+        runtime: what `engine` came from, kept as long.
+    """
+
+    def __init__(self, runtime: Any, engine: Any, device: Device) -> None:
+        self._kept = (runtime, engine)  # which must outlive the context
+        self.device = device
+        self._context = engine.create_execution_context()
+        if self._context is None:
+            raise ModelError("TensorRT: no room on the GPU for the engine's working memory")
+        self._lock = threading.Lock()
+
+    def get_providers(self) -> list[str]:
+        return ["tensorrt"]
+
+    def run(self, names: Sequence[str], feeds: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+        """The outputs named, for these inputs (float32, contiguous)."""
+        with self._lock:
+            for name, array in feeds.items():
+                self._set_shape(name, array.shape)
+            shapes = {name: tuple(self._context.get_tensor_shape(name)) for name in names}
+        return list(self.bind(feeds, shapes, live=()).run())
+
+    def bind(self, inputs: Mapping[str, np.ndarray], outputs: Shapes, live: Sequence[str]) -> Bound:
+        """See `edge.perception.runtime.binding.bind`."""
+        return TensorrtBound(self, inputs, outputs, live)
+
+    def execute(self, shapes: Shapes, addresses: Mapping[str, int]) -> None:
+        """Put one run on the stream; the caller holds `exclusive`."""
+        for name, shape in shapes.items():
+            self._set_shape(name, shape)
+        for name, address in addresses.items():
+            self._context.set_tensor_address(name, address)
+        if not self._context.execute_async_v3(self.device.stream):
+            raise RuntimeError("TensorRT could not run the engine; see the log for why")
+
+    def _set_shape(self, name: str, shape: Sequence[int]) -> None:
+        if not self._context.set_input_shape(name, tuple(shape)):
+            raise ValueError(
+                f"TensorRT: input {name} of shape {tuple(shape)} is outside of what the engine "
+                "was built for: name fewer prompts"
+            )
+
+    @property
+    def exclusive(self) -> threading.Lock:
+        """Held by whoever runs."""
+        return self._lock
+
+
+class TensorrtBound:
+    """Buffers on the device for one set of inputs; outputs come to pinned arrays."""
+
+    def __init__(
+        self,
+        session: TensorrtSession,
+        inputs: Mapping[str, np.ndarray],
+        outputs: Shapes,
+        live: Sequence[str],
+    ) -> None:
+        self._session = session
+        device = session.device
+        device.use()
+        self._shapes = {name: array.shape for name, array in inputs.items()}
+        self._results = {name: np.empty(shape, np.float32) for name, shape in outputs.items()}
+        both = {**inputs, **self._results}
+        self._buffers = {name: device.allocate(array.nbytes) for name, array in both.items()}
+        self._addresses = {name: buffer.pointer for name, buffer in self._buffers.items()}
+        self._live = [(self._buffers[name], inputs[name]) for name in live]
+        for array in (*(array for _, array in self._live), *self._results.values()):
+            device.pin(array)
+        for name, array in inputs.items():
+            device.upload(self._buffers[name], array)
+        device.wait()
+
+    def run(self) -> Sequence[np.ndarray]:
+        """See `Bound.run`."""
+        device = self._session.device
+        with self._session.exclusive:
+            device.use()
+            for buffer, array in self._live:
+                device.upload(buffer, array)
+            self._session.execute(self._shapes, self._addresses)
+            for name, array in self._results.items():
+                device.download(array, self._buffers[name])
+            device.wait()
+        return list(self._results.values())

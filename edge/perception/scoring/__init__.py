@@ -1,0 +1,1 @@
+"""Scorers: models that judge a direction, a frontier or a whole image."""

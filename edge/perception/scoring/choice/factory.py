@@ -1,0 +1,75 @@
+"""Which choice scorers there are, and the one that a configuration names."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from edge.config import ChoiceOnnx, ChoiceOpenai, ChoiceText, ModelProcess, Perception
+from edge.perception.runtime.card_types import MarksCard
+from edge.perception.runtime.cards import load_card
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.scoring.choice.mark_scorer import MarkScorer, check_size, open_network
+from edge.perception.scoring.choice.process import ProcessMarks, ProcessModel
+from edge.perception.scoring.choice.question import Choice, View
+from edge.perception.scoring.choice.server import make_server_choice
+
+
+class ViewScorer(Protocol):
+    """Chooses among the frontiers of a view; a `Scorer` of `edge.perception.worker`."""
+
+    name: str
+
+    def look(self, view: View) -> Any: ...
+
+    def answer(self, looked: Any) -> Choice | None: ...
+
+    def close(self) -> None: ...
+
+
+def make_choice(
+    choice: ChoiceOnnx | ChoiceOpenai | ChoiceText, perception: Perception
+) -> ViewScorer:
+    """The scorer that a configuration names, ready to be asked.
+
+    Args:
+        perception: says whether a model that runs here has a process of its own.
+
+    Raises:
+        ChatError: the URL or the key of a server cannot be used.
+        ModelError: a model or its card is missing or unusable.
+        PromptError: a network for marks has no text encoder.
+    """
+    if isinstance(choice, ChoiceOnnx):
+        isolated = perception.isolation == "process"
+        return open_choice(choice, perception.process if isolated else None)
+    return make_server_choice(choice)
+
+
+def open_choice(choice: ChoiceOnnx, process: ModelProcess | None = None) -> ViewScorer:
+    """The scorer of a card that runs here; the card's task tells what runs it.
+
+    Args:
+        process: rules of a process of its own; None: it runs in this one.
+
+    Raises:
+        ModelError: a model or its card is missing or unusable.
+        PromptError: a network for marks has no text encoder.
+    """
+    try:
+        card = load_card(choice.card)
+    except ModelError as error:
+        raise ModelError(f"perception.choice.card: {error}") from None
+    if isinstance(card, MarksCard):
+        check_size(card, choice)
+        network = (
+            open_network(card, choice) if process is None else ProcessMarks(card, choice, process)
+        )
+        return MarkScorer(card, network, choice.time_limit_s)
+    from edge.perception.scoring.choice.onnx_scorer import OnnxChoice, choice_card, open_model
+
+    model = (
+        open_model(choice)
+        if process is None
+        else ProcessModel(choice_card(choice), choice, process)
+    )
+    return OnnxChoice(model, choice.max_image_px, choice.time_limit_s)

@@ -1,0 +1,254 @@
+"""A small network that answers ViTL eq. 4 and 5 by itself: image, target and marks in, logits out.
+
+It is shown no letters: where the marks are it gets as numbers, since a network of this size learns
+to go by numbers sooner than to read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import cv2
+import numpy as np
+
+from edge.config import ChoiceOnnx
+from edge.perception.embedding.encoders import open_text_encoder
+from edge.perception.embedding.text import TextEncoder
+from edge.perception.runtime.card_types import MARK_FIELDS, OTHERS_FIELDS, MarksCard, TextCard
+from edge.perception.runtime.cards import load_card_of, verify_model
+from edge.perception.runtime.deadline import FIRST_RUN_S, Deadline
+from edge.perception.runtime.engines import EngineOptions
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.runtime.sessions import TENSORRT, open_session
+from edge.perception.scoring.choice.question import MAX_MARKS, Choice, Mark, View, Ways, choice_of
+
+FAR_M = 20.0
+"""A way so long, or none, is the same to the network."""
+_KEY = "perception.choice.providers"
+
+
+class Network(Protocol):
+    """What answers; see `MarkNetwork`."""
+
+    name: str
+
+    def ask(
+        self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, target: str, limit_s: float
+    ) -> list[np.ndarray]: ...
+
+    def close(self) -> None: ...
+
+
+class MarkNetwork:
+    """The network of a card, loaded; `ask` is for one thread at a time.
+
+    Attributes:
+        name: its card.
+    """
+
+    def __init__(
+        self,
+        card: MarksCard,
+        text: TextEncoder,
+        providers: Sequence[str],
+        threads: int,
+        device_id: int = 0,
+    ) -> None:
+        """
+        Raises:
+            ModelError: the model is not there, is unusable, its first run fails, or its text
+                encoder's embeddings have another length.
+        """
+        if text.dim != card.text_dim:
+            raise ModelError(
+                f"model {card.name}: takes text embeddings of length {card.text_dim}, those of "
+                f"{card.text_encoder} have {text.dim}: name another text_encoder"
+            )
+        self.name, self._text = card.name, text
+        self._scale, self._deadline = np.float32(card.preprocess.scale), Deadline(card.name)
+        if TENSORRT in providers:
+            raise ModelError(
+                f"{_KEY}: {TENSORRT!r} alone runs detectors only; name onnxruntime's "
+                "TensorrtExecutionProvider"
+            )
+        path = verify_model(card, believe_cache=True)
+        engine = EngineOptions(card.name, card.precision)
+        self._session = open_session(path, providers, threads, device_id, engine, _KEY)
+        self._rows: dict[str, np.ndarray] = {}
+        blank = np.zeros((card.input.height, card.input.width, 3), np.uint8)
+        nowhere = np.zeros((1, card.text_dim), np.float32)
+        one, others = np.ones((1, MARK_FIELDS), np.float32), np.ones(OTHERS_FIELDS, np.float32)
+        self._run(blank, one, others, nowhere, FIRST_RUN_S)
+
+    def ask(
+        self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, target: str, limit_s: float
+    ) -> list[np.ndarray]:
+        """Put both questions about a view.
+
+        Args:
+            image: (h, w, 3) uint8 RGB of the card's size.
+            marks: (n, MARK_FIELDS) float32, from 1 to MAX_MARKS, and `others`: (OTHERS_FIELDS,)
+                float32; see `MarksCard`.
+
+        Returns:
+            (n + 1,) float32 of the marks and of "elsewhere" (ViTL eq. 4), and (2,) of yes and no
+            (eq. 5); each sums to 1.
+
+        Raises:
+            PromptError: the text encoder does not know the target.
+            ModelError: it fails, takes too long, or returns what is not finite; one line.
+        """
+        return self._run(image, marks, others, self._row(target), limit_s)
+
+    def close(self) -> None:
+        """Give up what is being asked; may be called from another thread."""
+        self._deadline.end()
+
+    def _run(
+        self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, row: np.ndarray,
+        limit_s: float,
+    ) -> list[np.ndarray]:  # fmt: skip
+        n, padded = len(marks), np.zeros((1, MAX_MARKS, MARK_FIELDS), np.float32)
+        padded[0, :n] = marks
+        planes = image.transpose(2, 0, 1)[None].astype(np.float32, order="C")
+        planes *= self._scale
+        feed = {"images": planes, "txt_feats": row, "marks": padded, "others": others[None]}
+        with self._deadline.within(limit_s):
+            options = self._deadline.options
+            directions, scene = self._session.run(["directions", "scene"], feed, options)
+        # Of the marks that are there, and of "elsewhere".
+        logits = np.append(directions[0, :n], directions[0, MAX_MARKS])
+        if not (np.isfinite(logits).all() and np.isfinite(scene).all()):
+            raise ModelError(f"model {self.name}: returns logits that are not finite")
+        return [_shares(logits), _shares(np.array([scene[0, 0], 0.0]))]
+
+    def _row(self, target: str) -> np.ndarray:
+        """(1, dim), encoded once a target."""
+        if target not in self._rows:
+            self._rows[target] = self._text.embed([target])[0]
+        return self._rows[target]
+
+
+def _shares(logits: np.ndarray) -> np.ndarray:
+    """Softmax, (n,) float32."""
+    p = np.exp(logits.astype(np.float64) - logits.max())
+    return (p / p.sum()).astype(np.float32)
+
+
+class Looked(NamedTuple):
+    """What of a view the network gets.
+
+    Attributes:
+        image: (h, w, 3) uint8, letterboxed.
+        marks: (n, MARK_FIELDS) and `others`: (OTHERS_FIELDS,) float32; see `MarksCard`.
+    """
+
+    view: View
+    image: np.ndarray
+    marks: np.ndarray
+    others: np.ndarray
+
+
+class MarkScorer:
+    """A scorer (`edge.perception.worker`) of views.
+
+    Attributes:
+        name: the model's card.
+    """
+
+    def __init__(self, card: MarksCard, network: Network, limit_s: float) -> None:
+        """
+        Args:
+            limit_s: for both questions.
+        """
+        self.name, self._card = card.name, card
+        self._network, self._limit_s = network, limit_s
+
+    def look(self, view: View) -> Looked:
+        """Prepare what the network gets; the observation is not needed afterwards.
+
+        Raises:
+            ModelError: the observation has no image, or no map tells of the ways.
+        """
+        rgb = view.observation.rgb
+        if rgb is None or view.ways is None:
+            lacks = "image to show" if rgb is None else "map with ways to tell"
+            raise ModelError(f"observation {view.observation.seq}: no {lacks} {self.name}")
+        hw = (self._card.input.height, self._card.input.width)
+        image, scale, top, left = letterboxed(rgb, hw, self._card.preprocess.letterbox_pad)
+        if image is rgb:
+            image = rgb.copy()
+        rows = as_input(view.marks[:MAX_MARKS], view.ways, scale, top, left, hw)
+        return Looked(view, image, rows, view.ways.others)
+
+    def answer(self, looked: Looked) -> Choice | None:
+        """Both answers at once.
+
+        Returns:
+            None where there is no mark: there is nothing to choose from.
+
+        Raises:
+            PromptError: the text encoder does not know the target.
+            ModelError: the network gave no usable answer within the time limit; one line.
+        """
+        view, image, rows, others = looked
+        if not len(rows):
+            return None
+        p, scene = self._network.ask(image, rows, others, view.target, self._limit_s)
+        return choice_of(view, view.marks[: len(rows)], p, float(scene[0]))
+
+    def close(self) -> None:
+        """Give up what is being asked; may be called from another thread."""
+        self._network.close()
+
+
+def letterboxed(
+    rgb: np.ndarray, hw: tuple[int, int], pad: int
+) -> tuple[np.ndarray, float, int, int]:
+    """(h, w, 3) uint8 scaled to fit and centred on grey, the factor, and the upper left corner."""
+    (height, width), (h, w) = rgb.shape[:2], hw
+    scale = min(w / width, h / height)
+    inner = max(1, round(width * scale)), max(1, round(height * scale))
+    how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
+    image = rgb if scale == 1.0 else cv2.resize(rgb, inner, interpolation=how)
+    top, left = (h - inner[1]) // 2, (w - inner[0]) // 2
+    if (h, w) != image.shape[:2]:
+        bottom, right = h - inner[1] - top, w - inner[0] - left
+        frame = (cv2.BORDER_CONSTANT, None, (pad, pad, pad))
+        image = cv2.copyMakeBorder(image, top, bottom, left, right, *frame)
+    return image, scale, top, left
+
+
+def as_input(
+    marks: Sequence[Mark], ways: Ways, scale: float, top: int, left: int, hw: tuple[int, int]
+) -> np.ndarray:
+    """Marks as the network takes them, (n, MARK_FIELDS) float32; see `MarksCard`."""
+    out = np.zeros((len(marks), MARK_FIELDS), np.float32)
+    path_m = np.minimum(ways.path_m, FAR_M)
+    for row, mark, *worth in zip(out, marks, path_m, ways.gain_m2, strict=False):
+        u = ((mark.u_px + 0.5) * scale + left) / hw[1]
+        v = ((mark.v_px + 0.5) * scale + top) / hw[0]
+        row[:] = u, v, mark.bearing_rad, mark.distance_m, *worth, 1.0
+    return out
+
+
+def open_network(card: MarksCard, config: ChoiceOnnx) -> MarkNetwork:
+    """The network of a card, ready to be asked.
+
+    Raises:
+        ModelError: a model is missing or unusable.
+        PromptError: there is no text encoder.
+    """
+    text = open_text_encoder(load_card_of(TextCard, card.text_encoder), None)
+    return MarkNetwork(card, text, config.providers, config.threads, config.device_id)
+
+
+def check_size(card: MarksCard, config: ChoiceOnnx) -> None:
+    """Raise ModelError where `max_image_px` forbids the image that the network takes."""
+    longer = max(card.input.height, card.input.width)
+    if longer > config.max_image_px:
+        raise ModelError(
+            f"perception.choice.max_image_px: {config.max_image_px}, but {card.name} is shown "
+            f"images of {card.input.width}x{card.input.height}: at least {longer}"
+        )

@@ -1,0 +1,122 @@
+"""Asking a model that runs here which way to go (ViTL eq. 4 and 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from edge.config import ChoiceOnnx
+from edge.perception.runtime.card_types import ChoiceCard
+from edge.perception.runtime.cards import load_card_of
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.scoring.choice.picture import draw
+from edge.perception.scoring.choice.question import (
+    LETTERS,
+    MAX_MARKS,
+    SYSTEM,
+    Choice,
+    Mark,
+    View,
+    choice_of,
+    describe,
+    direction_question,
+    scene_question,
+)
+from edge.perception.scoring.vlm.answers import YES_NO
+from edge.perception.scoring.vlm.model import Asked, LanguageModel
+
+
+class Model(Protocol):
+    """What answers; see `LanguageModel`."""
+
+    name: str
+    sees: bool
+
+    def ask(
+        self, rules: str, view: np.ndarray | str, asked: Sequence[Asked], limit_s: float
+    ) -> list[np.ndarray]: ...
+
+    def close(self) -> None: ...
+
+
+class Shown(NamedTuple):
+    """A view as the model gets it: the lettered image, or words."""
+
+    view: View
+    part: np.ndarray | str
+    marks: tuple[Mark, ...]
+
+
+class OnnxChoice:
+    """A scorer (`edge.perception.worker`) of views.
+
+    Attributes:
+        name: the model's card.
+    """
+
+    def __init__(self, model: Model, max_image_px: int, time_limit_s: float) -> None:
+        """
+        Args:
+            max_image_px: the longer side of the lettered image is at most so long.
+            time_limit_s: for both questions.
+        """
+        self.name = model.name
+        self._model, self._max_px, self._limit_s = model, max_image_px, time_limit_s
+
+    def look(self, view: View) -> Shown:
+        """Prepare what is shown; the observation is not needed afterwards."""
+        if not self._model.sees:
+            return Shown(view, describe(view), view.marks)
+        rgb = view.observation.rgb
+        if rgb is None:
+            raise ModelError(f"observation {view.observation.seq}: no image to show {self.name}")
+        return Shown(view, *draw(rgb, view.marks, self._max_px))
+
+    def answer(self, shown: Shown) -> Choice | None:
+        """Ask both questions.
+
+        Returns:
+            None where no mark could be drawn: there is nothing to choose from.
+
+        Raises:
+            ModelError: the model gave no usable answer within the time limit; one line.
+        """
+        view, n = shown.view, len(shown.marks)
+        if n == 0:
+            return None
+        p, scene = self._model.ask(SYSTEM, shown.part, asked_of(n, view.target), self._limit_s)
+        return choice_of(view, shown.marks, p, float(scene[0]))
+
+    def close(self) -> None:
+        """Give up what is being asked; may be called from another thread."""
+        self._model.close()
+
+
+def asked_of(n_marks: int, target: str) -> tuple[Asked, Asked]:
+    """Both questions of ViTL IV-B1, with what they offer."""
+    return (
+        Asked(direction_question(n_marks, target), tuple(LETTERS[: n_marks + 1])),
+        Asked(scene_question(target), YES_NO),
+    )
+
+
+def open_model(config: ChoiceOnnx) -> LanguageModel:
+    """The model of a configuration's card, ready to be asked.
+
+    Raises:
+        ModelError: there is no such card, it is of another task, or its model is unusable.
+    """
+    every = asked_of(MAX_MARKS, "chair")
+    return LanguageModel(
+        choice_card(config), every, config.providers, config.threads, config.device_id
+    )
+
+
+def choice_card(config: ChoiceOnnx) -> ChoiceCard:
+    """The card that a configuration names; see `open_model`."""
+    try:
+        return load_card_of(ChoiceCard, config.card)
+    except ModelError as error:
+        raise ModelError(f"perception.choice.card: {error}") from None

@@ -1,0 +1,144 @@
+"""A model that chooses directions, in a process of its own that is brought back when it ends."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from concurrent.futures import Future
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from edge import config
+from edge.host.children import python_module
+from edge.perception.process.kept import KeptProcess, Pause
+from edge.perception.process.wire import ModelProcessError
+from edge.perception.runtime.card_types import ChoiceCard, DirectionsCard
+from edge.perception.runtime.health import log_progress
+from edge.perception.scoring.vlm.answers import YES_NO
+from edge.text import bounded_repr
+
+if TYPE_CHECKING:
+    from edge.perception.scoring.vlm.model import Asked
+
+log = logging.getLogger(__name__)
+
+PROGRAM = python_module("edge.perception.scoring.choice.serve")
+LIMIT = "perception.choice.time_limit_s and perception.process.timeout_s"
+_SUM_ERROR = 1e-3
+
+
+class _Process(KeptProcess):
+    """Of a card; `edge.perception.process` says how it works. While there is none, what is asked
+    raises at once."""
+
+    def __init__(
+        self, card: DirectionsCard, choice: config.ChoiceOnnx, rules: config.ModelProcess
+    ) -> None:
+        """
+        Raises:
+            ModelError, PromptError: what keeps the model from loading, or its process from
+                starting.
+        """
+        super().__init__(card.name, rules)
+        self._told = {"choice": choice.model_dump(mode="json")}
+        self._why = f"model {self.name}: its process is not ready"
+        self._begin("choice-model")
+
+    def _put(
+        self, request: dict[str, Any], rgb: np.ndarray | None, sizes: Sequence[int], limit_s: float
+    ) -> list[np.ndarray]:
+        """Shares of the answers of each question; see `_decode`. A process that does not keep the
+        limit itself is killed.
+
+        Raises:
+            ModelError: also where there is no process, or it ended over this.
+        """
+        link = self._link
+        if link is None:
+            raise ModelProcessError(self._why)
+        patience_s = limit_s + self._rules.timeout_s
+        request = {**request, "limit_s": limit_s}
+        return link.ask(request, rgb, patience_s, LIMIT, partial(_decode, sizes))
+
+    def _run_once(self, first: Future[None]) -> tuple[float, str]:
+        """See `KeptProcess`."""
+        return self._run_link(first, self._told, log_progress, PROGRAM)
+
+    def _ready(self, again: bool) -> None:
+        """See `KeptProcess`."""
+        if again:
+            log.info("model %s: its process runs", self.name)
+
+    def _ended(self, why: str, failed: Exception | None, pause: Pause) -> None:
+        """See `KeptProcess`."""
+        often = "ended too often, " if pause.limit else ""
+        self._why = f"{why}; {often}started again after {pause.seconds:.1f} s"
+        self._link = None
+        log.warning("%s", self._why)
+
+
+class ProcessModel(_Process):
+    """Asked like `LanguageModel`.
+
+    Attributes:
+        name: the model's card.
+        sees: see `LanguageModel`.
+    """
+
+    def __init__(
+        self, card: ChoiceCard, choice: config.ChoiceOnnx, rules: config.ModelProcess
+    ) -> None:
+        """See `_Process`."""
+        self.sees = card.vision_encoder is not None
+        super().__init__(card, choice, rules)
+
+    def ask(
+        self, rules: str, view: np.ndarray | str, asked: Sequence[Asked], limit_s: float
+    ) -> list[np.ndarray]:
+        """See `LanguageModel.ask` and `_put`."""
+        words, rgb = (view, None) if isinstance(view, str) else (None, view)
+        request = {"rules": rules, "view": words, "asked": list(asked)}
+        return self._put(request, rgb, [len(one.answers) for one in asked], limit_s)
+
+
+class ProcessMarks(_Process):
+    """Asked like `MarkNetwork`.
+
+    Attributes:
+        name: the model's card.
+    """
+
+    def ask(
+        self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, target: str, limit_s: float
+    ) -> list[np.ndarray]:
+        """See `MarkNetwork.ask` and `_put`."""
+        request = {"marks": marks.tolist(), "others": others.tolist(), "target": target}
+        return self._put(request, image, (len(marks) + 1, len(YES_NO)), limit_s)
+
+
+def _decode(
+    sizes: Sequence[int], seq: int, header: dict[str, Any], block: bytes
+) -> list[np.ndarray]:
+    """Check and unpack the shares of the answers.
+
+    Args:
+        sizes: how many answers each question has.
+
+    Raises:
+        ValueError: with one line that says what is wrong.
+    """
+    if header.get("seq") != seq:
+        raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
+    told = header.get("p")
+    if not isinstance(told, list) or len(told) != len(sizes):
+        raise ValueError(f"p {bounded_repr(told, 40)}")
+    try:
+        found = [np.array(p, np.float32) for p in told]
+    except (TypeError, ValueError):
+        raise ValueError(f"p {bounded_repr(told, 40)}") from None
+    for p, size in zip(found, sizes, strict=True):
+        if p.shape != (size,) or not (p >= 0).all() or abs(float(p.sum()) - 1.0) > _SUM_ERROR:
+            raise ValueError(f"shares {bounded_repr(p.tolist(), 40)} for {size} answers")
+    return found

@@ -1,0 +1,86 @@
+"""The program of a process that chooses directions, started by `choice.py` only."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from edge.config import ChoiceOnnx
+from edge.host.priority import give_way
+from edge.perception.process import wire
+from edge.perception.process.child import begin, by_kind
+from edge.perception.process.wire import FrameView
+from edge.perception.runtime.card_types import MarksCard
+from edge.perception.runtime.cards import load_card
+from edge.text import read_json_object
+
+log = logging.getLogger(__name__)
+
+Answer = Callable[[dict[str, Any], Any], list[np.ndarray]]
+"""(request, image or None) → the shares of the answers of each question."""
+
+
+def main() -> int:
+    """Read from stdin what to do, load the model, answer until told to end."""
+    told, questions, control, frames = begin()
+    give_way()  # before its threads are started
+    try:
+        answer = open_answer(ChoiceOnnx.model_validate(told["choice"]))
+    except Exception as error:
+        control.send(wire.encode_error(error))
+        return 1
+    control.send(wire.encode())
+    try:
+        answer_questions(questions, answer, frames)
+    except BaseException:
+        log.exception("model %s: its process ends", told["choice"]["card"])
+        os._exit(1)
+    return 0
+
+
+def open_answer(choice: ChoiceOnnx) -> Answer:
+    """What answers for a card: it reads the requests that `choice.py` makes."""
+    card = load_card(choice.card)
+    if isinstance(card, MarksCard):
+        from edge.perception.scoring.choice.mark_scorer import open_network
+
+        network = open_network(card, choice)
+        return lambda request, image: network.ask(
+            image, np.array(request["marks"], np.float32), np.array(request["others"], np.float32),
+            request["target"], request["limit_s"],
+        )  # fmt: skip
+    from edge.perception.scoring.choice.onnx_scorer import open_model
+    from edge.perception.scoring.vlm.model import Asked
+
+    model = open_model(choice)
+
+    def answer(request: dict[str, Any], image: np.ndarray | None) -> list[np.ndarray]:
+        asked = [Asked(question, tuple(answers)) for question, answers in request["asked"]]
+        view = request["view"] if image is None else image
+        return model.ask(request["rules"], view, asked, request["limit_s"])
+
+    return answer
+
+
+def answer_questions(questions: socket.socket, answer: Answer, frames: FrameView) -> None:
+    """Answer every request with the shares of its answers, or with what was raised."""
+    while said := questions.recv(wire.MAX_BYTES):
+        request = read_json_object(said)
+        seq = request["seq"]
+        try:
+            image = None if request["hw"] is None else frames.read(seq, request["hw"])
+            found = answer(request, image)
+        except Exception as error:
+            questions.send(wire.encode_error(by_kind(error), seq=seq))
+        else:
+            questions.send(wire.encode(seq=seq, p=[p.tolist() for p in found]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,135 @@
+"""Asking a chat server which way to go (ViTL eq. 4 and 5)."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from edge.chat import ChatClient, ChatError
+from edge.config import ChoiceOpenai, ChoiceText
+from edge.perception.scoring.choice.picture import data_url, draw
+from edge.perception.scoring.choice.question import (
+    LETTERS,
+    SYSTEM,
+    Choice,
+    Mark,
+    View,
+    choice_of,
+    describe,
+    direction_question,
+    scene_question,
+)
+from edge.perception.scoring.vlm.answers import YES_NO, NoAnswerError, probabilities
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """A view as the model gets to see it.
+
+    Attributes:
+        part: of a message's content, which both questions begin with.
+        marks: those that have a letter, in the letters' order.
+    """
+
+    view: View
+    part: dict[str, Any]
+    marks: tuple[Mark, ...]
+
+
+def show_picture(max_px: int, view: View) -> Shown:
+    """The image with letters on it; nothing of the observation is kept.
+
+    Raises:
+        ValueError: the observation has no image.
+    """
+    rgb = view.observation.rgb
+    if rgb is None:
+        raise ValueError(f"observation {view.observation.seq}: no image to show")
+    image, marks = draw(rgb, view.marks, max_px)
+    part = {"type": "image_url", "image_url": {"url": data_url(image)}}
+    return Shown(view, part, marks)
+
+
+def show_words(view: View) -> Shown:
+    """What was detected, and where the letters are, in words."""
+    return Shown(view, {"type": "text", "text": describe(view)}, view.marks)
+
+
+class ChoiceScorer:
+    """A scorer (`edge.perception.worker`) of views.
+
+    Both questions are messages that begin alike (the rules, then the view) and differ at the very
+    end, so that a server which keeps what it computed for the last prompt reads the view once.
+
+    Attributes:
+        name: model and server, for people.
+    """
+
+    def __init__(self, client: ChatClient, show: Callable[[View], Shown]) -> None:
+        self.name = f"{client.model} at {client.url}"
+        self._client = client
+        self._show = show
+
+    def look(self, view: View) -> Shown:
+        """Prepare what is shown; the observation is not needed afterwards."""
+        return self._show(view)
+
+    def answer(self, shown: Shown) -> Choice | None:
+        """Ask both questions, one after the other, within the client's time limit for both.
+
+        Returns:
+            None where no mark could be drawn: there is nothing to choose from.
+
+        Raises:
+            ChatError: the server gave no usable answer.
+        """
+        view, n = shown.view, len(shown.marks)
+        if n == 0:
+            return None
+        begin_s = time.monotonic()
+        p = self._ask(shown, direction_question(n, view.target), LETTERS[: n + 1], begin_s)
+        scene = self._ask(shown, scene_question(view.target), YES_NO, begin_s)
+        return choice_of(view, shown.marks, p, float(scene[0]))
+
+    def close(self) -> None:
+        """Give up what is being asked; may be called from another thread."""
+        self._client.close()
+
+    def _ask(self, shown: Shown, question: str, answers: Any, begin_s: float) -> Any:
+        messages = [
+            {"role": "system", "content": SYSTEM},
+            {"role": "user", "content": _content(shown.part, question)},
+        ]
+        left_s = self._client.time_limit_s - (time.monotonic() - begin_s)
+        tokens = self._client.next_tokens(messages, left_s)
+        try:
+            return probabilities(tokens, answers)
+        except NoAnswerError as error:
+            raise ChatError(f"{self._client.url}: {error}") from None
+
+
+def _content(part: dict[str, Any], question: str) -> str | list[dict[str, Any]]:
+    """One text where all is text: some servers of text models take no list."""
+    if part["type"] == "text":
+        return f"{part['text']}\n{question}"
+    return [part, {"type": "text", "text": question}]
+
+
+def make_server_choice(config: ChoiceOpenai | ChoiceText) -> ChoiceScorer:
+    """The scorer that a configuration names; the key comes from the environment.
+
+    Raises:
+        ChatError: the URL or the key cannot be used.
+    """
+    key = os.environ.get(config.api_key_env)
+    try:
+        client = ChatClient(config.url, config.model, key, config.time_limit_s)
+    except ChatError as error:
+        raise ChatError(f"perception.choice: {error}") from None
+    if config.kind == "openai":
+        return ChoiceScorer(client, partial(show_picture, config.max_image_px))
+    return ChoiceScorer(client, show_words)

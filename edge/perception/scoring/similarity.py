@@ -1,0 +1,183 @@
+"""How well an image as a whole goes with a text: the score of VLFM."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from edge.config import DetectorOnnx, Perception
+from edge.perception.detection.onnx import OnnxDetector, engine_options
+from edge.perception.detection.remote import RemoteDetector
+from edge.perception.embedding.clip import CPU, ClipImageEncoder, ClipTextEncoder
+from edge.perception.embedding.encoders import open_text_encoder
+from edge.perception.embedding.text import TextEncoder
+from edge.perception.factory import open_detector
+from edge.perception.runtime.card_types import RUNNING, ImageCard, SimilarityCard, TextCard
+from edge.perception.runtime.cards import ModelError, load_card_of
+from edge.types import Detections
+
+THREADS = 2
+SENTENCE = "Seems like there is a {} ahead."  # VLFM's, word for word
+
+
+class SimilarityScorer(Protocol):
+    """Scores texts against one image.
+
+    Attributes:
+        name: its card, or the model that it takes scores from.
+    """
+
+    name: str
+
+    def score(self, rgb: np.ndarray, prompts: Sequence[str]) -> np.ndarray:
+        """Higher is likelier to lead to the thing.
+
+        The scale is the backend's, and nothing maps one to another: an encoder pair gives cosines
+        in [-1, 1] (CLIP ViT-B/32's lie between 0.15 and 0.35), a detector its best class score in
+        [0, 1]. Scores of one scorer and one prompt can be compared.
+
+        Args:
+            rgb: (h, w, 3) uint8.
+            prompts: names of things, at least one.
+
+        Returns:
+            (n,) float32, finite.
+
+        Raises:
+            PromptError: a prompt cannot be encoded.
+            ModelError: the model fails, or what it says is not finite.
+        """
+        ...
+
+    def close(self) -> None: ...
+
+
+class PairSimilarity:
+    """The cosine between an image's and a text's embedding, as VLFM takes it from BLIP-2."""
+
+    def __init__(self, name: str, image: ClipImageEncoder, text: TextEncoder) -> None:
+        """
+        Raises:
+            ModelError: the embeddings of the two have different lengths.
+        """
+        if image.dim != text.dim:
+            raise ModelError(
+                f"model {name}: image embeddings have length {image.dim}, those of its text "
+                f"encoder {text.dim}: name two of one family"
+            )
+        self.name = name
+        self._image, self._text = image, text
+        self._prompts: tuple[str, ...] = ()
+        self._rows = np.empty((0, text.dim), np.float32)
+
+    def score(self, rgb: np.ndarray, prompts: Sequence[str]) -> np.ndarray:
+        """See `SimilarityScorer.score`."""
+        self.prepare(prompts)
+        return self._rows @ self._image.embed(rgb)
+
+    def prepare(self, prompts: Sequence[str]) -> None:
+        """Encode prompts, unless they are those of last time."""
+        if tuple(prompts) != self._prompts:
+            self._rows = _rows_of(self._text, prompts)
+            self._prompts = tuple(prompts)
+
+    def close(self) -> None:
+        """Give up what a server is asked."""
+        self._image.close()
+
+
+def _rows_of(text: TextEncoder, prompts: Sequence[str]) -> np.ndarray:
+    """(n, d): of VLFM's sentence where the encoder reads sentences, else of the names."""
+    if isinstance(text, ClipTextEncoder):
+        return text.encode([SENTENCE.format(text.resolve(prompt)) for prompt in prompts])
+    return text.embed(prompts)[0]
+
+
+class DetectorSimilarity:
+    """The best class score of any place in the image.
+
+    VL-Nav's authors gave VLFM such scores of YOLO-World, since BLIP-2 is too slow for a robot.
+    """
+
+    def __init__(self, name: str, detector: OnnxDetector | RemoteDetector) -> None:
+        self.name = name
+        self._detector = detector
+
+    def score(self, rgb: np.ndarray, prompts: Sequence[str]) -> np.ndarray:
+        """See `SimilarityScorer.score`."""
+        if tuple(prompts) != self._detector.prompts:
+            self._detector.set_prompts(prompts)
+        return self._detector.best_scores(rgb)
+
+    def close(self) -> None:
+        self._detector.close()
+
+
+def best_scores(detections: Detections) -> np.ndarray:
+    """The same from detections that are there anyway; below the detector's `tau_vl` it is 0.
+
+    Returns:
+        (n,) float32 in [0, 1], one for each prompt.
+    """
+    best = np.zeros(len(detections.prompts), np.float32)
+    np.maximum.at(best, detections.class_id, detections.score)
+    return best
+
+
+def is_running_detector(card: SimilarityCard, perception: Perception) -> bool:
+    """Whether a scorer's detector is the one that looks for the targets: it need not run twice."""
+    running = perception.detector
+    same = isinstance(running, DetectorOnnx) and running.model == card.detector
+    return same or card.detector == RUNNING
+
+
+def make_similarity(
+    card: SimilarityCard, perception: Perception, prompts: Sequence[str]
+) -> SimilarityScorer:
+    """The scorer of a card, in sessions of its own.
+
+    Args:
+        prompts: what it will be asked about at first.
+
+    Raises:
+        ModelError: a model is missing or unusable.
+        PromptError: there is no text encoder, or it does not know a prompt.
+    """
+    running = perception.detector if isinstance(perception.detector, DetectorOnnx) else None
+    if card.detector is not None:
+        assert card.detector != RUNNING, "that one is asked anyway"
+        settings = running or DetectorOnnx()
+        own = settings.model_copy(update={"model": card.detector, "background": ()})
+        return DetectorSimilarity(card.name, open_detector(own, prompts))
+    assert card.image_encoder is not None
+    assert card.text_encoder is not None
+    text = load_card_of(TextCard, card.text_encoder)
+    vocabulary = running.vocabulary if running is not None else None
+    settings = running or DetectorOnnx(providers=CPU, threads=THREADS)
+    image_card = load_card_of(ImageCard, card.image_encoder)
+    image = ClipImageEncoder(
+        image_card,
+        settings.providers,
+        settings.threads,
+        settings.device_id,
+        engine_options(image_card, settings),
+    )
+    pair = PairSimilarity(card.name, image, open_text_encoder(text, vocabulary))
+    pair.prepare(prompts)
+    return pair
+
+
+def similarity_card(perception: Perception) -> SimilarityCard | None:
+    """The card of the configured scorer, None where none is to run.
+
+    Raises:
+        ModelError: there is no such card, or it is of another task.
+    """
+    if perception.similarity is None:
+        return None
+    try:
+        return load_card_of(SimilarityCard, perception.similarity)
+    except ModelError as error:
+        raise ModelError(f"perception.similarity: {error}") from None

@@ -1,0 +1,156 @@
+"""The network that reads tokens: what it has read is kept, so that it reads nothing twice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from edge.perception.runtime.deadline import Deadline
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.runtime.sessions import DTYPES
+from edge.perception.scoring.vlm.files import ModelFiles
+
+_PAST, _PRESENT, _LOGITS = "past_key_values.", "present.", "logits"
+
+
+class Past(NamedTuple):
+    """Keys and values of what was read, by the names that they are fed by.
+
+    Attributes:
+        length: how many tokens.
+        kept: (1, heads, length, d) each.
+    """
+
+    length: int
+    kept: dict[str, np.ndarray]
+
+    def first(self, length: int) -> Past:
+        """Of no more than the first tokens."""
+        if length >= self.length:
+            return self
+        cut = {name: np.ascontiguousarray(a[:, :, :length]) for name, a in self.kept.items()}
+        return Past(length, cut)
+
+
+class Decoder:
+    """A decoder with past keys and values in and out, and the embedding of its tokens.
+
+    Attributes:
+        takes_ids: it embeds tokens itself.
+    """
+
+    def __init__(
+        self, files: ModelFiles, session: Any, embedding: Any | None, deadline: Deadline
+    ) -> None:
+        """
+        Raises:
+            ModelError: its inputs and outputs are not those of a published decoder.
+        """
+        self._files, self._session, self._embedding = files, session, embedding
+        self._deadline = deadline
+        self._inputs = {value.name: value for value in session.get_inputs()}
+        self._outputs = [value.name for value in session.get_outputs()]
+        self.takes_ids = embedding is None
+        self._check()
+        self._presents = [name for name in self._outputs if name.startswith(_PRESENT)]
+        self.nothing = Past(0, dict(self._no_past()))
+
+    def _check(self) -> None:
+        first = "input_ids" if self.takes_ids else "inputs_embeds"
+        pasts = {name for name in self._inputs if name.startswith(_PAST)}
+        known = {first, "attention_mask", "position_ids", "num_logits_to_keep"} | pasts
+        needed = {_LOGITS, *(_PRESENT + name.removeprefix(_PAST) for name in pasts)}
+        if first not in self._inputs or not pasts:
+            amiss = f"has no input {first if pasts else _PAST + 'N.key'}"
+        elif unknown := sorted(self._inputs.keys() - known):
+            amiss = f"wants {unknown[0]!r:.40}"
+        elif lacking := sorted(needed - set(self._outputs)):
+            amiss = f"has no output {lacking[0]}"
+        else:
+            return
+        raise ModelError(
+            f"{self._files.folder}: model {self._files.name}: its decoder {amiss}: take one of the "
+            "published layout (decoder_model_merged)"
+        )
+
+    def _no_past(self) -> Iterator[tuple[str, np.ndarray]]:
+        """An empty past of the shapes that the decoder declares, or else its configuration."""
+        told = self._files.text_config
+        heads = told.get("num_key_value_heads", told.get("num_attention_heads"))
+        size = told.get("head_dim")
+        if size is None and "hidden_size" in told and "num_attention_heads" in told:
+            size = told["hidden_size"] // told["num_attention_heads"]
+        for name, value in self._inputs.items():
+            if name.startswith(_PAST):
+                n, d = (
+                    declared if isinstance(declared, int) else known
+                    for declared, known in zip(
+                        (value.shape[1], value.shape[3]), (heads, size), strict=True
+                    )
+                )
+                if not (isinstance(n, int) and isinstance(d, int)):
+                    raise ModelError(
+                        f"{self._files.folder}: model {self._files.name}: neither the decoder nor "
+                        "config.json tells num_key_value_heads and head_dim"
+                    )
+                yield name, np.empty((1, n, 0, d), DTYPES[value.type])
+
+    def embed(self, ids: np.ndarray) -> np.ndarray:
+        """(n,) ids → (n, d) rows, or the ids themselves where the decoder takes them."""
+        if self._embedding is None:
+            return ids
+        name = self._embedding.get_inputs()[0].name
+        return self._embedding.run(None, {name: ids[None]}, self._deadline.options)[0][0]
+
+    def read(self, rows: np.ndarray, places: np.ndarray, past: Past) -> Past:
+        """Read on.
+
+        Args:
+            rows: (n, d), or (n,) ids; at least one.
+            places: (3, n) int64; see `pictures.positions`.
+            past: what was read before.
+
+        Returns:
+            All that was read.
+        """
+        return self._run(rows, places, past, self._presents)[0]
+
+    def next_logits(self, rows: np.ndarray, places: np.ndarray, past: Past) -> np.ndarray:
+        """(v,) float32 for the token that comes after `rows`; see `read`."""
+        logits = self._run(rows, places, past, [_LOGITS])[1]
+        return logits.reshape(-1, logits.shape[-1])[-1].astype(np.float32)
+
+    def _run(
+        self, rows: np.ndarray, places: np.ndarray, past: Past, wanted: Sequence[str]
+    ) -> tuple[Past, np.ndarray]:
+        n, length = len(rows), past.length + len(rows)
+        offered = {
+            "input_ids": rows[None],
+            "inputs_embeds": rows[None],
+            "attention_mask": np.ones((1, length), np.int64),
+            "position_ids": self._places(places),
+            "num_logits_to_keep": np.array(1, np.int64),
+        }
+        feeds = {
+            name: offered[name].astype(DTYPES[value.type], copy=False)
+            for name, value in self._inputs.items()
+            if name in offered
+        }
+        found = self._session.run(list(wanted), {**feeds, **past.kept}, self._deadline.options)
+        by_name = dict(zip(wanted, found, strict=True))
+        logits = by_name.pop(_LOGITS, np.empty(0, np.float32))
+        kept = {_PAST + name.removeprefix(_PRESENT): a for name, a in by_name.items()}
+        if any(a.shape[2] != length for a in kept.values()):
+            raise ModelError(
+                f"model {self._files.name}: its decoder kept another number of tokens than the "
+                f"{length} that it has read, {n} of them now"
+            )
+        return Past(length, kept), logits
+
+    def _places(self, places: np.ndarray) -> np.ndarray:
+        """As the decoder takes them: (1, n), or (3, 1, n) where places have three numbers."""
+        declared = self._inputs.get("position_ids")
+        threefold = declared is not None and len(declared.shape) == 3
+        return places[:, None] if threefold else places[:1]

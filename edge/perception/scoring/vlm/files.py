@@ -1,0 +1,157 @@
+"""The files beside a published model's networks: configuration, tokenizer, chat template."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge.host.files import read_regular
+from edge.perception.runtime.card_types import ChoiceCard
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.runtime.tokenizer import read_tokenizer
+from edge.text import one_line, read_json_object
+
+CONFIG = "config.json"
+TOKENIZER = "tokenizer.json"
+TOKENIZER_CONFIG = "tokenizer_config.json"
+PREPROCESSOR = "preprocessor_config.json"
+PROCESSOR = "processor_config.json"
+TEMPLATES = ("chat_template.jinja", "chat_template.json")
+"""Where a chat template lies that is not in the tokenizer's configuration."""
+EXTRA = "pip install 'edge-vln[choice]'"
+
+
+@dataclass(frozen=True)
+class ModelFiles:
+    """What a model's folder says of it.
+
+    Attributes:
+        config: of the network, as `config.json` has it.
+        image: how images are prepared; None for a model without eyes.
+        processor: how texts and images are put together; often empty.
+        special: texts that a template may name: `bos_token`, `eos_token` …
+        template: the chat template's source, in Jinja.
+    """
+
+    name: str
+    folder: Path
+    config: dict[str, Any]
+    image: dict[str, Any] | None
+    processor: dict[str, Any]
+    special: dict[str, str]
+    template: str
+
+    @property
+    def text_config(self) -> dict[str, Any]:
+        """Of the language model within the network."""
+        inner = self.config.get("text_config")
+        return inner if isinstance(inner, dict) else self.config
+
+
+def read_files(card: ChoiceCard) -> ModelFiles:
+    """Read the folder of a card's model.
+
+    Raises:
+        ModelError: a file is missing or is not what it should be.
+    """
+    folder = card.path
+    tokenizer = _read(card, TOKENIZER_CONFIG)
+    processor = _read(card, PROCESSOR, needed=False)
+    image = _read(card, PREPROCESSOR, needed=False) or processor.get("image_processor")
+    if card.vision_encoder is not None and not isinstance(image, dict):
+        raise ModelError(
+            f"{folder / PREPROCESSOR}: model {card.name}: says nothing of how images are prepared; "
+            "name that file among the card's others"
+        )
+    return ModelFiles(
+        name=card.name,
+        folder=folder,
+        config=_read(card, CONFIG),
+        image=image if card.vision_encoder is not None else None,
+        processor=processor,
+        special=_special(tokenizer),
+        template=_template(card, tokenizer),
+    )
+
+
+def _read(card: ChoiceCard, name: str, needed: bool = True) -> dict[str, Any]:
+    """A JSON file of the model; empty where the card does not have it and it need not be there."""
+    path = card.path / name
+    if not any(part.file == name for part in card.others):
+        if needed:
+            raise ModelError(f"model {card.name}: its card names no {name} among its others")
+        return {}
+    try:
+        return read_json_object(read_regular(path))
+    except (OSError, ValueError) as error:
+        raise ModelError(f"{path}: model {card.name}: cannot be read: {one_line(error)}") from None
+
+
+def _special(tokenizer: dict[str, Any]) -> dict[str, str]:
+    """Special tokens are texts, or objects that have one."""
+    found = {}
+    for key, value in tokenizer.items():
+        text = value.get("content") if isinstance(value, dict) else value
+        if key.endswith("_token") and isinstance(text, str):
+            found[key] = text
+    return found
+
+
+def _template(card: ChoiceCard, tokenizer: dict[str, Any]) -> str:
+    """The chat template: of a file of its own, else of the tokenizer's configuration."""
+    here = {part.file for part in card.others}
+    for name in TEMPLATES:
+        if name not in here:
+            continue
+        path = card.path / name
+        try:
+            text = read_regular(path).decode()
+            return text if name.endswith(".jinja") else _text_of(json.loads(text)["chat_template"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            why = one_line(error)
+            raise ModelError(f"{path}: model {card.name}: no chat template: {why}") from None
+    try:
+        return _text_of(tokenizer["chat_template"])
+    except (KeyError, TypeError, StopIteration):
+        raise ModelError(
+            f"model {card.name}: no chat template: neither in {TOKENIZER_CONFIG} nor in a file "
+            f"({', '.join(TEMPLATES)}) that its card names"
+        ) from None
+
+
+def _text_of(told: Any) -> str:
+    """A template is a text, or one of several by name, of which `default` is meant."""
+    if isinstance(told, str):
+        return told
+    return str(next(one["template"] for one in told if one["name"] == "default"))
+
+
+def open_tokenizer(files: ModelFiles) -> Any:
+    """The tokenizer of a model, which neither pads nor cuts off.
+
+    Raises:
+        ModelError: the package is not installed, or the file is no tokenizer.
+    """
+    return read_tokenizer(files.folder / TOKENIZER, f"model {files.name}", EXTRA)
+
+
+def vocabulary(tokenizer: Any) -> Sequence[str]:
+    """The text that each token stands for, by id; empty where there is none."""
+    size = tokenizer.get_vocab_size(with_added_tokens=True)
+    return tokenizer.decode_batch([[i] for i in range(size)], skip_special_tokens=False)
+
+
+def common_prefix(a: np.ndarray, b: np.ndarray) -> int:
+    """How many elements two rows begin with alike.
+
+    >>> common_prefix(np.array([3, 1, 2]), np.array([3, 1, 4, 5]))
+    2
+    """
+    n = min(len(a), len(b))
+    differ = np.flatnonzero(a[:n] != b[:n])
+    return int(differ[0]) if len(differ) else n

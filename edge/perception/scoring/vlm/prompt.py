@@ -1,0 +1,131 @@
+"""Questions as the tokens that a model was taught to read, by its own chat template."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from edge.perception.runtime.model_file import ModelError
+from edge.perception.scoring.vlm.files import EXTRA, TEMPLATES, ModelFiles, open_tokenizer
+from edge.text import one_line
+
+Messages = list[dict[str, Any]]
+
+
+class Prompter:
+    """Turns messages into token ids.
+
+    Attributes:
+        tokenizer: the model's own.
+        image_id: id of the token whose place an image's features take; -1 without eyes.
+        image_token: its text.
+    """
+
+    def __init__(self, files: ModelFiles) -> None:
+        """
+        Raises:
+            ModelError: a package or file is missing or unusable.
+        """
+        self._name, self._special = files.name, files.special
+        self.tokenizer = open_tokenizer(files)
+        self.image_id, self.image_token = -1, ""
+        if files.image is not None:
+            self.image_id, self.image_token = _image_token(files, self.tokenizer)
+        self._render = _compile(files)
+
+    def text(self, rules: str, view: str | None, question: str) -> str:
+        """What is put to the model, as it reads it; an image is one token.
+
+        Args:
+            rules: the system's message.
+            view: what is seen, in words; None: an image is shown.
+
+        Raises:
+            ModelError: the template fails, or leaves out any of it.
+        """
+        if self.image_id >= 0:
+            system: Any = [{"type": "text", "text": rules}]
+            seen = {"type": "image"} if view is None else {"type": "text", "text": view}
+            user: Any = [seen, {"type": "text", "text": question}]
+        else:
+            system, user = rules, f"{view}\n{question}"
+        messages = [{"role": "system", "content": system}, {"role": "user", "content": user}]
+        text = self._render(messages)
+        missing = [part for part in (rules, view, question) if part and part not in text]
+        if missing:
+            raise ModelError(
+                f"model {self._name}: its chat template leaves out {one_line(missing[0], 40)!r}: "
+                f"it is another model's, or damaged ({', '.join(TEMPLATES)})"
+            )
+        images = text.count(self.image_token) if self.image_token else 0
+        if images != (view is None):
+            raise ModelError(
+                f"model {self._name}: its chat template shows {images} images "
+                f"({self.image_token or 'it has no eyes'}) in place of {int(view is None)}"
+            )
+        return text
+
+    def ids(self, text: str) -> np.ndarray:
+        """(n,) int64; the template has all special tokens in it."""
+        return np.array(self.tokenizer.encode(text, add_special_tokens=False).ids, np.int64)
+
+
+def _image_token(files: ModelFiles, tokenizer: Any) -> tuple[int, str]:
+    found = files.config.get("image_token_id", files.config.get("image_token_index"))
+    token = tokenizer.id_to_token(found) if isinstance(found, int) and found >= 0 else None
+    if token is None:
+        raise ModelError(
+            f"{files.folder}: model {files.name}: config.json's image_token_id is {found!r}, "
+            "which the tokenizer does not have: the files are of two models"
+        )
+    return found, token
+
+
+def _compile(files: ModelFiles) -> Callable[[Messages], str]:
+    """The chat template as a function, in jinja's sandbox: it comes with the model's weights.
+
+    Set up as those who publish such templates do (transformers, `chat_template_utils`).
+    """
+    try:
+        from jinja2 import TemplateError
+        from jinja2.sandbox import ImmutableSandboxedEnvironment
+    except ImportError:
+        raise ModelError(
+            f"model {files.name}: the package jinja2 is not installed: {EXTRA}"
+        ) from None
+
+    def refuse(why: str) -> None:
+        raise TemplateError(why)
+
+    environment = ImmutableSandboxedEnvironment(
+        trim_blocks=True, lstrip_blocks=True, extensions=["jinja2.ext.loopcontrols"]
+    )
+    environment.filters["tojson"] = lambda data, **how: json.dumps(
+        data, ensure_ascii=False, indent=how.get("indent")
+    )
+    environment.globals["raise_exception"] = refuse
+
+    def failed(error: Exception) -> ModelError:
+        where = f", line {line}" if (line := getattr(error, "lineno", None)) else ""
+        return ModelError(
+            f"model {files.name}: its chat template{where}: {type(error).__name__}: "
+            f"{one_line(error, 200)}"
+        )
+
+    try:
+        template = environment.from_string(files.template)
+    except Exception as error:
+        raise failed(error) from None
+
+    def render(messages: Messages) -> str:
+        try:
+            return template.render(
+                messages=messages, add_generation_prompt=True, tools=None, **files.special
+            )
+        except Exception as error:  # it may do anything that a program may
+            raise failed(error) from None
+
+    return render

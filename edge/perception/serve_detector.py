@@ -1,0 +1,96 @@
+"""The program of a process with a detector, started by `process/link.py` only."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import sys
+import threading
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from edge import config
+from edge.perception.detection.detector import Detector
+from edge.perception.factory import make_detector
+from edge.perception.process import wire
+from edge.perception.process.child import begin, by_kind
+from edge.perception.process.wire import FrameView
+from edge.perception.runtime.health import Health, Tell
+from edge.text import read_json_object
+from edge.types import Observation
+
+log = logging.getLogger(__name__)
+
+Make = Callable[[config.Perception, Sequence[str], Tell], Detector]
+
+
+def main(make: Make = make_detector) -> int:
+    """Read from stdin what to do, load the model, answer until told to end.
+
+    Args:
+        make: makes the detector.
+    """
+    told, images, control, frames = begin()
+    speaking = threading.Lock()
+
+    def progress(health: Health) -> None:  # from any thread, but only until `make` returns
+        with speaking:
+            control.send(wire.encode(health=health))
+
+    try:
+        perception = config.Perception.model_validate(told["perception"])
+        detector = make(perception, told["prompts"], progress)
+        _run_empty(detector)
+    except Exception as error:
+        control.send(wire.encode_error(error))
+        return 1
+    control.send(wire.encode())
+    threading.Thread(target=check_prompts, args=(control, detector), daemon=True).start()
+    try:
+        answer_images(images, detector, frames)
+    except BaseException:
+        log.exception("model %s: its process ends", detector.name)
+        os._exit(1)  # the thread above waits for ever
+    return 0
+
+
+def _run_empty(detector: Detector) -> None:
+    """One image before the first: what compiles kernels on its way would look like a hang."""
+    detector.detect(Observation(0, 0, np.eye(4), rgb=np.zeros((64, 64, 3), np.uint8)))
+    detector.invalid_boxes = 0  # this image is no camera's
+
+
+def check_prompts(control: socket.socket, detector: Detector) -> None:
+    """Answer whether prompts can be looked for, while images are being looked at."""
+    while said := control.recv(wire.MAX_BYTES):
+        request = read_json_object(said)
+        try:
+            detector.set_prompts(request["prompts"])
+            control.send(wire.encode(id=request["id"]))
+        except Exception as error:
+            control.send(wire.encode_error(error, id=request["id"]))
+
+
+def answer_images(images: socket.socket, detector: Detector, frames: FrameView) -> None:
+    """Answer every image with what is found in it, or what was raised."""
+    while said := images.recv(wire.MAX_BYTES):
+        request = read_json_object(said)
+        seq, prompts = request["seq"], tuple(request["prompts"])
+        try:
+            if prompts != detector.prompts:
+                detector.set_prompts(prompts)
+            rgb = frames.read(seq, request["hw"])
+            found = detector.detect(Observation(seq, 0, np.eye(4), rgb=rgb))
+            if not frames.is_whole(seq):
+                raise ValueError(f"frame {seq}: torn, another was written meanwhile")
+        except Exception as error:
+            images.send(wire.encode_error(by_kind(error), seq=seq))
+        else:
+            health, invalid = detector.health(), detector.invalid_boxes
+            images.send(wire.encode_answer(seq, found, health, invalid))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

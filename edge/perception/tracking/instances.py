@@ -1,0 +1,531 @@
+"""Things that may be the target, merged over time (VL-Nav III.C)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import get_args
+
+import numpy as np
+
+from edge import config, names
+from edge.geometry import SE2, invert
+from edge.perception.tracking import instance_kernels as kernels
+from edge.perception.tracking.lift import Lifted
+from edge.perception.tracking.look_kernels import AT_EDGE, HIDDEN, NO_DEPTH, WHOLE, shown, view_of
+from edge.perception.tracking.sighting_kernels import PARTIAL
+from edge.perception.tracking.sightings import SightingTracker
+from edge.types import Instance, InstanceState, Observation
+
+MAX_POINTS = 64
+RISE, FALL = 0.5, 0.15
+"""Weights of a new score that is above, or below, the running one: a good view counts more than
+a bad one, since most views are from afar or from the side."""
+DECAY = 0.9
+"""Factor on the score of an instance that was looked at and not found."""
+GONE = 0.5
+"""An instance whose score fell under this share of `tau_det` is forgotten."""
+FORGET_VIEWS = 100
+"""Every so many views the counts that confirm are halved, so that old ones fade."""
+REFUTE_VIEWS = 30
+"""After so many views, what something else explains better on average is not the target."""
+SURER = 1.6
+"""So much more must speak against a thing that was confirmed to bring it in doubt: from near by it
+is seen in part, and what stands before it fills the image."""
+_PROTECTED = ("confirmed", "refuted", "reached")
+_STATES: tuple[InstanceState, ...] = get_args(InstanceState)
+# What is kept of an instance, and of its track.
+_COLUMNS = (
+    ("id", np.int64), ("score", np.float64), ("hits", np.int64), ("first_seen_ns", np.int64),
+    ("last_seen_ns", np.int64),
+)  # fmt: skip
+_EVIDENCE = (
+    ("evidence_ns", np.int64), ("good_hits", np.int64), ("views", np.float64),
+    ("good_ns", np.int64), ("target_sum", np.float64), ("rival_sum", np.float64),
+    ("doubted", np.bool_),
+)  # fmt: skip
+
+
+@dataclass(slots=True, eq=False)
+class _Track:
+    """An instance and what deciding about it needs.
+
+    Attributes:
+        name: canonical form of the label.
+        good_hits: views from near by in which it looked like the target.
+        views: views from near by in which it would have shown, partial ones at a lesser weight;
+            `target_sum` and `rival_sum` are the sums of what the detector gave the target and
+            its best rival in them.
+        now_target, now_rival: of the frame at hand.
+        evidence_ns: newest stamp at which anything, even a weak box, was seen there.
+        x_m, y_m, z_m: the centre, as plain numbers.
+        radius_m: the farthest surface point from the centre.
+        points_m, support: every surface point, and in how many views something was near it; the
+            instance itself has those of what most views show.
+        doubted: it was seen as something else more often, or more clearly (`SightingTracker`).
+    """
+
+    instance: Instance
+    name: str
+    evidence_ns: int
+    good_hits: int = 0
+    views: float = 0.0
+    good_ns: int = -1
+    target_sum: float = 0.0
+    rival_sum: float = 0.0
+    now_target: float = 0.0
+    now_rival: float = 0.0
+    x_m: float = 0.0
+    y_m: float = 0.0
+    z_m: float = 0.0
+    radius_m: float = 0.0
+    points_m: np.ndarray = field(default_factory=lambda: np.empty((0, 3), np.float32))
+    support: np.ndarray = field(default_factory=lambda: np.empty(0, np.int32))
+    doubted: bool = False
+
+    def distance_m(self, x_m: float, y_m: float) -> float:
+        return math.hypot(self.x_m - x_m, self.y_m - y_m)
+
+
+class InstanceTracker:
+    """Keeps one `Instance` per thing seen.
+
+    Scores: a detection above the running score pulls it up by half the difference, one below
+    pulls it down by 0.15 of it; weak detections (under `tau_det`) at a known place count too,
+    but never found a new instance. Each look in vain takes a tenth off (`expire`).
+    """
+
+    def __init__(
+        self, perception: config.Perception, sightings: SightingTracker | None = None
+    ) -> None:
+        """
+        Args:
+            sightings: all that was seen, the newest image included; None: there is no memory of
+                what else stands where.
+        """
+        self.config = perception
+        self.dropped = 0
+        self._sightings = sightings
+        self._tracks: dict[int, _Track] = {}
+        self._next_id = 1
+
+    def __len__(self) -> int:
+        return len(self._tracks)
+
+    @property
+    def all(self) -> list[Instance]:
+        """Every instance, refuted ones too, oldest first."""
+        return [track.instance for track in self._tracks.values()]
+
+    def get(self, instance_id: int) -> Instance | None:
+        track = self._tracks.get(instance_id)
+        return track.instance if track else None
+
+    def of(self, label: str, sure: bool = False, doubted: bool = True) -> list[Instance]:
+        """Instances worth driving to, best first.
+
+        Those that answer to a label (or a synonym), were found in `min_hits` images at least, and
+        were not refuted.
+
+        Args:
+            sure: only those that are confirmed.
+            doubted: also those that were seen as something else more often.
+        """
+        name = names.canonical(label)
+        found = [
+            track.instance
+            for track in self._tracks.values()
+            if track.name == name
+            and track.instance.state != "refuted"
+            and track.instance.hits >= self.config.min_hits
+            and (not sure or self.confirmed(track.instance))
+            and (doubted or not track.doubted)
+        ]
+        return sorted(found, key=lambda instance: (-instance.score, instance.id))
+
+    def update(self, lifted: Lifted, stamp_ns: int) -> None:
+        """Merge lifted detections, strongest first.
+
+        Args:
+            lifted: of one image.
+            stamp_ns: when that image was taken.
+        """
+        seen = lifted.detections
+        pose = seen.observation.pose
+        words = [names.canonical(prompt) for prompt in seen.prompts]
+        unrivalled = seen.unrivalled()
+        hit: set[int] = set()
+        for i in np.flatnonzero(lifted.valid).tolist():
+            class_id, score = int(seen.class_id[i]), float(seen.score[i])
+            strong = score > self.config.tau_det and bool(unrivalled[i])
+            points = lifted.surface_m(i)
+            x_m, y_m, _ = lifted.center_m[i].tolist()
+            track = self._match(words[class_id], x_m, y_m)
+            if track is None:
+                if not strong:
+                    continue
+                track = self._found(seen.prompts[class_id], points, score, stamp_ns)
+            elif track.instance.id in hit:
+                if strong:
+                    self._grow(track, points)
+                continue
+            elif unrivalled[i]:
+                self._merge(track, points, score, stamp_ns)
+            track.evidence_ns = max(track.evidence_ns, stamp_ns)
+            if score > track.now_target:
+                track.now_target = score
+                track.now_rival = 0.0 if seen.rival is None else float(seen.rival[i])
+            if strong:
+                hit.add(track.instance.id)
+                self._confirm(track, points, score, pose, stamp_ns)
+        for instance_id in hit:
+            self._unite(instance_id)
+        self._limit()
+
+    def expire(self, observation: Observation, prompts: Sequence[str]) -> list[int]:
+        """Take score off what this observation looked at without finding it.
+
+        Call it after `update` with the same observation. Refuted and reached instances stay, and
+        all that the detector was not asked for.
+
+        Args:
+            prompts: what the detector looked for.
+
+        Returns:
+            Ids of instances that were forgotten.
+        """
+        camera = observation.camera
+        if camera is None or not self._tracks:
+            return []
+        T = invert(observation.T_map_base @ observation.T_base_camera)
+        view = view_of(camera)
+        depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
+        far_m = min(1.5 * self.config.confirm_range_m, self.config.lift_max_range_m)
+        pose, near_m = observation.pose, self.config.confirm_range_m
+        asked = {names.canonical(prompt) for prompt in prompts}
+        gone = []
+        for track in list(self._tracks.values()):
+            instance = track.instance
+            if instance.state in ("refuted", "reached") or track.name not in asked:
+                continue
+            points = instance.points_m
+            look = shown(
+                track.x_m, track.y_m, track.z_m, points, len(points), T, view, depth, far_m
+            )
+            if look == HIDDEN:
+                track.now_target = track.now_rival = 0.0
+                continue
+            self._doubt(track)
+            near = track.distance_m(pose.x_m, pose.y_m) <= near_m + track.radius_m
+            if near:
+                # A partial view says less, of what it is as of what it is not.
+                self._count_view(track, 1.0 if look == WHOLE else PARTIAL)
+            track.now_target = track.now_rival = 0.0
+            if look == AT_EDGE or track.evidence_ns >= observation.stamp_ns:
+                continue
+            instance.score *= DECAY
+            # Some looks in vain do not undo what many confirmed: it is behind a chair, or too near.
+            if instance.score < GONE * self.config.tau_det and not self.confirmed(instance):
+                gone.append(instance.id)
+        for instance_id in gone:
+            self._tracks.pop(instance_id, None)
+        return gone
+
+    def confirmed(self, instance: Instance) -> bool:
+        """Whether it was seen well enough, often enough, from near enough to be the target."""
+        return instance.state in ("confirmed", "reached")
+
+    def refute(self, instance_id: int) -> None:
+        """It is not the target: never chase it again, nor anything found within
+        `refute_radius_m` of it."""
+        track = self._tracks.get(instance_id)
+        if track is None:
+            return
+        track.instance.state = "refuted"
+        for other in list(self._tracks.values()):
+            if (
+                other is not track
+                and other.instance.state != "reached"
+                and other.name == track.name
+                and other.distance_m(track.x_m, track.y_m) <= self.config.refute_radius_m
+            ):
+                del self._tracks[other.instance.id]
+
+    def mark_reached(self, instance_id: int) -> None:
+        if track := self._tracks.get(instance_id):
+            track.instance.state = "reached"
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """Every instance and what deciding about it needs, as plain arrays of a row each, oldest
+        first; the points of one after the other."""
+        tracks = list(self._tracks.values())
+        found = [track.instance for track in tracks]
+        points = [track.points_m for track in tracks]
+        return {
+            **{name: np.array([getattr(i, name) for i in found], t) for name, t in _COLUMNS},
+            **{name: np.array([getattr(t, name) for t in tracks], d) for name, d in _EVIDENCE},
+            "label": np.array([i.label for i in found], np.str_),
+            "state": np.array([_STATES.index(i.state) for i in found], np.int8),
+            "n_points": np.array([len(each) for each in points], np.int32),
+            "points_m": np.concatenate(points) if points else np.zeros((0, 3), np.float32),
+            "support": np.concatenate([np.zeros(0, np.int32), *(t.support for t in tracks)]),
+            "next_id": np.array(self._next_id),
+        }
+
+    def adopt(self, instance: Instance) -> None:
+        """Take in an instance that was found elsewhere, under its id."""
+        self._adopt(instance, instance.points_m, np.ones(len(instance.points_m), np.int32))
+
+    def restore(self, kept: dict[str, np.ndarray], later_ns: int) -> None:
+        """Go on with what `kept` gave, with no instance known yet.
+
+        Args:
+            later_ns: how much later it all happened on the sensors' clock of now.
+        """
+        end = np.cumsum(kept["n_points"])
+        for row, label in enumerate(kept["label"].tolist()):
+            its = slice(end[row] - kept["n_points"][row], end[row])
+            points_m = kept["points_m"][its].copy()
+            instance = Instance(
+                label=label, center_m=points_m[0], points_m=points_m,
+                state=_STATES[kept["state"][row]],
+                **{name: kept[name][row].item() for name, _ in _COLUMNS},
+            )  # fmt: skip
+            instance.first_seen_ns += later_ns
+            instance.last_seen_ns += later_ns
+            track = self._adopt(instance, points_m, kept["support"][its].copy())
+            for name, _ in _EVIDENCE:
+                setattr(track, name, kept[name][row].item())
+            track.evidence_ns += later_ns
+        self._next_id = max(self._next_id, int(kept["next_id"]))
+        self._limit()
+
+    @property
+    def newest_id(self) -> int:
+        """The highest id that was given so far; 0: none."""
+        return self._next_id - 1
+
+    def recall(self, labels: Sequence[str]) -> None:
+        """What was seen as context becomes an instance of the label that it answers to, with all
+        that was counted for it, so that it need not be found again; what would be given up at
+        once does not."""
+        if self._sightings is None:
+            return
+        least = GONE * self.config.tau_det
+        for label in labels:
+            name = names.canonical(label)
+            for seen in self._sightings.answering(label):
+                known = self._match(name, *seen.center_m[:2].tolist())
+                weak = seen.confidence < least or seen.hits < self.config.min_hits
+                if weak or known is not None:
+                    continue
+                track = self._found(label, seen.points_m, seen.confidence, seen.last_seen_ns)
+                track.instance.hits = seen.hits
+                track.good_hits, track.views, track.target_sum = (
+                    seen.near_hits, seen.weight, seen.total,
+                )  # fmt: skip
+                self._doubt(track)
+                self._judge(track)
+        self._limit()
+
+    def clear(self) -> None:
+        """Forget every instance; ids go on, so that what comes is newer than all that was."""
+        self._tracks.clear()
+
+    def forget_verdicts(self) -> None:
+        """A new mission begins: what the last one reached is as good a target as any, and what it
+        refuted may be found again."""
+        for track in list(self._tracks.values()):
+            if track.instance.state == "reached":
+                track.instance.state = "confirmed"
+            elif track.instance.state == "refuted":
+                del self._tracks[track.instance.id]
+
+    def forget_refuted(self, label: str) -> None:
+        """What was refuted as a label (or a synonym) may be found again."""
+        name = names.canonical(label)
+        for track in list(self._tracks.values()):
+            if track.name == name and track.instance.state == "refuted":
+                del self._tracks[track.instance.id]
+
+    def _match(self, name: str, x_m: float, y_m: float) -> _Track | None:
+        """The instance that a detection belongs to; a refuted one near its centre comes first."""
+        best, best_m = None, self.config.merge_m
+        for track in self._tracks.values():
+            if track.name != name:
+                continue
+            apart_m = track.distance_m(x_m, y_m)
+            if track.instance.state == "refuted":
+                if apart_m <= self.config.refute_radius_m:
+                    return track
+                continue
+            if apart_m - track.radius_m >= best_m:
+                continue
+            apart_m = min(apart_m, kernels.nearest(track.instance.points_m, x_m, y_m))
+            if apart_m < best_m:
+                best, best_m = track, apart_m
+        return best
+
+    def _found(self, label: str, points: np.ndarray, score: float, stamp_ns: int) -> _Track:
+        instance = Instance(
+            id=self._next_id,
+            label=label,
+            center_m=np.zeros(3, np.float32),
+            points_m=np.empty((0, 3), np.float32),
+            score=score,
+            hits=1,
+            first_seen_ns=stamp_ns,
+            last_seen_ns=stamp_ns,
+        )
+        track = _Track(instance, names.canonical(label), stamp_ns)
+        self._grow(track, points)
+        self._tracks[self._next_id] = track
+        self._next_id += 1
+        return track
+
+    def _merge(self, track: _Track, points: np.ndarray, score: float, stamp_ns: int) -> None:
+        track.evidence_ns = max(track.evidence_ns, stamp_ns)
+        if track.instance.state == "refuted":
+            return
+        instance = track.instance
+        weight = RISE if score > instance.score else FALL
+        instance.score += weight * (score - instance.score)
+        if score > self.config.tau_det:
+            instance.hits += 1
+            instance.last_seen_ns = max(instance.last_seen_ns, stamp_ns)
+            self._grow(track, points)
+
+    def _grow(self, track: _Track, points: np.ndarray) -> None:
+        """Add surface points, one per voxel, at most MAX_POINTS spread over all of them."""
+        if track.instance.state != "refuted":
+            self._place(track, points)
+
+    def _adopt(self, instance: Instance, points_m: np.ndarray, support: np.ndarray) -> _Track:
+        track = _Track(instance, names.canonical(instance.label), instance.last_seen_ns)
+        track.points_m, track.support = points_m, support
+        self._outline(track)
+        self._tracks[instance.id] = track
+        self._next_id = max(self._next_id, instance.id + 1)
+        return track
+
+    def _place(self, track: _Track, points: np.ndarray) -> None:
+        track.points_m, track.support = kernels.merge_points(
+            track.points_m, track.support, points, self.config.voxel_m, MAX_POINTS
+        )
+        self._outline(track)
+
+    def _outline(self, track: _Track) -> None:
+        """The thing itself, by those of the points that most views show."""
+        instance = track.instance
+        instance.points_m, instance.center_m, track.radius_m = kernels.core_points(
+            track.points_m, track.support
+        )
+        track.x_m, track.y_m, track.z_m = instance.center_m.tolist()
+
+    def _confirm(
+        self, track: _Track, points: np.ndarray, score: float, pose: SE2, now_ns: int
+    ) -> None:
+        c, instance = self.config, track.instance
+        if instance.state in ("refuted", "reached") or score < c.confirm_score:
+            return
+        if kernels.nearest(points, pose.x_m, pose.y_m) > c.confirm_range_m:
+            return
+        if track.good_ns != now_ns:
+            track.good_ns = now_ns
+            track.good_hits += 1
+            self._judge(track)
+
+    def _count_view(self, track: _Track, weight: float) -> None:
+        track.views += weight
+        track.target_sum += weight * track.now_target
+        track.rival_sum += weight * track.now_rival
+        if track.views >= FORGET_VIEWS:
+            track.views *= 0.5
+            track.good_hits //= 2
+            track.target_sum *= 0.5
+            track.rival_sum *= 0.5
+        self._judge(track)
+
+    def _judge(self, track: _Track) -> None:
+        """Confirmed is what was found often enough and, over all looks at it from near by, scored
+        well and clearly better than anything else would, and what all looks at the place, targets'
+        and context's, say is nothing else.
+
+        A mistake now and then is no confirmation when most looks find nothing, nor is a bed that
+        is also a fair sofa. What was confirmed stays so while nothing else does better: from near
+        by a thing is seen in part, and the lead shrinks.
+        """
+        c, instance = self.config, track.instance
+        if instance.state not in ("seen", "confirmed"):
+            return
+        lead = 1.0 if instance.state == "confirmed" else c.confirm_lead
+        sure = (
+            track.good_hits >= c.confirm_hits
+            and track.target_sum >= c.confirm_mean * track.views
+            and track.target_sum >= lead * track.rival_sum
+            and not self._doubt(track)
+        )
+        instance.state = "confirmed" if sure else "seen"
+        if track.views >= REFUTE_VIEWS and track.rival_sum > track.target_sum:
+            self.refute(instance.id)
+
+    def _doubt(self, track: _Track) -> bool:
+        """Whether something else is surer to stand there, by all that was seen."""
+        if self._sightings is not None:
+            instance = track.instance
+            surer = SURER if instance.state == "confirmed" else 1.0
+            track.doubted = self._sightings.doubts(
+                track.name, instance.points_m, track.radius_m, surer
+            )
+        return track.doubted
+
+    def _unite(self, instance_id: int) -> None:
+        """Merge instances of one label that grew into each other; the older one stays."""
+        track = self._tracks.get(instance_id)
+        if track is None or track.instance.state in ("refuted", "reached"):
+            return
+        for other in list(self._tracks.values()):
+            if other is track or other.name != track.name:
+                continue
+            if other.instance.id not in self._tracks:
+                continue
+            if other.instance.state in ("refuted", "reached") or not self._overlap(track, other):
+                continue
+            older = other.instance.id < track.instance.id
+            old, new = (other, track) if older else (track, other)
+            del self._tracks[new.instance.id]
+            self._absorb(old, new)
+            track = old
+
+    def _overlap(self, a: _Track, b: _Track) -> bool:
+        """Whether the centre of one lies on the other, give or take half of `merge_m`."""
+        near_m = 0.5 * self.config.merge_m
+        if a.distance_m(b.x_m, b.y_m) > near_m + max(a.radius_m, b.radius_m):
+            return False
+        a_to_b = kernels.nearest(a.instance.points_m, b.x_m, b.y_m)
+        return min(a_to_b, kernels.nearest(b.instance.points_m, a.x_m, a.y_m)) < near_m
+
+    def _absorb(self, old: _Track, new: _Track) -> None:
+        a, b = old.instance, new.instance
+        a.score = max(a.score, b.score)
+        a.hits += b.hits
+        a.last_seen_ns = max(a.last_seen_ns, b.last_seen_ns)
+        old.evidence_ns = max(old.evidence_ns, new.evidence_ns)
+        old.good_hits = max(old.good_hits, new.good_hits)
+        old.views += new.views
+        old.target_sum += new.target_sum
+        old.rival_sum += new.rival_sum
+        self._judge(old)
+        self._grow(old, b.points_m)
+
+    def _limit(self) -> None:
+        """Over `max_instances`, the weakest go, the longest unseen of equals first."""
+        excess = len(self._tracks) - self.config.max_instances
+        if excess <= 0:
+            return
+        free = [t.instance for t in self._tracks.values() if t.instance.state not in _PROTECTED]
+        free.sort(key=lambda instance: (instance.score, instance.last_seen_ns))
+        for instance in free[:excess]:
+            del self._tracks[instance.id]
+            self.dropped += 1

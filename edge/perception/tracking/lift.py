@@ -1,0 +1,163 @@
+"""2D boxes → 3D points in `map`, through depth or a LiDAR cloud (VL-Nav III.C)."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge import config
+from edge.geometry import CameraModel, invert
+from edge.perception.tracking import lift_kernels as kernels
+from edge.types import MASK_SIDE, Detections, Observation
+
+log = logging.getLogger(__name__)
+
+POINTS = 32
+"""Surface points kept of each box."""
+_RASTER_COLUMNS = 320
+_NO_DEPTH = np.zeros((1, 1), np.float32)
+_NO_RASTER = np.full((1, 1), -1, np.int32)
+_NO_POINTS = np.zeros((1, 3), np.float32)
+_NO_MASKS = np.zeros((0, MASK_SIDE, MASK_SIDE), np.bool_)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lifted:
+    """Where the boxes of `detections` lie in space, as arrays parallel to them.
+
+    Attributes:
+        detections: what was lifted.
+        center_m: (n, 3) float32 in `map`, median of the surface points.
+        points_m: (n, POINTS, 3) float32 in `map`; the first `n_points[i]` of row i count.
+        n_points: (n,) int32.
+        n_samples: (n,) int32, returns that the centre rests on.
+        valid: (n,) bool; False where too few returns came back from the object.
+    """
+
+    detections: Detections
+    center_m: np.ndarray
+    points_m: np.ndarray
+    n_points: np.ndarray
+    n_samples: np.ndarray
+    valid: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.valid)
+
+    def surface_m(self, i: int) -> np.ndarray:
+        """Surface points of box i, (k, 3) float32 in `map`."""
+        return self.points_m[i, : self.n_points[i]]
+
+
+class Lifter:
+    """Lifts through the detections' *own* depth or cloud and pose, not the newest ones.
+
+    A box also shows what is in front of and behind the object. Of its inner part, the largest
+    surface that ends with the box is taken, else the nearest that fills a good share of it (see
+    `lift_kernels.lift_boxes`), without the floor that the object stands on. Where the detections
+    have masks, only what lies on a box's mask is looked at.
+
+    Attributes:
+        unliftable: observations with boxes that lacked what lifting needs.
+    """
+
+    def __init__(self, perception: config.Perception) -> None:
+        self.config = perception
+        self.unliftable = 0
+        side = kernels.SIDE
+        self._scratch = (
+            np.empty((side * side, 3), np.float32),
+            np.empty((4, side * side, 3), np.float32),
+            np.empty(4, np.int32),
+            np.empty(kernels.BINS, np.int32),
+            np.empty((kernels.BINS, 3), np.float32),
+            np.empty((3, side * side), np.float32),
+        )
+        self._raster = _NO_RASTER
+        self._cloud_points = _NO_POINTS
+
+    def lift(
+        self, detections: Detections, floor_over_base_m: float = 0.0
+    ) -> tuple[Lifted, Lifted | None]:
+        """All boxes; those without enough returns are marked invalid, never left out.
+
+        An observation that lacks the camera, depth or cloud that lifting needs (a LiDAR that fell
+        silent) is counted in `unliftable`, and all its boxes are invalid.
+
+        Args:
+            floor_over_base_m: height of the floor over the base's frame.
+
+        Returns:
+            The targets' boxes, and those of context words (None: not looked for). They are lifted
+            together, since one thing may hide much of another.
+        """
+        seen, around = detections.observation, detections.around()
+        k, boxes, word = len(detections), detections.xyxy_px, detections.class_id
+        if around is not None:
+            boxes = np.concatenate((boxes, around.xyxy_px))
+            word = np.concatenate((word, around.class_id + np.int32(len(detections.prompts))))
+        n = len(boxes)
+        out = (
+            np.zeros((n, 3), np.float32),
+            np.zeros((n, POINTS, 3), np.float32),
+            np.zeros(n, np.int32),
+            np.zeros(n, np.int32),
+            np.zeros(n, np.bool_),
+        )
+        if n and self._liftable(seen):
+            camera, by_cloud = seen.camera, self.config.lift == "cloud"
+            masks = _NO_MASKS if detections.mask is None else detections.mask
+            cell_px = self._project(seen, camera) if by_cloud else 0
+            view = (
+                _NO_DEPTH if by_cloud else seen.depth_m, self._raster, self._cloud_points,
+                float(cell_px), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
+            )  # fmt: skip
+            floor_z_m = float(seen.T_map_base[2, 3]) + floor_over_base_m + kernels.FLOOR_M
+            kernels.lift_boxes(
+                view, boxes, masks, word, seen.T_map_base @ seen.T_base_camera,
+                floor_z_m, self.config.lift_max_range_m, self.config.lift_min_points, self._scratch,
+                out,
+            )  # fmt: skip
+        others = None if around is None else Lifted(around, *(array[k:] for array in out))
+        return Lifted(detections, *(array[:k] for array in out)), others
+
+    def _liftable(self, seen: Observation) -> bool:
+        """Whether an observation has what lifting needs; told once where it has not."""
+        if missing := self._missing(seen):
+            self.unliftable += 1
+            if self.unliftable == 1:
+                log.warning("observation %d: %s; boxes cannot be lifted (further ones are only "
+                            "counted)", seen.seq, missing)  # fmt: skip
+        return not missing
+
+    def _missing(self, seen: Observation) -> str:
+        """What an observation lacks to be lifted through, or ""."""
+        camera, depth = seen.camera, seen.depth_m
+        if camera is None:
+            return "no camera model"
+        if self.config.lift == "cloud":
+            return "no cloud (perception.lift: cloud)" if seen.cloud_m is None else ""
+        if depth is None:
+            return "no depth (perception.lift: depth)"
+        if depth.shape != (camera.height_px, camera.width_px):
+            return (
+                f"depth {depth.shape} does not fit the {camera.height_px}x{camera.width_px} camera"
+            )
+        return ""
+
+    def _project(self, seen: Observation, camera: CameraModel) -> int:
+        """The cloud into the raster; the raster's cell in pixels."""
+        cell_px = max(1, -(-camera.width_px // _RASTER_COLUMNS))
+        shape = (-(-camera.height_px // cell_px), -(-camera.width_px // cell_px))
+        if self._raster.shape != shape:
+            self._raster = np.empty(shape, np.int32)
+        if len(self._cloud_points) < len(seen.cloud_m):
+            self._cloud_points = np.empty((len(seen.cloud_m), 3), np.float32)
+        kernels.cloud_raster(
+            seen.cloud_m, invert(seen.T_base_camera) @ seen.T_base_lidar,
+            camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, float(cell_px),
+            self._raster, self._cloud_points,
+        )  # fmt: skip
+        return cell_px

@@ -1,0 +1,353 @@
+"""What stands around: every thing that the detector names, by place, fused over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from copy import copy
+from typing import NamedTuple
+
+import numpy as np
+
+from edge import config, names
+from edge.geometry import invert
+from edge.perception.tracking import sighting_kernels as kernels
+from edge.perception.tracking.lift import Lifted
+from edge.perception.tracking.look_kernels import NO_DEPTH, view_of
+from edge.types import Observation
+
+GONE = 0.1
+"""What falls under this share of `tau_det` was a mistake, or is there no more."""
+_MATTERS = 0.1
+"""A confidence that moved so far since it was counted, or a place that moved twice as many metres,
+is a change of the whole."""
+_BROADER = 0.75
+"""What a broader word counts against a narrower one: an armchair is a chair, but what is clearly a
+chair and hardly an armchair is none."""
+_NONE = np.zeros(0, np.float32)
+
+
+class Sightings:
+    """What was seen where, as parallel arrays of which the first `n` entries count, in no order.
+
+    Attributes:
+        n: how many.
+        generation: counts changes that matter: something new, gone, moved, or surer or less sure.
+        words: canonical names; grows at its end only.
+        xyz_m: (capacity, 3) float32 in `map`, the middle of what was seen.
+        word: (capacity,) int16, index into `words`.
+        confidence: (capacity,) float32 in [0, 1], mean score over all looks at the place, weighted
+            by how well each showed it; a look that found nothing has score 0 (as ApexNav fuses).
+        last_seen_ns: (capacity,) int64, stamp of the newest detection.
+        id: (capacity,) int64, never given again.
+        hits: (capacity,) int32, images that it was detected in; `near_hits` of them from near by
+            and well.
+        points_m: (capacity, POINTS, 3) float32 in `map`, surface points, of which the first
+            `n_points[i]` of row i count; the newest POINTS voxels.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self.n = self.generation = 0
+        self.words: list[str] = []
+        self.xyz_m = np.zeros((capacity, 3), np.float32)
+        self.word = np.zeros(capacity, np.int16)
+        self.confidence = np.zeros(capacity, np.float32)
+        self.last_seen_ns = np.zeros(capacity, np.int64)
+        self.id = np.zeros(capacity, np.int64)
+        self.hits = np.zeros(capacity, np.int32)
+        self.near_hits = np.zeros(capacity, np.int32)
+        self.points_m = np.zeros((capacity, kernels.POINTS, 3), np.float32)
+        self.n_points = np.zeros(capacity, np.int32)
+
+    def read_only(self) -> Sightings:
+        """The same arrays, for those who may not write there; whoever writes renews the counts."""
+        shown = copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                view = value.view()
+                view.flags.writeable = False
+                setattr(shown, name, view)
+        return shown
+
+    def of(self, name: str) -> np.ndarray:
+        """Indices of all that has this canonical name, (k,) int64."""
+        if name not in self.words:
+            return np.zeros(0, np.int64)
+        return np.flatnonzero(self.word[: self.n] == self.words.index(name))
+
+
+class Sighting(NamedTuple):
+    """One of them, with what its confidence rests on: `total` of scores over `weight` of looks."""
+
+    center_m: np.ndarray
+    points_m: np.ndarray
+    confidence: float
+    weight: float
+    total: float
+    hits: int
+    near_hits: int
+    last_seen_ns: int
+
+
+class SightingTracker:
+    """Merges the lifted boxes of targets and context by word and place, and fuses them over time.
+
+    A strong box (over `tau_det`) founds a sighting; weak ones count where one is. A word's
+    confidence at a place falls with every look that does not find it there. The arrays are made
+    once: over `max_sightings` the least confident goes.
+
+    Attributes:
+        shown: the same, for policies to read.
+    """
+
+    def __init__(self, perception: config.Perception) -> None:
+        cap = perception.max_sightings
+        self.config = perception
+        self._all = Sightings(cap)
+        self._now = np.zeros(cap, np.float32)
+        self._weight = np.zeros(cap, np.float32)
+        self._total = np.zeros(cap, np.float32)
+        self._cursor = np.zeros(cap, np.int32)
+        self._told = np.zeros((cap, 4), np.float32)  # confidence and place when last counted
+        self._number: dict[str, int] = {}
+        self._rivals: dict[str, np.ndarray] = {}
+        self._asked = np.zeros(0, np.bool_)
+        self._asked_for: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+        self._columns: tuple[np.ndarray, np.ndarray] = (np.zeros(0, np.int16),) * 2
+        self._next_id = 1
+        self.shown = self._all.read_only()
+
+    def look(self, targets: Lifted, around: Lifted | None) -> None:
+        """Take in all that was found in one image, and that nothing else was.
+
+        Args:
+            targets, around: boxes of targets, and of context words (None: not looked for), lifted.
+        """
+        observation = targets.detections.observation
+        self._ask(targets.detections.prompts, () if around is None else around.detections.prompts)
+        for lifted, numbers in zip((targets, around), self._columns, strict=True):
+            if lifted is not None:
+                self._take(lifted, numbers, observation)
+        self._unite()
+        if observation.camera is not None:
+            self._fuse(observation)
+        self._forget()
+        self._count()
+
+    def answering(self, label: str) -> Iterator[Sighting]:
+        """All that a label names, kinds of it too, the surest first; arrays of their own."""
+        s = self._all
+        kinds = [names.is_kind_of(word, label) for word in s.words]
+        mine = [at for at in range(s.n) if kinds[s.word[at]] and s.n_points[at] > 0]
+        for at in sorted(mine, key=lambda at: -s.confidence[at]):
+            yield Sighting(
+                s.xyz_m[at].copy(), s.points_m[at, : s.n_points[at]].copy(),
+                float(s.confidence[at]), float(self._weight[at]), float(self._total[at]),
+                int(s.hits[at]), int(s.near_hits[at]), int(s.last_seen_ns[at]),
+            )  # fmt: skip
+
+    def doubts(self, name: str, surface_m: np.ndarray, radius_m: float, surer: float = 1.0) -> bool:
+        """Whether something else is surer to stand where a thing was seen: of what the detector
+        looks for, since what it does not could never be found wanting.
+
+        Args:
+            name: canonical, of the thing.
+            surface_m: (k, 3) float32 in `map`; k > 0.
+            radius_m: how far it reaches from its middle.
+            surer: so many times as sure must something else be.
+        """
+        s, merge_m = self._all, self.config.merge_m
+        x_m, y_m, _ = surface_m.mean(axis=0).tolist()
+        mine, word = 0.0, self._number.get(name, -1)
+        at = kernels.match(
+            s.xyz_m, s.points_m, s.n_points, s.word, s.n, word, x_m, y_m, merge_m + radius_m
+        )
+        if at >= 0:
+            mine = float(s.confidence[at])
+        rival = kernels.strongest_rival(
+            surface_m, s.xyz_m, s.points_m, s.n_points, s.word, s.confidence, s.n,
+            self._rivals_of(name) * self._asked, merge_m + radius_m,
+        )  # fmt: skip
+        return rival > surer * mine
+
+    def _rivals_of(self, name: str) -> np.ndarray:
+        """(words,) float32: what the confidence of each word counts against a thing."""
+        known = self._rivals.get(name, _NONE)
+        if len(known) < len(self._all.words):
+            more = [_against(word, name) for word in self._all.words[len(known) :]]
+            known = self._rivals[name] = np.append(known, np.array(more, np.float32))
+        return known
+
+    def clear(self) -> None:
+        """Forget every sighting; ids and words go on."""
+        self._all.generation += self._all.n > 0
+        self._all.n = 0
+        self._show()
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """All of it, as plain arrays of `n` rows, and what numbers its words."""
+        columns = {name: array[: self._all.n].copy() for name, array in self._columns_kept()}
+        return {
+            **columns, "words": np.array(self._all.words, np.str_),
+            "next_id": np.array(self._next_id),
+        }  # fmt: skip
+
+    def restore(self, kept: dict[str, np.ndarray], later_ns: int) -> None:
+        """Go on with what `kept` gave, with nothing seen yet; what does not fit is left out.
+
+        Args:
+            later_ns: how much later it all happened on the sensors' clock of now.
+        """
+        s = self._all
+        self._numbers(kept["words"].tolist())
+        s.n = min(len(kept["word"]), len(s.word))
+        for name, array in self._columns_kept():
+            array[: s.n] = kept[name][: s.n]
+        s.word[: s.n] = self._numbers(kept["words"].tolist())[kept["word"][: s.n]]
+        s.last_seen_ns[: s.n] += later_ns
+        self._next_id = max(self._next_id, int(kept["next_id"]))
+        # Nothing was looked for yet, whatever was known before.
+        self._asked, self._asked_for = np.zeros(len(s.words), np.bool_), ((), ())
+        s.generation += 1
+        self._show()
+
+    def _columns_kept(self) -> Iterator[tuple[str, np.ndarray]]:
+        s = self._all
+        yield from (
+            ("xyz_m", s.xyz_m), ("word", s.word), ("confidence", s.confidence),
+            ("last_seen_ns", s.last_seen_ns), ("id", s.id), ("hits", s.hits),
+            ("near_hits", s.near_hits), ("points_m", s.points_m), ("n_points", s.n_points),
+            ("weight", self._weight), ("total", self._total), ("cursor", self._cursor),
+            ("told", self._told),
+        )  # fmt: skip
+
+    def _ask(self, prompts: tuple[str, ...], words: tuple[str, ...]) -> None:
+        """Number what was looked for."""
+        if (prompts, words) == self._asked_for:
+            return
+        self._asked_for = prompts, words
+        self._columns = (
+            self._numbers([names.canonical(names.head_phrase(prompt)) for prompt in prompts]),
+            self._numbers(words),
+        )  # fmt: skip
+        self._asked = np.zeros(len(self._all.words), np.bool_)
+        for numbers in self._columns:
+            self._asked[numbers] = True
+
+    def _numbers(self, words: Sequence[str]) -> np.ndarray:
+        for word in words:
+            if word not in self._number:
+                self._number[word] = len(self._all.words)
+                self._all.words.append(word)
+        return np.array([self._number[word] for word in words], np.int16)
+
+    def _take(self, lifted: Lifted, numbers: np.ndarray, observation: Observation) -> None:
+        """Merge the boxes of one image, strongest first."""
+        seen, s, c = lifted.detections, self._all, self.config
+        pose = observation.pose
+        for i in np.flatnonzero(lifted.valid).tolist():
+            score, word = float(seen.score[i]), int(numbers[seen.class_id[i]])
+            x_m, y_m, z_m = lifted.center_m[i].tolist()
+            at = kernels.match(
+                s.xyz_m, s.points_m, s.n_points, s.word, s.n, word, x_m, y_m, c.merge_m
+            )
+            strong = score > c.tau_det
+            if at < 0:
+                if not strong:
+                    continue
+                at = self._found(word, (x_m, y_m, z_m))
+            if self._now[at] > 0.0:  # another box of this image is there
+                continue
+            self._now[at] = score
+            s.last_seen_ns[at] = observation.stamp_ns
+            if not strong:
+                continue
+            s.hits[at] += 1
+            near = np.hypot(x_m - pose.x_m, y_m - pose.y_m) <= c.confirm_range_m
+            s.near_hits[at] += near and score >= c.confirm_score
+            s.xyz_m[at] += (lifted.center_m[i] - s.xyz_m[at]) / min(s.hits[at], 20)
+            kernels.take_up(
+                s.points_m, s.n_points, self._cursor, at, lifted.points_m[i], lifted.n_points[i],
+                c.voxel_m,
+            )  # fmt: skip
+
+    def _unite(self) -> None:
+        """Make one of two sightings of one thing."""
+        s, near_m = self._all, 0.5 * self.config.merge_m
+        while True:
+            kept, gone = kernels.drifted(s.xyz_m, s.word, s.n, self._now, near_m)
+            if kept < 0:
+                return
+            share = s.hits[gone] / max(s.hits[kept] + s.hits[gone], 1)
+            s.xyz_m[kept] += share * (s.xyz_m[gone] - s.xyz_m[kept])
+            for array in (self._weight, self._total, s.hits, s.near_hits):
+                array[kept] += array[gone]
+            for array in (self._now, s.confidence, s.last_seen_ns):
+                array[kept] = max(array[kept], array[gone])
+            kernels.take_up(
+                s.points_m, s.n_points, self._cursor, kept, s.points_m[gone].copy(),
+                s.n_points[gone], self.config.voxel_m,
+            )  # fmt: skip
+            self._drop(gone)
+
+    def _found(self, word: int, xyz_m: tuple[float, float, float]) -> int:
+        s = self._all
+        if s.n == len(s.word):
+            self._drop(int(np.argmin(s.confidence[: s.n] + self._now[: s.n])))
+        at, s.n = s.n, s.n + 1
+        s.xyz_m[at], s.word[at], s.id[at] = xyz_m, word, self._next_id
+        s.points_m[at] = 0.0  # of the one that was here: a checkpoint keeps the whole row
+        s.confidence[at] = s.hits[at] = s.near_hits[at] = s.n_points[at] = 0
+        self._weight[at] = self._total[at] = self._cursor[at] = self._now[at] = 0
+        self._told[at] = -1.0
+        self._next_id += 1
+        return at
+
+    def _fuse(self, observation: Observation) -> None:
+        s, c, camera = self._all, self.config, observation.camera
+        far_m = min(2.0 * c.confirm_range_m, c.lift_max_range_m)
+        depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
+        kernels.fuse(
+            s.xyz_m, s.points_m, s.n_points, s.word, s.n, self._now, self._asked,
+            invert(observation.T_map_base @ observation.T_base_camera), view_of(camera), depth,
+            c.confirm_range_m, far_m, self._weight, self._total, s.confidence,
+        )  # fmt: skip
+
+    def _forget(self) -> None:
+        """What was looked at and not found too often goes."""
+        s = self._all
+        weak = (s.confidence[: s.n] < GONE * self.config.tau_det) & (self._weight[: s.n] > 1.0)
+        for at in np.flatnonzero(weak)[::-1].tolist():
+            self._drop(at)
+
+    def _drop(self, at: int) -> None:
+        """Let one go; the last takes its place."""
+        s = self._all
+        last = s.n - 1
+        for array in (
+            s.xyz_m, s.word, s.confidence, s.last_seen_ns, s.id, s.hits, s.near_hits, s.points_m,
+            s.n_points, self._now, self._weight, self._total, self._cursor, self._told,
+        ):  # fmt: skip
+            array[at] = array[last]
+        s.n = last
+        s.generation += 1
+
+    def _count(self) -> None:
+        """A new generation where anything changed that matters."""
+        s, told = self._all, self._told
+        moved = np.abs(s.confidence[: s.n] - told[: s.n, 0]) > _MATTERS
+        moved |= np.abs(s.xyz_m[: s.n] - told[: s.n, 1:]).max(axis=1, initial=0) > 2 * _MATTERS
+        if moved.any():
+            at = np.flatnonzero(moved)
+            told[at, 0], told[at, 1:] = s.confidence[at], s.xyz_m[at]
+            s.generation += 1
+        self._show()
+
+    def _show(self) -> None:
+        self.shown.n, self.shown.generation = self._all.n, self._all.generation
+
+
+def _against(word: str, name: str) -> float:
+    """What it counts against a thing of some name that a word was seen in its place."""
+    if names.is_kind_of(word, name):
+        return 0.0
+    return _BROADER if names.is_kind_of(name, word) else 1.0
