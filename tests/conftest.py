@@ -21,7 +21,7 @@ settings.register_profile(
     "edge",
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],
-    max_examples=50 if os.environ.get("CI") else 15,
+    max_examples=60 if os.environ.get("CI") else 15,
     derandomize=bool(os.environ.get("CI")),
 )
 settings.load_profile("edge")

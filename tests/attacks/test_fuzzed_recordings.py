@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from decoders import mutate
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from recordings import Recording
 
@@ -131,7 +131,6 @@ def test_any_bytes(folder, content):
         look_at(path)
 
 
-@settings(max_examples=40)
 @given(st.randoms(use_true_random=False))
 def test_changed_files(folder, run, chance):
     path = folder / "edge-changed.mcap"
@@ -142,7 +141,6 @@ def test_changed_files(folder, run, chance):
 BESIDE = {c.topic for c in (channels.DEPTH, channels.PICTURE, channels.LATENCY, channels.SPANS)}
 
 
-@settings(max_examples=25)
 @given(st.randoms(use_true_random=False))
 def test_changed_messages(folder, run, chance):
     path = folder / "edge-messages.mcap"
@@ -150,7 +148,7 @@ def test_changed_messages(folder, run, chance):
     look_at(path)
 
 
-@settings(max_examples=15, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=15)
 @given(st.randoms(use_true_random=False))
 def test_changed_journals_are_replayed_or_refused(folder, run, chance):
     path = folder / "edge-journal.mcap"

@@ -24,7 +24,7 @@ def house_frames():
     return rgb, views.render_house(0, len(rgb), rgb)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10**6))
 def test_a_house_keeps_its_things_inside_and_below_the_ceiling(seed):
     house, appearances = random_house(seed)
@@ -90,7 +90,6 @@ def test_between_two_colours_both_are_unsure():
         max_size=8,
     ),
 )
-@settings(max_examples=60, deadline=None)
 def test_saying_more_of_a_thing_never_makes_a_no_a_yes(rgb, style, category, rows):
     phrases = np.array(rows)
     less = phrases.copy()

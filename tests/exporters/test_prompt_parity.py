@@ -151,7 +151,7 @@ def both(tmp_path_factory):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=WORDS)
 def test_a_text_is_the_same_tokens(both, layout, text):
     one = both[layout]
@@ -175,7 +175,7 @@ def test_special_tokens_are_one_token_each(both, layout):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     target=st.sampled_from(["bed", "tall white trash can", "Kühlschrank", "a\nb", "{{ x }}"]),
     marks=st.integers(1, 8),

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mapping.mapping_twins import SMALL, complete, look, room
 
@@ -143,7 +143,6 @@ def nearest_pairs_first(old: np.ndarray, new: np.ndarray, radius: float) -> list
     return match
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 12), st.integers(0, 12))
 def test_the_nearest_pairs_are_joined_first(seed, n_old, n_new):
     rng = np.random.default_rng(seed)
@@ -157,7 +156,6 @@ def test_the_nearest_pairs_are_joined_first(seed, n_old, n_new):
     assert got == nearest_pairs_first(old, new, 0.5)
 
 
-@settings(max_examples=50)
 @given(
     st.lists(
         st.lists(st.tuples(st.floats(-5, 5), st.floats(-5, 5)), max_size=20), min_size=1, max_size=6

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.loop import ladder
@@ -127,7 +127,6 @@ loads = st.lists(
 )
 
 
-@settings(max_examples=50)
 @given(loads)
 def test_never_two_steps_within_the_dwell_and_never_more_than_one_rung(phases):
     plant = Plant()
@@ -139,7 +138,6 @@ def test_never_two_steps_within_the_dwell_and_never_more_than_one_rung(phases):
     assert set(rungs) <= {0, 1, 2}
 
 
-@settings(max_examples=25)
 @given(loads, st.floats(0.05, 1.0))
 def test_whatever_came_before_all_is_taken_back_once_there_is_room(phases, load):
     plant = Plant()
@@ -148,7 +146,6 @@ def test_whatever_came_before_all_is_taken_back_once_there_is_room(phases, load)
     assert plant.run(2 * 3 * (60 << MOST_DOUBLINGS), load).rung == 0
 
 
-@settings(max_examples=50)
 @given(st.floats(0.05, 6.0), st.tuples(*[st.floats(0.1, 1.0)] * 2), st.floats(5.0, 60.0))
 def test_under_a_load_that_stays_it_steps_down_and_hardly_ever_up(load, shares, cost_ms):
     """What a rung saves is known once it is taken: a try comes at 16 times `ROOM_S` or later."""

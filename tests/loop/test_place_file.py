@@ -8,7 +8,7 @@ import zlib
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_places import Run, config
 
@@ -93,7 +93,6 @@ def test_what_is_no_map_is_refused_in_one_line(whole, text):
     assert "\n" not in said
 
 
-@settings(max_examples=100)
 @given(st.data())
 def test_damage_anywhere_is_told(content, data):
     at = data.draw(st.integers(0, len(content) - 1))
@@ -123,7 +122,6 @@ def test_every_array_is_held_to_the_table(content, monkeypatch, name):
         assert name in said or not limited, (name, other.dtype, other.shape)
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.lists(st.sampled_from(sorted(TABLE)), min_size=1, max_size=3), st.integers(0, 1000))
 def test_whatever_numbers_a_file_holds_the_service_goes_on(tmp_path_factory, content, names, seed):
     """The checksum is right, and some arrays hold anything of their type, within the limits."""

@@ -117,7 +117,7 @@ def test_with_nothing_kept_there_is_nothing_to_take_up(tmp_path):
     run.service.keeper.close()
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(st.sampled_from(POLICIES), st.integers(1, 120))
 @example("hvl", 90)
 @example("search", 98)  # a thing takes the row of one that is gone

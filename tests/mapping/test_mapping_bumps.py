@@ -385,7 +385,7 @@ def test_the_robot_on_what_was_closed_opens_all_that_the_bump_closed():
     assert_consistent(grid)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     turns=st.lists(st.floats(-0.6, 0.6), min_size=3, max_size=12),
     headings=st.lists(st.floats(-math.pi, math.pi), min_size=1, max_size=3),

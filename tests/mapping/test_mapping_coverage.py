@@ -100,7 +100,6 @@ def test_nothing_is_sought_before_a_camera_looked():
     assert searched(explored()) is None
 
 
-@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), then=st.sampled_from([KEEP, COUNT, WRITE_OFF]))
 def test_what_a_camera_shows_agrees_with_the_twin(seed, then):
     rng, layers, raw, looks, stored, shift, _ = random_world(seed)
@@ -250,7 +249,6 @@ def test_a_place_is_about_a_quarter_of_a_metre(resolution_m):
     assert side_m == pytest.approx(max(0.25, resolution_m), rel=0.45)
 
 
-@settings(max_examples=20)
 @given(
     moves=st.lists(st.tuples(st.integers(-5, 5), st.integers(-5, 5)), min_size=1, max_size=5),
     seed=st.integers(0, 2**32 - 1),

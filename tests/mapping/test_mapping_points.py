@@ -7,7 +7,7 @@ import math
 import mapping_twins as twins
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge import config
@@ -34,7 +34,6 @@ def random_scan(seed: int, n: int):
     return scan, args
 
 
-@settings(max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.integers(0, 400),
@@ -74,7 +73,6 @@ def test_point_kernels_agree_with_their_twins(seed, n, share, high_m, lean):
     assert len(xs) == 0 or (xs.min() >= x0 and xs.max() < x1 and ys.min() >= y0 and ys.max() < y1)
 
 
-@settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.integers(0, 4000),
@@ -159,7 +157,6 @@ def test_cloud_points_agree_with_numpy_and_drop_what_is_not_finite():
     np.testing.assert_allclose(xyz[:, :n], expected, atol=1e-5)
 
 
-@settings(max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     tilt_rad=st.sampled_from([0.0, 0.2]),

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mapping_twins import SMALL, complete, look
 
@@ -31,7 +31,6 @@ def on_trail(raw: np.ndarray, trail: np.ndarray, body: np.ndarray) -> np.ndarray
     return trail & clear
 
 
-@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), radius=st.sampled_from([0.0, 1.0, 2.5, 4.0]))
 def test_on_trail_agrees_with_its_twin(seed, radius):
     rng = np.random.default_rng(seed)
@@ -42,7 +41,6 @@ def test_on_trail_agrees_with_its_twin(seed, radius):
     np.testing.assert_array_equal(found, on_trail(layers.raw, bits(layers.trail), body))
 
 
-@settings(max_examples=50)
 @given(
     ends=st.tuples(*[st.integers(2, N - 3)] * 4),
     shift=st.tuples(st.integers(0, N - 1), st.integers(0, N - 1)),

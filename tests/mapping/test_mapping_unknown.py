@@ -5,7 +5,7 @@ from __future__ import annotations
 import mapping_twins as twins
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.mapping import layers
@@ -34,7 +34,6 @@ def random_map(rng: np.random.Generator) -> RollingMap:
     return grid
 
 
-@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.05, 0.3, 1.0, 1.55]))
 def test_the_ratio_agrees_with_a_search(seed, radius_m):
     rng = np.random.default_rng(seed)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, look, render, room, seen_around
 
@@ -154,7 +154,6 @@ def directions_twin(values, seen, xy, p, scene, channel=0):
     return value, weight
 
 
-@settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6), frontiers=st.integers(0, 8))
 def test_directional_scores_are_spread_as_eq_8(seed, frontiers):
     rng = np.random.default_rng(seed)
@@ -205,7 +204,6 @@ def test_a_frontier_behind_is_no_direction_of_the_view():
 # -- VLFM's writer -------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_whole_view_scores_are_blended_as_vlfm_does(seed):
     rng = np.random.default_rng(seed)
@@ -230,7 +228,6 @@ def test_whole_view_scores_are_blended_as_vlfm_does(seed):
 
 
 @given(scores=st.lists(st.floats(-2.0, 3.0), min_size=1, max_size=6))
-@settings(max_examples=40, deadline=None)
 def test_values_stay_between_what_they_were_made_of(scores):
     values = value_map()
     for i, score in enumerate(scores):
@@ -258,7 +255,6 @@ def test_no_camera_sees_nothing_and_no_place_neither():
     assert values.sight(Observation(0, 0, lost, camera=CAMERA)) is None
 
 
-@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_how_far_the_floor_is_in_view_is_the_farthest_return_of_each_column(seed):
     rng = np.random.default_rng(seed)
@@ -310,7 +306,6 @@ def test_cells_behind_what_is_in_the_way_are_not_written(by_depth):
 # -- reading and rolling -------------------------------------------------------------------
 
 
-@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10**6), radius=st.floats(0.0, 1.3))
 def test_the_best_near_a_place_is_eq_9(seed, radius):
     rng = np.random.default_rng(seed)
@@ -335,7 +330,6 @@ def test_the_best_near_a_place_is_eq_9(seed, radius):
         np.testing.assert_allclose(got, expected, atol=1e-6)
 
 
-@settings(max_examples=30, deadline=None)
 @given(
     moves=st.lists(st.tuples(st.integers(0, 1), st.integers(-4, 4)), max_size=6),
     seed=st.integers(0, 10**6),

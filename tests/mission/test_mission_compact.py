@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.lab.eval.languages import difference
@@ -53,7 +53,6 @@ def test_every_operator_has_operands() -> None:
     assert arity(NAMES[0]) == arity(REFUSED) == 0
 
 
-@settings(max_examples=200)
 @given(st.data(), st.integers(1, MOST_NAMES), st.integers(1, 24))
 def test_whatever_is_allowed_ends_in_a_formula(data: st.DataObject, names: int, most: int) -> None:
     written: list[str] = []

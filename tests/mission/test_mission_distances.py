@@ -7,7 +7,7 @@ import math
 import networkx as nx
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mission_plan_twins import grid_dijkstra
 
@@ -161,7 +161,6 @@ def random_cells(seed: int, h: int, w: int, closed: float) -> np.ndarray:
     return np.random.default_rng(seed).choice([-1, 0, 50, 100], (h, w), p=p).astype(np.int8)
 
 
-@settings(max_examples=60)
 @given(
     seed=st.integers(0, 9999), h=st.integers(1, 17), w=st.integers(1, 17), factor=st.integers(1, 5)
 )
@@ -172,7 +171,6 @@ def test_coarsen_agrees_with_numpy(seed, h, w, factor):
     np.testing.assert_array_equal(out, coarse_twin(cells, factor))
 
 
-@settings(max_examples=60)
 @given(
     seed=st.integers(0, 9999),
     h=st.integers(1, 20),
@@ -194,7 +192,6 @@ def test_wavefront_agrees_with_a_heap(seed, h, w, starts, unknown):
     np.testing.assert_array_equal(distance, grid_dijkstra(state, step, start))
 
 
-@settings(max_examples=100)
 @given(
     seed=st.integers(0, 9999),
     x=st.floats(-5, 20),
@@ -216,7 +213,6 @@ def test_nearest_cell_agrees_with_a_search_of_all(seed, x, y, radius):
     assert (c + 0.5 - x) ** 2 + (r + 0.5 - y) ** 2 == pytest.approx(least)
 
 
-@settings(max_examples=100)
 @given(seed=st.integers(0, 9999), x=st.floats(0, 14), y=st.floats(0, 12))
 def test_around_agrees_with_a_graph(seed, x, y):
     state = coarse_twin(random_cells(seed, 12, 14, 0.5), 1)

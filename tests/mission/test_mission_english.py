@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.lab.eval.languages import difference
@@ -80,7 +80,6 @@ def _formulas(children: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula
     return st.builds(apply, OPERATORS, children, children)
 
 
-@settings(max_examples=300)
 @given(st.recursive(NAMES.map(ap), _formulas, max_leaves=8))
 def test_any_formula_is_said_and_never_wrongly(formula: Formula) -> None:
     """What is not read out literally is read back as the same language.

@@ -7,7 +7,7 @@ import string
 from functools import cache
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from edge.config import TranslatorAuto, TranslatorGrammar
@@ -479,7 +479,6 @@ def test_each_meaningful_word_counts(clause: str) -> None:
             check_counts(words, at, swapped)
 
 
-@settings(max_examples=150, deadline=None)
 @given(sentences(), st.data())
 def test_no_meaningful_word_is_passed_over(sentence: tuple[list[str], list[int]], data) -> None:
     words, stars = sentence
@@ -492,7 +491,6 @@ def auto() -> Translator:
     return make_translator(TranslatorAuto())
 
 
-@settings(max_examples=60, deadline=None)
 @given(sentences(), st.data())
 def test_nor_by_the_translator_that_asks_the_network(sentence, data) -> None:
     words, stars = sentence
@@ -557,7 +555,6 @@ NAMED = st.sampled_from(("the sofa", "bed", "a", "third floor", '"x y"', '""', "
 JUMBLES = st.lists(st.one_of(SAID, NAMED, st.sampled_from(",.;:?!")), max_size=9).map(" ".join)
 
 
-@settings(max_examples=800)
 @given(st.one_of(st.text(max_size=200), BYTES, st.lists(WORDS, max_size=40).map(" ".join), JUMBLES))
 @example("repeated visits are not allowed is forbidden on the route to there a ;")
 @example("third floor or single beginning in chair")
@@ -584,7 +581,6 @@ def test_a_refusal_shows_little_of_what_was_said(text: str) -> None:
     assert max(shown.count(letter) for letter in "xyzé(") < _ECHO
 
 
-@settings(max_examples=20)
 @given(st.sampled_from(sorted(TABLE)), st.sampled_from(["", " bed", " a", ",", ", then"]))
 def test_repetition_is_no_trap(phrase: tuple[str, ...], between: str) -> None:
     """The same words over and over, as many as are allowed, are answered all the same."""

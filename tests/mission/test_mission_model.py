@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from functools import cache
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.lab.eval.languages import difference
@@ -217,7 +217,6 @@ def test_no_inserted_negation_is_passed_over() -> None:
     assert not passed
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     st.lists(
         st.sampled_from([*"abc", "the sofa", "go", "not", "until", "twice", ".", "zz", "or"])

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from mission_plan_twins import (
     CASE_1,
@@ -260,7 +260,6 @@ def test_a_matrix_of_another_shape_is_refused():
 # --- against networkx ---
 
 
-@settings(max_examples=150)
 @given(data=st.data(), automaton=automata(), known_reached=st.booleans())
 def test_constant_plans_are_shortest_paths(data, automaton, known_reached):
     knowledge = data.draw(knowledge_of(automaton.letters))
@@ -275,7 +274,6 @@ def test_constant_plans_are_shortest_paths(data, automaton, known_reached):
         check(automaton, state, plan, knowledge)
 
 
-@settings(max_examples=100)
 @given(data=st.data(), automaton=automata(max_letters=3), seed=st.integers(0, 1000))
 def test_distance_plans_are_shortest_paths(data, automaton, seed):
     knowledge = data.draw(knowledge_of(automaton.letters))
@@ -340,7 +338,6 @@ def check(automaton, state, plan, knowledge):
     assert automaton.accepting[state]
 
 
-@settings(max_examples=100)
 @given(automaton=automata(), seed=st.integers(0, 10_000))
 @pytest.mark.parametrize("config", [PlannerVitl(), PlannerVitl(weights="distance")])
 def test_missions_end_accepted_while_objects_are_met_by_chance(config, automaton, seed):

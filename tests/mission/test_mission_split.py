@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from ltl_semantics import holds
 
@@ -95,7 +95,6 @@ MISSIONS = st.builds(
 )
 
 
-@settings(max_examples=100)
 @given(MISSIONS, st.data())
 def test_words_of_the_parts_interleaved_in_any_way_fulfil_the_whole(formula, data):
     found = split(formula)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from chat_server import likeliest, send, serving
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from patience import PATIENCE_S
 
@@ -76,7 +76,6 @@ def test_a_model_that_says_something_else_is_named(tokens):
         probabilities(list(tokens.items()), "AB")
 
 
-@settings(max_examples=40)
 @given(
     st.lists(
         st.tuples(st.sampled_from(["A", " A", "B", "C", "The", "_D", ""]), st.floats(-30, 0)),
@@ -100,7 +99,6 @@ def test_probabilities_sum_to_one_and_do_not_depend_on_order(tokens):
         assert letter in told or chance <= min(known)
 
 
-@settings(max_examples=60)
 @given(
     st.dictionaries(st.sampled_from("ABCDE"), st.floats(1e-4, 1.0), min_size=1),
     st.floats(0.0, 1.0),
@@ -258,7 +256,6 @@ def test_marks_beyond_the_letters_and_without_room_are_left_out():
     assert [m.id for m in marks] == [0]
 
 
-@settings(max_examples=40)
 @given(
     st.lists(st.tuples(st.floats(-50, 700), st.floats(-50, 500)), max_size=MAX_MARKS),
     st.integers(40, 640),

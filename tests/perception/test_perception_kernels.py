@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from twins import (
     candidates,
@@ -81,7 +81,6 @@ def test_no_anchor_gives_no_box():
 
 
 @given(seed=seeds, n=st.integers(1, 60), targets=st.integers(1, 3), rest=st.integers(0, 3))
-@settings(max_examples=60)
 def test_candidates_and_suppress_agree_with_their_twins(seed, n, targets, rest):
     random = np.random.default_rng(seed)
     boxes = random_boxes(random, n)
@@ -116,7 +115,6 @@ def test_candidates_and_suppress_agree_with_their_twins(seed, n, targets, rest):
 
 
 @given(seed=seeds, n=st.integers(0, 20), names=st.lists(st.integers(1, 3), min_size=1, max_size=4))
-@settings(max_examples=30)
 def test_fold_agrees_with_its_twin(seed, n, names):
     random = np.random.default_rng(seed)
     thing = np.repeat(np.arange(len(names), dtype=np.int32), names)
@@ -129,7 +127,6 @@ def test_fold_agrees_with_its_twin(seed, n, names):
 
 
 @given(seed=seeds)
-@settings(max_examples=30)
 def test_kept_boxes_of_a_class_do_not_overlap_and_come_highest_first(seed):
     random = np.random.default_rng(seed)
     boxes = random_boxes(random, 40)
@@ -157,7 +154,6 @@ def test_boxes_come_back_to_the_image_and_are_clipped():
 
 
 @given(seed=seeds, n=st.integers(0, 5))
-@settings(max_examples=30)
 def test_object_boxes_agree_with_their_twin(seed, n):
     random = np.random.default_rng(seed)
     ids = random.integers(0, n + 2, (12, 17)).astype(np.uint16)
@@ -174,7 +170,6 @@ def test_object_boxes_agree_with_their_twin(seed, n):
 
 
 @given(seed=seeds, n=st.integers(0, 200))
-@settings(max_examples=30)
 def test_cloud_raster_agrees_with_its_twin(seed, n):
     random = np.random.default_rng(seed)
     cloud = random.uniform(-4, 8, (n, 3)).astype(np.float32)
@@ -189,7 +184,6 @@ def test_cloud_raster_agrees_with_its_twin(seed, n):
 
 
 @given(seed=seeds)
-@settings(max_examples=30)
 def test_sample_depth_agrees_with_its_twin(seed):
     random = np.random.default_rng(seed)
     depth = random.uniform(0, 9, (40, 60)).astype(np.float32)
@@ -214,7 +208,6 @@ def surfaces_of(z):
 
 
 @given(seed=seeds, n=st.integers(0, 576), spread=st.floats(0.05, 4))
-@settings(max_examples=60)
 def test_surfaces_agree_with_their_twin(seed, n, spread):
     random = np.random.default_rng(seed)
     middles = random.uniform(0.2, 8, 3)
@@ -227,7 +220,6 @@ def test_surfaces_agree_with_their_twin(seed, n, spread):
 
 
 @given(seed=seeds)
-@settings(max_examples=30)
 def test_going_on_agrees_with_its_twin(seed):
     random = np.random.default_rng(seed)
     n = random.integers(0, 20, 4).astype(np.int32)
@@ -255,7 +247,6 @@ def test_one_view_of_the_wrong_thing_moves_nothing():
 
 
 @given(seed=seeds, n_old=st.integers(0, 64), n_new=st.integers(1, 32))
-@settings(max_examples=40)
 def test_merge_points_agrees_with_its_twin(seed, n_old, n_new):
     random = np.random.default_rng(seed)
     old = random.uniform(-3, 3, (n_old, 3)).astype(np.float32)

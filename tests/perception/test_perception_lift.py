@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import twins
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge import config
@@ -324,7 +324,6 @@ def test_what_fits_another_box_better_is_not_the_things(make_observation, around
         assert beside.center_m[0, 0] == pytest.approx(1.5, abs=0.1)
 
 
-@settings(max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_samples_of_other_things_are_dropped_one_by_one(seed):
     rng = np.random.default_rng(seed)
@@ -370,7 +369,6 @@ def test_only_what_lies_on_the_mask_is_the_thing(make_observation, shown_m, x_m,
     assert out.center_m[0, 0] == pytest.approx(x_m, abs=0.1)
 
 
-@settings(max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1), share=st.sampled_from([0.0, 0.02, 0.3, 1.0]))
 def test_samples_off_the_mask_are_dropped_one_by_one(seed, share):
     rng = np.random.default_rng(seed)

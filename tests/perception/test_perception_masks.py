@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import twins
 from frames import Slot
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from patience import eventually
 
@@ -71,7 +71,6 @@ def test_a_raster_lies_over_its_box(box, covered):
     assert out.mean() == pytest.approx(covered, abs=0.05)
 
 
-@settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_raster_is_the_image_looked_up_cell_by_cell(seed):
     rng = np.random.default_rng(seed)
@@ -134,7 +133,6 @@ def test_past_the_deadline_boxes_are_left():
     assert not out.any()
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     box=st.tuples(*[st.floats(-200, 300, width=32)] * 2, *[st.floats(0.125, 400, width=32)] * 2),

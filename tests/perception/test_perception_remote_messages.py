@@ -7,7 +7,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -45,7 +45,6 @@ def test_a_request_as_the_protocol_wants_it():
     assert body[length:] == np.ones(2, "<f4").tobytes() + np.array([7], "<i8").tobytes()
 
 
-@settings(max_examples=40)
 @given(hnp.arrays(np.float32, hnp.array_shapes(max_dims=3, max_side=4)), st.booleans())
 def test_what_is_sent_comes_back_the_same(array, binary):
     headers, body = infer_request({"x": array}, [], binary)
@@ -120,7 +119,6 @@ json_values = st.recursive(
 )  # fmt: skip
 
 
-@settings(max_examples=40)
 @given(st.binary(max_size=80) | json_values.map(lambda v: json.dumps(v).encode()),
        st.none() | st.text(max_size=5))  # fmt: skip
 def test_no_answer_raises_anything_else(body, length):
@@ -133,7 +131,6 @@ def test_no_answer_raises_anything_else(body, length):
             read()
 
 
-@settings(max_examples=40)
 @given(json_values)
 def test_no_output_raises_anything_else(value):
     entry = {**ONE, **(value if isinstance(value, dict) else {"data": value}), "name": "boxes"}

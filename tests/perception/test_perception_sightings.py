@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from twins import fuse, match, strongest_rival
 
@@ -261,7 +261,6 @@ def test_a_row_of_chairs_is_no_sofa_and_a_vase_is_not_its_table(scene):
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 6))
-@settings(max_examples=40, deadline=None)
 def test_the_strongest_rival_agrees_with_its_twin(seed, n):
     random = np.random.default_rng(seed)
     centers = random.uniform(-0.5, 0.5, (n, 3)).astype(np.float32)
@@ -290,7 +289,6 @@ def test_a_look_that_shows_a_part_of_a_thing_counts_less(spread_m, weight):
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 6))
-@settings(max_examples=40, deadline=None)
 def test_match_and_fuse_agree_with_their_twins(seed, n):
     random = np.random.default_rng(seed)
     centers = random.uniform(-4, 4, (n, 3)).astype(np.float32)

@@ -65,7 +65,6 @@ def test_an_answer_is_every_token_that_says_it(tokens, answers, expected):
     assert [ids.tolist() for ids in spellings(tokens, answers)] == expected
 
 
-@settings(max_examples=40)
 @given(st.lists(st.floats(-50, 50, width=32), min_size=5, max_size=5), st.floats(-30, 30))
 def test_eq_4_is_a_softmax_over_the_answers_as_servers_tell_it(logits, shift):
     """Known by all logits or by all log-probabilities, with and without a space before."""
@@ -590,7 +589,6 @@ def sound(tmp_path_factory):
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-@settings(deadline=None, max_examples=60)
 @given(st.randoms(use_true_random=False), st.data())
 def test_changed_files_are_told_in_one_line_or_do_no_harm(sound, family, chance, data):
     """Though their hashes are right: nothing but a ModelError is raised, whatever the bytes."""

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.config import PolicyHvl, PolicyNearest, PolicySearch
@@ -54,7 +54,6 @@ def test_no_boxes_score_zero():
     assert scored([(2, 0)], [], targets=2).tolist() == [[0.0], [0.0]]
 
 
-@settings(max_examples=100)
 @given(
     x=st.floats(-4, 4), y=st.floats(-4, 4), yaw=st.floats(-3.1, 3.1),
     boxes=st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(0.05, 1)), max_size=5),

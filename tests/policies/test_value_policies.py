@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_policy_scores import candidates_of
 
@@ -177,7 +177,6 @@ def test_frontiers_that_cannot_be_gone_to_have_no_say():
     assert scored(PolicyAdaptive(), Valued(with_near), near, A, B, C, D).max() < 1.0
 
 
-@settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6), k=st.integers(1, 6))
 def test_the_tour_is_the_shortest_of_all(seed, k):
     rng = np.random.default_rng(seed)

@@ -7,7 +7,7 @@ import json
 import urllib.request
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from recordings import Recording
 
@@ -69,7 +69,6 @@ def test_ticks_hold_their_stages():
     assert {e["cat"] for e in events} == {"tick"}
 
 
-@settings(max_examples=30)
 @given(st.lists(st.tuples(st.integers(0, 10**9), st.integers(0, 10**8)), max_size=20))
 def test_what_runs_beside_never_overlaps_itself(beside):
     events = [e for e in checked(trace_of(ticks(1, beside))) if e["cat"] == "beside"]

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scans import CAMERA, LIDAR, MODEL, Box, found_in, street
 
@@ -38,7 +38,6 @@ def test_no_cloud_no_points():
     wall_m=st.floats(8.0, 20.0),
 )  # fmt: skip
 @example(x_m=20.0, aside=0.25, heading=0.0, wall_m=8.0)
-@settings(max_examples=25)
 def test_a_car_before_a_wall_has_its_own_points_alone(x_m, aside, heading, wall_m):
     """Eq. 2 with the box for a mask, wherever the car stands: ground and wall are background. All
     of the car in its box is found, but for what a leap parts from the rest: this LiDAR has a column
@@ -125,7 +124,6 @@ def windows_twin(cloud, T, camera, boxes, masks, keep):
 
 @pytest.mark.parametrize("masked", [False, True])
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=30)
 def test_windows_agree_with_their_twin(masked, seed):
     random = np.random.default_rng(seed)
     camera = CameraModel(64, 48, 40.0, 40.0, 31.7, 23.1)

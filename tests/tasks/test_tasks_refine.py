@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from small_scenes import BODY, LIMITS, Box, fill, scene
 
@@ -168,7 +168,6 @@ def test_it_is_planned_again_when_something_stands_on_it():
         refine_again(scene((1.0, -10.0, 2.0, 10.0)), first, robot, BODY, LIMITS)
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 12), st.sampled_from([0.0, 0.2, 0.4]))
 def test_nothing_refined_collides(seed, count, clearance_m):
     rng = np.random.default_rng(seed)

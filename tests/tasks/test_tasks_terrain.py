@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scans import LIDAR, Box, street
 
@@ -191,7 +191,6 @@ def nearest_twin(points, regions, allowed):
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=40)
 def test_nearest_points_agree_with_their_twin(seed):
     random = np.random.default_rng(seed)
     regions = Grid(random.integers(0, 4, (9, 12)).astype(np.uint8), (-1.0, 2.0), 0.5)
@@ -214,7 +213,6 @@ def test_no_points_no_nearest():
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=40)
 def test_ground_agrees_with_its_twins(seed):
     random = np.random.default_rng(seed)
     points = random.uniform((-4, -4, -0.3), (4, 4, 0.6), (60, 3)).astype(np.float32)

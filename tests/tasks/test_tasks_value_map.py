@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.geometry import Grid
@@ -108,7 +108,6 @@ def test_the_order_is_the_papers():
     assert math.pi / 2 < DRIVABLE / TUBE
 
 
-@settings(max_examples=40)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from([0.0, 0.03]),

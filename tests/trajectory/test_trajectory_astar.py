@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.geometry import Grid
@@ -79,7 +79,6 @@ def _problems(draw):
     return weights, *ends
 
 
-@settings(max_examples=300)
 @given(_problems())
 def test_cost_is_within_a_thousandth_of_dijkstra(problem):
     weights, start, goal = problem

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.geometry import Grid
@@ -29,7 +29,6 @@ def twin(cells, resolution_m, clearance_m, near_m, near_cost, unknown_cost):
     return out
 
 
-@settings(max_examples=60)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from([0.0, 0.02]),

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.geometry import Grid
@@ -22,7 +22,6 @@ def line_twin(weight: np.ndarray, x0: float, y0: float, x1: float, y1: float) ->
     return -1.0 if (w == 0).any() else float(w.mean() * math.hypot(x1 - x0, y1 - y0))
 
 
-@settings(max_examples=150)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.1]))
 def test_line_cost_agrees_with_the_twin(seed, share):
     rng = np.random.default_rng(seed)
@@ -65,7 +64,6 @@ def test_line_through_a_corner_needs_both_cells_beside_it():
     assert kernels.line_cost(weight, 2.5, 2.5, 1.5, 1.5) == -1.0
 
 
-@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_smooth_path_costs_no_more_and_stays_open(seed):
     rng = np.random.default_rng(seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
@@ -36,7 +36,6 @@ def test_a_corner_is_rounded_by_a_sixth():
 
 
 @given(CONTROLS, st.floats(0.05, 5.0))
-@settings(max_examples=30)
 def test_its_points_are_on_the_curve_of_scipy(control, spacing_m):
     n = len(control)
     points, _ = b_spline(control, spacing_m)

@@ -7,7 +7,7 @@ from itertools import takewhile
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from simulated import simulated
 
@@ -51,7 +51,6 @@ def test_what_stands_there_hides_what_is_behind():
     assert new_m2 == pytest.approx(1.0, abs=0.15)  # the triangle before it
 
 
-@settings(max_examples=30)
 @given(
     cells=st.lists(st.booleans(), min_size=64, max_size=64),
     x=st.floats(-1, 5),

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from simulated import simulated
 
@@ -98,7 +98,6 @@ def shortest(automaton, near, free, start):
     return math.inf
 
 
-@settings(max_examples=40)
 @given(
     data=st.data(),
     text=st.sampled_from(

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.geometry import Grid
@@ -135,7 +135,6 @@ def ndtw_twin(a: np.ndarray, reference: np.ndarray) -> float:
     return math.exp(-total[-1, -1] / len(reference))
 
 
-@settings(max_examples=60, deadline=None)
 @given(PATH, PATH)
 def test_frechet_agrees_with_the_twin(a, b):
     """By points half a metre apart it is too long by at most half a metre."""
@@ -143,7 +142,6 @@ def test_frechet_agrees_with_the_twin(a, b):
     assert fine - 0.5 - 1e-3 <= frechet_m(a, b) <= fine + 1e-3
 
 
-@settings(deadline=None)
 @given(PATH, PATH)
 def test_ndtw_agrees_with_the_twin(a, reference):
     assert ndtw(a, reference) == pytest.approx(ndtw_twin(a, reference))
@@ -163,7 +161,6 @@ def test_points_spaced_evenly(a, expected):
     np.testing.assert_allclose(evenly(path(a), 0.5), expected)
 
 
-@settings(deadline=None)
 @given(PATH, PATH, st.floats(0.05, 0.5))
 def test_how_densely_a_path_was_written_decides_nothing(a, reference, spacing_m):
     """But for a point more or less where a length is a whole number of spacings."""
@@ -172,7 +169,6 @@ def test_how_densely_a_path_was_written_decides_nothing(a, reference, spacing_m)
         assert ndtw(dense, reference) == pytest.approx(ndtw(a, reference), rel=1e-6)
 
 
-@settings(deadline=None)
 @given(PATH, PATH, PATH)
 def test_frechet_is_a_metric(a, b, c):
     ab = frechet_m(a, b)
@@ -183,13 +179,11 @@ def test_frechet_is_a_metric(a, b, c):
     assert ab >= max(math.dist(a[0], b[0]), math.dist(a[-1], b[-1]))
 
 
-@settings(deadline=None)
 @given(PATH, POINT)
 def test_frechet_of_a_shifted_path_is_the_shift(a, shift):
     assert frechet_m(a, a + shift) == pytest.approx(math.hypot(*shift), abs=2e-4)
 
 
-@settings(deadline=None)
 @given(PATH, PATH)
 def test_ndtw_is_1_for_the_same_and_less_for_others(a, b):
     assert ndtw(a, a) == 1.0

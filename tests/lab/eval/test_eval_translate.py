@@ -7,7 +7,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from ltl_semantics import holds
 
@@ -81,7 +81,6 @@ FORMULAS = st.recursive(LEAVES, _combine, max_leaves=5)
 WORDS = st.lists(st.sampled_from(["a", "b", "c", NOTHING]), max_size=5)
 
 
-@settings(max_examples=150)
 @given(FORMULAS, FORMULAS, WORDS)
 def test_difference_agrees_with_the_definition(f: Formula, g: Formula, word: list[str]) -> None:
     witness = difference(f, g)
@@ -91,7 +90,6 @@ def test_difference_agrees_with_the_definition(f: Formula, g: Formula, word: lis
         assert holds(f, witness) != holds(g, witness)
 
 
-@settings(max_examples=150)
 @given(FORMULAS, FORMULAS, WORDS)
 def test_a_silent_end_is_many_steps_of_nothing(f: Formula, g: Formula, word: list[str]) -> None:
     """As many as there are states: then nothing changes any more."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.geometry import Grid
@@ -32,7 +32,6 @@ def dijkstra(free: np.ndarray, starts: list[tuple[int, int]]) -> np.ndarray:
     return best
 
 
-@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), walls=st.floats(0, 0.6))
 def test_sweeping_agrees_with_dijkstra(seed, walls):
     rng = np.random.default_rng(seed)
@@ -61,7 +60,6 @@ def test_no_object_is_nowhere_near():
     assert np.isinf(geodesic.distance_field(room(), [], 0.2, 1.0)).all()
 
 
-@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 20), k=st.integers(0, 20))
 def test_what_is_near_agrees_with_plain_numpy(seed, n, k):
     rng = np.random.default_rng(seed)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from results import facts, result
 from simulated import simulated
@@ -79,7 +79,6 @@ def test_a_standing_robot_leaves_a_pose_each_tenth_of_a_second():
 
 
 @given(n=st.integers(1, 900), capacity=st.integers(4, 40))
-@settings(max_examples=40)
 def test_a_trail_of_any_length_fits_and_spans_it_all(n, capacity):
     trail = Trail(capacity)
     for k in range(n):

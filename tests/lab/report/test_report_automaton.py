@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle
@@ -89,7 +89,6 @@ def boxes(axes: Axes) -> list[Bbox]:
 
 
 @given(automata())
-@settings(max_examples=150)
 def test_the_titles_say_all_that_the_automaton_does(automaton):
     """Rebuilt from the drawing's words alone, every step of a state with hope is right."""
     scene = make_scene(automaton)
@@ -196,7 +195,6 @@ def test_wrapped_labels_are_small_and_say_that_they_leave_out(items):
 
 
 @given(automata())
-@settings(max_examples=60)
 def test_every_arrow_goes_column_by_column_and_no_two_things_share_a_place(automaton):
     scene = make_scene(automaton)
     layout = lay_out(scene)

@@ -58,7 +58,6 @@ def test_a_seed_is_the_same_house_everywhere():
     assert generated_house(1) != generated_house(2)
 
 
-@settings(max_examples=40)
 @given(SEEDS)
 def test_every_house_has_the_rooms_of_a_home(seed):
     house = generated_house(seed)
@@ -74,7 +73,6 @@ def test_every_house_has_the_rooms_of_a_home(seed):
         assert min(rect.width_m, rect.depth_m) >= layout.LEAST_SIDE_M[kind]
 
 
-@settings(max_examples=40)
 @given(SEEDS)
 def test_rooms_hold_what_their_kind_does(seed):
     house = generated_house(seed)
@@ -87,7 +85,6 @@ def test_rooms_hold_what_their_kind_does(seed):
     assert found == len(house.objects)  # each is in one room, within its walls
 
 
-@settings(max_examples=40)
 @given(SEEDS)
 def test_things_stand_on_the_floor_or_on_something_and_never_in_each_other(seed):
     house = generated_house(seed)
@@ -130,7 +127,6 @@ def test_a_robot_gets_into_every_room_and_to_everything(seed):
         assert item.distance_m(*xy[near.argmin()]) < 1.0, item.name
 
 
-@settings(max_examples=40)
 @given(SEEDS)
 def test_doors_are_wide_enough_and_join_all_rooms(seed):
     plan = layout.draw_layout(Dice(seed))
@@ -146,7 +142,6 @@ def test_doors_are_wide_enough_and_join_all_rooms(seed):
             )
 
 
-@settings(max_examples=40)
 @given(SEEDS)
 def test_rooms_are_closed_by_walls(seed):
     """Each side of each room is covered by stretches of wall, none of them twice."""

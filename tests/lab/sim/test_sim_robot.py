@@ -6,7 +6,7 @@ import math
 
 import pytest
 from collisions import collides
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from simulated import simulated
 
@@ -66,7 +66,6 @@ def test_it_drives_an_arc():
         max_size=25,
     )
 )
-@settings(max_examples=60)
 def test_limits_hold_and_nothing_is_passed_through(commands):
     body = drive()
     for v_cmd, w_cmd, dt_s in commands:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from collisions import collides
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from simulated import simulated
 
@@ -131,7 +131,6 @@ def test_a_moved_object_moves_in_pictures_ranges_and_collisions():
     x=st.floats(-3, 3), y=st.floats(-3, 3), yaw=st.floats(-math.pi, math.pi),
     a=st.floats(0.1, 2.0), b=st.floats(0.1, 2.0),
 )  # fmt: skip
-@settings(max_examples=60)
 def test_distance_to_a_footprint_is_that_to_its_nearest_sample(x, y, yaw, a, b):
     box = WorldObject(1, "box", "box", "box", (0.4, -0.3, 0.5), (a, b, 1.0), yaw)
     u, v = np.meshgrid(np.linspace(-a / 2, a / 2, 81), np.linspace(-b / 2, b / 2, 81))
