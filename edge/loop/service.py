@@ -110,7 +110,13 @@ class Service:
         self.mission = MissionRun(brief, config.mission, self._step_taken)
         self.policy = policy
         self.latency = LatencyRing(calibration=calibration)
-        self.goals = GoalTracker(config, self.map.pool, self.map.tracker, self._sent, self.event)
+        self.goals = GoalTracker(
+            config,
+            self.map.pool,
+            self.map.tracker,
+            lambda goal: self._publisher.goals.append(goal),
+            self.event,
+        )
         self.stamp_ns = 0
         self._surveyor = make_surveyor(config.mission.planner, config.loop.lockstep)
         self.behaviour = self._behaviour_of(self.mission)
@@ -120,7 +126,7 @@ class Service:
         self.faults = Faults(self.event)
         self.stage = INGEST
         self._worker = journal.beside(DETECTOR, worker)
-        self._scorers = scorers
+        self.scorers = scorers
         self.swapper = Swapper(config.perception, worker, self.event)
         self.governor: Governor | None = None
         if config.perception.governor.ladder and not config.loop.lockstep:
@@ -128,7 +134,8 @@ class Service:
         self.blind_s = max(config.loop.blind_s, 3.0 / config.observed_hz)
         self.plausibility = Plausibility(config, self.blind_s, self.event)
         self._health = HealthWatch(
-            worker, self.swapper, scorers, keeper, self.faults, overruns, self._governed,
+            worker, self.swapper, scorers, keeper, self.faults, overruns,
+            lambda: self.governor and self.governor.status(),
             self.event, sinks, inputs, self.plausibility.status,
         )  # fmt: skip
         self._publisher = Publisher(
@@ -202,17 +209,18 @@ class Service:
         self._journal.note("images", done=self._images)
         self.map.infer(now_ns)
         self._lap(LIFT)
-        self._gather(observation, now_ns)
+        self.map.gather(self.behaviour.gather(), observation, now_ns)
         self._lap(CANDIDATES)
-        if self._scorers is not None:
-            self._consult(self._scorers, observation)
+        if self.scorers is not None:
+            self._consult(self.scorers, observation)
         self._score(observation, now_ns)
         self._lap(SCORE)
         self._plan(observation, now_ns)
         self._lap(PLAN)
         goal = self._select()
         self._lap(SELECT)
-        self._publish(observation, now_ns)
+        self.goals.tell(self.mission, pose, now_ns)
+        self._report(observation, now_ns)
         self._lap(PUBLISH)
         self._looked_ns = now_ns
         return goal
@@ -233,7 +241,7 @@ class Service:
         grid, kept = found
         goes_on = keeper.goes_on(self.mission, kept["about/targets"].tolist())
         with self.faults.outlived("restore", now.now_ns):
-            restore(self._parts, grid, kept, now, goes_on)
+            restore(Parts(self.map, self.goals, self.policy), grid, kept, now, goes_on)
         if goes_on:
             self.mission.overlook(self.map.tracker.newest_id)
         else:
@@ -259,23 +267,15 @@ class Service:
         try:
             void = detections.observation.seq <= self._void_seq
             if not void and detections.prompts == self.mission.brief.targets:
-                self._take(detections, now_ns)
+                self.latency.span(DETECT, detections.latency_ns)
+                if self.scorers is not None:
+                    self.scorers.saw(detections, self.map.grid.values)
+                self.map.look(detections)
+                self._detections = detections.without_rivals()
+                self._publisher.saw(self._detections)
         finally:
             # Only this tick reads the arrays; the frame may be used again.
             detections.observation.release()
-
-    def _take(self, detections: Detections, now_ns: int) -> None:
-        """Detections of what is looked for, in the map that there is."""
-        self.latency.span(DETECT, detections.latency_ns)
-        if self._scorers is not None:
-            self._scorers.saw(detections, self.map.grid.values)
-        self.map.look(detections)
-        self._detections = detections.without_rivals()
-        self._publisher.saw(self._detections)
-
-    def _gather(self, observation: Observation, now_ns: int) -> None:
-        """Stage 5: frontiers, and the objects that the behaviour goes to."""
-        self.map.gather(self.behaviour.gather(), observation, now_ns)
 
     def _consult(self, scorers: Scorers, observation: Observation) -> None:
         """What stage 6 may go by besides detections: answers there are, and the next questions."""
@@ -299,7 +299,7 @@ class Service:
             self._changed,
             self.map.pool.shown,
             self._detections,
-            Answers() if self._scorers is None else self._scorers.answers,
+            Answers() if self.scorers is None else self.scorers.answers,
             self.mission.brief.targets,
             self.mission.target,
             now_ns,
@@ -322,7 +322,7 @@ class Service:
     def _turn(self, observation: Observation, now_ns: int) -> None:
         """The plan set out for a target: choose among its candidates, by its scores, at once."""
         self.goals.set_out(self.mission)
-        self._gather(observation, now_ns)
+        self.map.gather(self.behaviour.gather(), observation, now_ns)
         self._score(observation, now_ns)
 
     def _select(self) -> Goal | None:
@@ -332,30 +332,18 @@ class Service:
             return None
         return self.behaviour.select(self._context, self.scores, self._images)
 
-    def _publish(self, observation: Observation, now_ns: int) -> None:
-        """Stage 9: hand results to the sinks, which never block."""
-        self.goals.tell(self.mission, observation.pose, now_ns)
-        self._report(observation, now_ns)
-
     def _report(self, observation: Observation | None, now_ns: int) -> None:
         """Write the checkpoint, and tell the sinks."""
         try:
             self._health.look(now_ns)
-            self._keep(now_ns)
+            if self.keeper is not None:
+                now = None if self.pose is None else Now(self.pose, self.stamp_ns, now_ns)
+                with self.faults.outlived("checkpoint", now_ns):
+                    parts = Parts(self.map, self.goals, self.policy)
+                    self.keeper.note(self.mission, self.status, parts, now, now_ns)
             self._publisher.publish(self.result(now_ns, observation), self.faults)
         finally:
             self._publisher.let_go()
-
-    def _keep(self, now_ns: int) -> None:
-        """Have the checkpoint written, where there is to be one."""
-        if self.keeper is not None:
-            now = None if self.pose is None else Now(self.pose, self.stamp_ns, now_ns)
-            with self.faults.outlived("checkpoint", now_ns):
-                self.keeper.note(self.mission, self.status, self._parts, now, now_ns)
-
-    @property
-    def _parts(self) -> Parts:
-        return Parts(self.map, self.goals, self.policy)
 
     # -- what comes from outside --------------------------------------------------------------
 
@@ -404,7 +392,7 @@ class Service:
 
     def _forget_asked(self) -> None:
         """The map or the mission is another: what is being worked out for the last one is void."""
-        for beside in (self._surveyor, self._scorers):
+        for beside in (self._surveyor, self.scorers):
             if beside is not None:
                 beside.forget()
 
@@ -425,8 +413,8 @@ class Service:
         self.mission.config = config.mission
         self.behaviour.reconfigure(config)
         self.goals.reconfigure(config)
-        if self._scorers is not None:
-            self._scorers.feeds = config.value_source
+        if self.scorers is not None:
+            self.scorers.feeds = config.value_source
 
     def pause(self, paused: bool, now_ns: int) -> None:
         """Have the robot stand where it is, or go on."""
@@ -511,9 +499,6 @@ class Service:
     def _step_taken(self, step: Step) -> None:
         self.event(step.text, step.stamp_ns)
 
-    def _sent(self, goal: Goal) -> None:
-        self._publisher.goals.append(goal)
-
     def close(self) -> None:
         """No tick comes any more."""
         if self.governor is not None:
@@ -524,19 +509,12 @@ class Service:
         self.behaviour.close()
         self.map.close()
 
-    def _governed(self) -> dict[str, object] | None:
-        return None if self.governor is None else self.governor.status()
-
     # -- what others may ask ------------------------------------------------------------------
 
     @property
     def goal(self) -> Goal | None:
         """Where the robot is sent; None: nowhere."""
         return self.goals.goal
-
-    @property
-    def scorers(self) -> Scorers | None:
-        return self._scorers
 
     @property
     def status(self) -> MissionStatus:
