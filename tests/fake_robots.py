@@ -52,7 +52,8 @@ class FakeService:
             for label, away_m in known.items()
         ]
         self.map = SimpleNamespace(tracker=SimpleNamespace(all=things))
-        self.swapper = self.scorers = self.task = None
+        self.swapper = self.scorers = None
+        self.behaviour = SimpleNamespace(facts=lambda: None)
         self.events: list[str] = []
         self._journal = Journal()
         self.begun = 0
