@@ -22,6 +22,7 @@ from edge.errors import UnavailableError
 from edge.host.http import Exchange, GivenUpError, Reply, explanation, failure
 from edge.text import bounded_repr, one_line, split_url
 
+MAX_ANSWER_BYTES = 256 * 1024
 MOST_TOKENS = 20  # OpenAI and vLLM give no more log-probabilities for one place
 ROUNDING = 1e-3  # how far above 0 a log-probability may be
 LEAST = -1e4  # where OpenAI and vLLM say -9999, llama.cpp may say -3e38
@@ -272,5 +273,5 @@ def client_of(config: TranslatorLlm | WriterModel) -> ChatClient:
     Raises:
         ChatError: the URL or the key cannot be used.
     """
-    api_key, max_bytes = os.environ.get(config.api_key_env), int(config.max_answer_kb * 1024)
-    return ChatClient(config.url, config.model, api_key, config.time_limit_s, max_bytes)
+    api_key = os.environ.get(config.api_key_env)
+    return ChatClient(config.url, config.model, api_key, config.time_limit_s, MAX_ANSWER_BYTES)

@@ -401,8 +401,8 @@ OVERRIDES = [
     ({"EDGE__ROBOT": "{radius_m: '0.5'}"}, lambda c: c.mapping.inflation_m, 0.5),
     ({"EDGE__ROBOT": "{radius_m: '0.5'}"}, lambda c: c.tasks.trajectory.clearance_m, 0.6),
     (
-        {"EDGE__ROBOT": "{radius_m: '0.5'}", "EDGE__TASKS__TRAJECTORY": "{max_points: 9}"},
-        lambda c: (c.tasks.trajectory.clearance_m, c.tasks.trajectory.max_points),
+        {"EDGE__ROBOT": "{radius_m: '0.5'}", "EDGE__TASKS__TRAJECTORY": "{max_jump_m: 9}"},
+        lambda c: (c.tasks.trajectory.clearance_m, c.tasks.trajectory.max_jump_m),
         (0.6, 9),
     ),
     ({"EDGE__ROBOT__RADIUS_M": "0.1"}, lambda c: c.mapping.inflation_m, 0.2),

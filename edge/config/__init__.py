@@ -51,7 +51,6 @@ from edge.config.section import Section
 from edge.config.sim import Sim, WorldGenerated, WorldHouse, WorldMesh, WorldProcthor, WorldStreet
 from edge.config.tasks import (
     ChainOwn,
-    ScriptLimits,
     Tasks,
     TrajectoryLimits,
     WriterModel,
@@ -93,7 +92,6 @@ __all__ = [
     "Report",
     "Robot",
     "Ros2",
-    "ScriptLimits",
     "Section",
     "SegmenterGrabcut",
     "SegmenterNone",

@@ -7,21 +7,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from edge.config.section import Fraction, NonNegative, Positive, Section
+from edge.config.section import NonNegative, Positive, Section
 
 MAX_CELLS = 4096
 """Most cells on a side: the map takes some 10 bytes for each cell, all of them at the start."""
-
-
-class Values(Section):
-    """The value maps, one a target, that `policy.kind: vlfm`, `directional` and `adaptive` go by.
-
-    Cells of `cell_m`, rounded to a power of two of `mapping.resolution_m`, hold for each what the
-    scorers say. `beta` is ViTL's edge attenuation factor (IV-B2).
-    """
-
-    cell_m: Annotated[float, Field(ge=0.05, le=2.0)] = 0.2
-    beta: Fraction = 0.5
 
 
 class Mapping(Section):
@@ -49,7 +38,6 @@ class Mapping(Section):
     frontier_spacing_m: Positive = 1.0
     max_frontiers: Annotated[int, Field(ge=8, le=4096)] = 256
     reach_cells_per_tick: Annotated[int, Field(ge=100)] = 8000
-    values: Values = Values()
 
     @model_validator(mode="after")
     def _fits(self) -> Mapping:

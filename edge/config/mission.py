@@ -42,7 +42,6 @@ class TranslatorLlm(Section):
     api_key_env: str = "OPENAI_API_KEY"
     constrain: Literal["gbnf", "guided_grammar", "none"] = "none"
     time_limit_s: Positive = 30.0
-    max_answer_kb: Positive = 64.0
 
 
 class TranslatorModel(Section):

@@ -226,7 +226,6 @@ class Perception(Section):
     voxel_m: Positive = 0.1
     merge_m: Positive = 0.6
     max_instances: Annotated[int, Field(ge=1, le=4096)] = 128
-    max_sightings: Annotated[int, Field(ge=1, le=4096)] = 512
     min_hits: Annotated[int, Field(ge=1)] = 2
     confirm_score: Fraction = 0.35
     confirm_range_m: Positive = 3.0

@@ -112,10 +112,9 @@ class Sensors(Section):
 class Motion(Section):
     """The reference motion controller: A* on the published map, pure pursuit.
 
-    `clearance_m` is kept from occupied cells on top of the map's own inflation; `near_m` and
-    `near_cost` make cells near obstacles dearer; `give_up_s` is how long a goal may stay
-    without a path. A robot that was told to drive and did not come `stuck_m` far pushes
-    against something; within `stuck_s` it is stuck, whatever it was told.
+    `clearance_m` is kept from occupied cells on top of the map's own inflation; cells within
+    `near_m` of obstacles cost more. A robot that was told to drive and did not come `stuck_m` far
+    pushes against something; within `stuck_s` it is stuck, whatever it was told.
     """
 
     rate_hz: Positive = 20.0
@@ -126,5 +125,3 @@ class Motion(Section):
     unknown_cost: Positive = 3.0
     clearance_m: NonNegative = 0.0
     near_m: Positive = 0.4
-    near_cost: NonNegative = 4.0
-    give_up_s: Positive = 3.0

@@ -8,21 +8,6 @@ from pydantic import Field
 
 from edge.config.section import OwnKind, Positive, Section
 
-Count = Annotated[int, Field(ge=1)]
-
-
-class ScriptLimits(Section):
-    """What a model's script may take. `time_s` is of computing; after twice that no call of it is
-    answered. `max_calls` counts calls of the functions, and each name that is looked up for one; of
-    what it prints, `max_printed_chars` go back to the model."""
-
-    time_s: Positive = 2.0
-    max_memory_mb: Annotated[float, Field(ge=1)] = 64.0
-    max_recursion: Count = 200
-    max_calls: Count = 200
-    max_chars: Count = 20_000
-    max_printed_chars: Count = 4_000
-
 
 class TrajectoryLimits(Section):
     """What a trajectory has to keep to, as it is written and as it is refined. The robot's middle
@@ -33,8 +18,6 @@ class TrajectoryLimits(Section):
     clearance_m: Annotated[float, Field(ge=0, le=10)] = 0.3
     max_jump_m: Annotated[float, Field(ge=0.1, le=100)] = 2.0
     max_length_m: Annotated[float, Field(ge=0.1, le=1e6)] = 500.0
-    max_points: Count = 5_000
-    max_segments: Count = 50
     max_speed_mps: Annotated[float, Field(ge=0.05, le=100)] = 2.0
 
 
@@ -56,7 +39,6 @@ class WriterModel(Section):
     picture: bool = True
     rounds: Annotated[int, Field(ge=1, le=20)] = 4
     time_limit_s: Positive = 120.0
-    max_answer_kb: Positive = 256.0
 
 
 class ChainOwn(Section):
@@ -74,5 +56,4 @@ class Tasks(Section):
 
     chain: ChainOwn | None = None
     planner: Annotated[Union[WriterRules, WriterModel], Field(discriminator="kind")] = WriterRules()
-    script: ScriptLimits = ScriptLimits()
     trajectory: TrajectoryLimits = TrajectoryLimits()

@@ -35,6 +35,8 @@ _FLOOR_GAIN = 0.2
 # Poses farther apart are not joined to one trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
 _ROBOT = config.Robot()
+_VALUE_CELL_M = 0.2  # of value maps, rounded to a power of two of the map's cells
+_VALUE_BETA = 0.5  # ViTL's edge attenuation factor (IV-B2)
 _NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
 
 
@@ -102,7 +104,7 @@ class RollingMap:
         )
         self.coverage = Coverage(self._layers, self.window)
         self.gain = Gain(self._layers, self.window, c.range_m)
-        self.values = ValueMap(self._layers, self.window, c.values.cell_m, c.range_m, c.values.beta)
+        self.values = ValueMap(self._layers, self.window, _VALUE_CELL_M, c.range_m, _VALUE_BETA)
         # Weakly: a map that is given up is let go at once, not when the collector comes to it.
         write = partial(RollingMap._write, proxy(self))
         self.bumps = Bumps(self._layers, self.window, c, write)

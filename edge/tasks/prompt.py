@@ -18,6 +18,7 @@ from edge.config import TrajectoryLimits
 from edge.tasks.functions import described
 from edge.tasks.picture import annotated
 from edge.tasks.scene import Scene
+from edge.tasks.trajectory import MAX_POINTS
 from edge.text import one_line
 from edge.trajectory.pursuit import CREEP_MPS
 
@@ -90,7 +91,7 @@ def describe(scene: Scene, limits: TrajectoryLimits) -> str:
         f"Robot: position ({pose.x_m:.2f}, {pose.y_m:.2f}), heading_rad {pose.yaw_rad:.3f}.",
         f"Map: x {x0:.1f} to {x1:.1f}, y {y0:.1f} to {y1:.1f}.",
         f"Limits: points at most {limits.max_jump_m:g} m apart, {limits.clearance_m:g} m clear of "
-        f"obstacles, in all {limits.max_length_m:g} m and {limits.max_points} points; speed_mps "
+        f"obstacles, in all {limits.max_length_m:g} m and {MAX_POINTS} points; speed_mps "
         f"from {CREEP_MPS:g} to {limits.max_speed_mps:g}.",
         "Camera: " + ("none." if scene.rgb is None else "the picture is what it sees."),
         "Drivable regions:",

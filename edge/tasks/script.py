@@ -14,7 +14,6 @@ from datetime import datetime
 from importlib import metadata
 from typing import Any
 
-from edge.config import ScriptLimits
 from edge.errors import UnavailableError
 from edge.tasks.functions import CallError, Functions, signature
 from edge.tasks.trajectory import TrajectoryError
@@ -39,6 +38,24 @@ class Outcome:
 
     printed: str = ""
     error: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ScriptLimits:
+    """What a model's script may take.
+
+    Attributes:
+        time_s: of computing; after twice that no call of it is answered.
+        max_calls: calls of the functions, and each name that is looked up for one.
+        max_printed_chars: how much of what it prints goes back to the model.
+    """
+
+    time_s: float = 2.0
+    max_memory_mb: float = 64.0
+    max_recursion: int = 200
+    max_calls: int = 200
+    max_chars: int = 20_000
+    max_printed_chars: int = 4_000
 
 
 def run(code: str, functions: Functions, limits: ScriptLimits) -> Outcome:

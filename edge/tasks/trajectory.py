@@ -23,6 +23,8 @@ from edge.trajectory.pursuit import CREEP_MPS
 MOST_HEIGHT_M = 1000.0
 _SHOWN = 40
 
+MAX_POINTS, MAX_SEGMENTS = 5_000, 50  # of a trajectory that a script hands over
+
 
 class TrajectoryError(UserError):
     """A trajectory that must not be driven; the message is for whoever wrote it as well."""
@@ -61,19 +63,19 @@ def coarse_of(
     Raises:
         TrajectoryError: it is none.
     """
-    segments = _items(segments, "segments", limits.max_points)
+    segments = _items(segments, "segments", MAX_POINTS)
     if segments and _is_point(segments[0]):
         segments = [segments]
-    if not 1 <= len(segments) <= limits.max_segments:
+    if not 1 <= len(segments) <= MAX_SEGMENTS:
         raise TrajectoryError(
-            f"the trajectory has {len(segments)} segments; give 1 to {limits.max_segments}"
+            f"the trajectory has {len(segments)} segments; give 1 to {MAX_SEGMENTS}"
         )
-    rows = [_items(points, f"segment {k}", limits.max_points) for k, points in _counted(segments)]
+    rows = [_items(points, f"segment {k}", MAX_POINTS) for k, points in _counted(segments)]
     total = sum(map(len, rows))
-    if not all(rows) or total > limits.max_points:
+    if not all(rows) or total > MAX_POINTS:
         empty = next((k for k, points in _counted(rows) if not points), None)
         what = f"segment {empty} is empty" if empty else f"the trajectory has {total} points"
-        raise TrajectoryError(f"{what}; give 1 to {limits.max_points} points")
+        raise TrajectoryError(f"{what}; give 1 to {MAX_POINTS} points")
     arrays = tuple(_segment(points, k) for k, points in _counted(rows))
     chosen = _items(() if regions is None else regions, "regions", 255)
     for region in chosen:

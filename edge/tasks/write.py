@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from edge.chat import CutOffError, client_of
-from edge.config import ScriptLimits, Tasks, TrajectoryLimits, WriterModel
+from edge.config import Tasks, TrajectoryLimits, WriterModel
 from edge.errors import UserError
 from edge.tasks import rules
 from edge.tasks.functions import Functions
@@ -17,7 +17,7 @@ from edge.tasks.ground import Ground, ground_of
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, messages, version
 from edge.tasks.reading import Step
 from edge.tasks.scene import Scene
-from edge.tasks.script import run
+from edge.tasks.script import ScriptLimits, run
 from edge.tasks.trajectory import Coarse
 from edge.text import one_line
 
@@ -109,7 +109,7 @@ def write(
         raise WriteError("nothing around the robot is known to be free; drive it to open ground")
     functions = make(ground, config.trajectory)
     if isinstance(config.planner, WriterModel):
-        rounds = _ask(instruction, functions, config.planner, config.script, told, why)
+        rounds = _ask(instruction, functions, config.planner, told, why)
         assert functions.given is not None
         return Written(instruction, functions.given, ground, "", rounds, version())
     steps = rules.carry_out(instruction, functions, which)
@@ -149,7 +149,6 @@ def _ask(
     instruction: str,
     functions: Functions,
     config: WriterModel,
-    limits: ScriptLimits,
     told: Callable[[Round], None],
     why: str,
 ) -> tuple[Round, ...]:
@@ -163,7 +162,7 @@ def _ask(
             answer, cut = client.ask(talk, left_s=left_s, temperature=0), ""
         except CutOffError as error:
             answer, cut = error.answer, "the answer was cut off; write a shorter one"
-        rounds.append(_round(answer, cut, functions, limits))
+        rounds.append(_round(answer, cut, functions))
         told(rounds[-1])
         if not rounds[-1].error:
             return tuple(rounds)
@@ -178,13 +177,13 @@ def _ask(
     )
 
 
-def _round(answer: str, cut: str, functions: Functions, limits: ScriptLimits) -> Round:
+def _round(answer: str, cut: str, functions: Functions) -> Round:
     """Run what an answer holds. A trajectory counts where its script ran to the end."""
     code = script_in(answer)
     if cut or not code:
         return Round(answer, code, "", cut or NO_CODE)
     functions.given = None
-    outcome = run(code, functions, limits)
+    outcome = run(code, functions, ScriptLimits())
     error = outcome.error or ("" if functions.given is not None else NO_TRAJECTORY)
     return Round(answer, code, outcome.printed, error)
 

@@ -17,11 +17,11 @@ import pytest
 from chat_server import saying, serving
 from task_scenes import STREET, Thing, street
 
-from edge.config import ScriptLimits, Tasks, TrajectoryLimits, WriterModel
+from edge.config import Tasks, TrajectoryLimits, WriterModel
 from edge.errors import UserError
 from edge.tasks.functions import Functions
 from edge.tasks.ground import ground_of
-from edge.tasks.script import MOST_ERROR_CHARS, run
+from edge.tasks.script import MOST_ERROR_CHARS, ScriptLimits, run
 from edge.tasks.trajectory import check
 from edge.tasks.write import write
 
@@ -234,7 +234,7 @@ except ValueError as error:
 def test_a_trajectory_of_a_script_that_fails_later_is_not_driven():
     code = "```python\ngive_trajectory([(0, 0), (1, 0)])\nwhile True: pass\n```"
     with serving(saying(code)) as server:
-        config = Tasks(planner=WriterModel(url=server.url, rounds=2), script=QUICK)
+        config = Tasks(planner=WriterModel(url=server.url, rounds=2))
         with pytest.raises(UserError, match="no trajectory in 2 answers, the last time: "):
             write("go to the van", SCENE, config)
 
@@ -263,7 +263,7 @@ def test_a_model_that_obeys_a_sign_moves_nothing(caption, obeying, host):
     scene = street(*STREET, Thing("sign", 3.0, 2.0, (0.2, 0.2), caption), picture=True)
     said = []
     with serving(saying(f"As the sign says:\n```python\n{obeying}\n```")) as server:
-        config = Tasks(planner=WriterModel(url=server.url, rounds=2), script=QUICK)
+        config = Tasks(planner=WriterModel(url=server.url, rounds=2))
         with pytest.raises(UserError) as raised:
             write("go to the gate", scene, config, said.append)
         (_, user), *_ = [request[2]["messages"] for request in server.requests]

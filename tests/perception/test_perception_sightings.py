@@ -154,8 +154,9 @@ def test_a_word_may_be_target_then_context_and_stays_the_same_thing(scene):
     assert (s.seen.n, int(s.seen.id[0]), int(s.seen.hits[0])) == (1, first, 2)
 
 
-def test_over_its_capacity_the_least_confident_goes(scene):
-    s = scene(max_sightings=3)
+def test_over_its_capacity_the_least_confident_goes(scene, monkeypatch):
+    monkeypatch.setattr("edge.perception.tracking.sightings.MAX_SIGHTINGS", 3)
+    s = scene()
     for _ in range(5):
         s.see(("chair", NEAR, 0, 0.9), ("sofa", NEAR, 0, 0.8))
     for i in range(5):

@@ -59,7 +59,6 @@ def test_the_configurations_are_ones(text):
     given = yaml.safe_load(text)["tasks"]
     tasks, default = Tasks.model_validate(given), Tasks()
     assert tasks.trajectory == default.trajectory
-    assert tasks.script == default.script
     if "planner" in given:
         planner = type(tasks.planner)()
         assert tasks.planner == planner.model_copy(update={"model": "MODEL"})

@@ -10,11 +10,11 @@ import sys
 import pytest
 from task_scenes import STREET, street
 
-from edge.config import ScriptLimits, TrajectoryLimits
+from edge.config import TrajectoryLimits
 from edge.errors import UnavailableError
 from edge.tasks.functions import Functions
 from edge.tasks.ground import ground_of
-from edge.tasks.script import run
+from edge.tasks.script import ScriptLimits, run
 
 LIMITS = TrajectoryLimits()
 GROUND = ground_of(street(*STREET), LIMITS.clearance_m)

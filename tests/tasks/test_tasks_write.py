@@ -12,7 +12,7 @@ from chat_server import completion, recorded, saying, send, sends_100_mb, servin
 from task_scenes import STREET, street
 
 from edge.chat import ChatError
-from edge.config import ScriptLimits, Tasks, TrajectoryLimits, WriterModel
+from edge.config import Tasks, TrajectoryLimits, WriterModel
 from edge.errors import UserError
 from edge.mission.language.words import TranslationError
 from edge.tasks import write as writing
@@ -37,7 +37,7 @@ BROKEN = "```python\nimport shapely\n```"
 
 
 def by_model(server, **config):
-    return Tasks(planner=WriterModel(url=server.url, **config), script=ScriptLimits(time_s=1.0))
+    return Tasks(planner=WriterModel(url=server.url, **config))
 
 
 @pytest.mark.parametrize("instruction", ["", "  \n"])

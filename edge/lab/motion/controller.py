@@ -35,6 +35,7 @@ log = logging.getLogger("edge.lab.motion")
 
 LOOKAHEAD_M = 0.45
 REPLAN_S = 0.5
+GIVE_UP_NS = 3_000_000_000  # so long a goal may stay without a path
 CONTACT_M = 0.3  # driven, as it was told, without coming anywhere: it pushes against something
 AIM_FRACTIONS = (1.0, 0.6, 0.35)  # of the look-ahead, tried until the way there is free
 SAFE_M = 0.3  # this much of the path has to be free in the newest map
@@ -126,7 +127,6 @@ class Controller:
             grid,
             clearance_m=m.clearance_m,
             near_m=m.near_m,
-            near_cost=m.near_cost,
             unknown_cost=m.unknown_cost,
         )
         if len(self._path) and not self._path_is_open():
@@ -341,7 +341,7 @@ class Controller:
         """No way now: wait for a better map, but not for ever."""
         if self._trouble_ns is None or now_ns < self._trouble_ns:
             self._trouble_ns = now_ns
-        elif now_ns - self._trouble_ns >= self._motion.give_up_s * 1e9:
+        elif now_ns - self._trouble_ns >= GIVE_UP_NS:
             self._finish("failed", reason)
 
     def _unstick(self, pose: SE2, again_m: float, now_ns: int) -> Command:

@@ -15,6 +15,7 @@ from edge.perception.tracking.lift import Lifted
 from edge.perception.tracking.look_kernels import NO_DEPTH, view_of
 from edge.types import Observation
 
+MAX_SIGHTINGS = 512
 GONE = 0.1
 """What falls under this share of `tau_det` was a mistake, or is there no more."""
 _MATTERS = 0.1
@@ -93,14 +94,14 @@ class SightingTracker:
 
     A strong box (over `tau_det`) founds a sighting; weak ones count where one is. A word's
     confidence at a place falls with every look that does not find it there. The arrays are made
-    once: over `max_sightings` the least confident goes.
+    once: over `MAX_SIGHTINGS` the least confident goes.
 
     Attributes:
         shown: the same, for policies to read.
     """
 
     def __init__(self, perception: config.Perception) -> None:
-        cap = perception.max_sightings
+        cap = MAX_SIGHTINGS
         self.config = perception
         self._all = Sightings(cap)
         self._now = np.zeros(cap, np.float32)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from simulated import simulated
 
 from edge.geometry import SE2, Grid, wrap_angle
-from edge.lab.motion.controller import REPLACED, SNAP_M, Controller
+from edge.lab.motion.controller import GIVE_UP_NS, REPLACED, SNAP_M, Controller
 from edge.trajectory.pursuit import length_m
 from edge.types import GoalStatus
 
@@ -212,7 +212,7 @@ def test_no_way_fails_with_the_reason_and_after_a_while(cells, goal, reason):
     walk.run(30)
     assert walk.answers[-1] == GoalStatus(4, "failed", reason)
     waited_s = (walk.now_ns - begun_ns) / 1e9
-    assert CONFIG.motion.give_up_s <= waited_s <= CONFIG.motion.give_up_s + 1.0
+    assert GIVE_UP_NS * 1e-9 <= waited_s <= GIVE_UP_NS * 1e-9 + 1.0
     assert walk.pose == BESIDE
 
 
