@@ -17,7 +17,7 @@ DISTANCE = PlannerVitl(weights="distance")
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
-    warm_up()
+    warm_up("distance")
 
 
 def unordered(k: int):

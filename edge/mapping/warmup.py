@@ -44,6 +44,7 @@ def warmup(mapping: config.Mapping) -> None:
 def warm_values(mapping: config.Mapping) -> None:
     """Compile the kernels of value maps."""
     grid, camera, T = _small(mapping)
+    grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, np.eye(4), T)
     grid.values.begin(("x",))
     for depth in (None, np.full((16, 16), 1.0, np.float32)):
         sight = grid.values.sight(Observation(0, 0, T, depth_m=depth, camera=camera))

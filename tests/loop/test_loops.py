@@ -167,7 +167,7 @@ BREAKS: dict[str, Callable[[Running], tuple[object, str]]] = {
     "detect": lambda run: (run.service._worker, "submit"),
     "map": lambda run: (run.service, "_map"),
     "lift": lambda run: (run.service.map._lifter, "lift"),
-    "candidates": lambda run: (run.service, "_gather"),
+    "candidates": lambda run: (run.service.map, "gather"),
     "score": lambda run: (run.service.policy, "score"),
     "plan": lambda run: (run.service.mission, "observe"),
     "select": lambda run: (run.service.goals, "choose"),

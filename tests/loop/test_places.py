@@ -20,7 +20,7 @@ from edge.lab.eval.closed_loop import ClosedLoop, Notes
 from edge.loop import place_keeper
 from edge.loop.keeper import Keeper
 from edge.loop.place_file import decode
-from edge.loop.places import Now, gather, make_map
+from edge.loop.places import Now, Parts, gather, make_map
 from edge.loop.service import Service
 from edge.mapping.tiles import Copier, Planes
 from edge.mapping.window import Window
@@ -146,7 +146,10 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
             (i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in other.map.tracker.all
         ]
         assert one.map.sightings.shown.n == other.map.sightings.shown.n
-    mine, its = (gather(s._parts, Now(SE2(0, 0, 0), 0, 0), "", (), "") for s in (one, other))
+    mine, its = (
+        gather(Parts(s.map, s.goals, s.policy), Now(SE2(0, 0, 0), 0, 0), "", (), "")
+        for s in (one, other)
+    )
     assert mine.keys() == its.keys()
     for name, array in mine.items():
         np.testing.assert_array_equal(array, its[name], name)

@@ -16,7 +16,7 @@ from edge import config
 from edge.geometry import SE2, CameraModel
 from edge.mapping import clusters, layers, points, reach_kernels, unknown, update, values
 from edge.mapping.grid import RollingMap
-from edge.mapping.warmup import warmup
+from edge.mapping.warmup import warm_values, warmup
 from edge.types import Observation
 
 ORIGIN = SE2(0.0, 0.0, 0.0)
@@ -269,6 +269,7 @@ def signatures() -> dict[str, int]:
 @pytest.mark.parametrize("kind", ["plain", "read-only", "sliced", "float64"])
 def test_nothing_is_compiled_after_warmup(kind):
     warmup(SMALL)
+    warm_values(SMALL)
     before = signatures()
     grid = RollingMap(SMALL)
     grid.values.begin(("bed", "sofa"))

@@ -385,8 +385,9 @@ def test_names_outside_the_formula_do_not_matter():
     assert planned("F a", knowledge) == planned("F a", NOTHING_KNOWN)
 
 
-def test_warm_up_runs():
-    planners.warm_up()
+@pytest.mark.parametrize("weights", ["constant", "distance"])
+def test_warm_up_runs(weights):
+    planners.warm_up(weights)
 
 
 class Alphabetical:

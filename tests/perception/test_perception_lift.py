@@ -324,6 +324,22 @@ def test_what_fits_another_box_better_is_not_the_things(make_observation, around
         assert beside.center_m[0, 0] == pytest.approx(1.5, abs=0.1)
 
 
+def test_a_bed_behind_a_lamp_is_not_the_lamp(make_observation):
+    """Another box takes the bed's surface; what is left of its own box is the lamp's."""
+    depth = np.tile(np.linspace(5.2, 7.8, 80, dtype=np.float32), (64, 1))
+    depth[31:48, 20:60] = 4.5
+    depth[2:20, 28:52] = depth[20:64, 32:38] = 0.6  # its shade and its stem
+    seen = detect(make_observation(depth_m=depth), (20, 24, 56, 48), score=0.6)
+    alone, _ = Lifter(SIMULATED).lift(seen)
+    assert alone.center_m[0, 0] == pytest.approx(4.5, abs=0.1)
+    boxes = np.array([[6, 1, 74, 60], [36, 32, 59, 50]], np.float32)
+    scores, words = np.array([0.7, 0.3], np.float32), ("lamp", "coffee table")
+    around = ContextBoxes(boxes, scores, np.arange(2, dtype=np.int32), words)
+    out, beside = Lifter(SIMULATED).lift(dataclasses.replace(seen, context=around))
+    assert beside.center_m[:, 0] == pytest.approx([0.6, 4.5], abs=0.1)
+    assert not out.valid[0]
+
+
 @given(seed=st.integers(0, 2**32 - 1))
 def test_samples_of_other_things_are_dropped_one_by_one(seed):
     rng = np.random.default_rng(seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from edge.perception.detection.kernels import ROUNDING
-from edge.perception.tracking.lift_kernels import APART, LEFT, MASKED, NEARLY, OTHER_M
+from edge.perception.tracking.lift_kernels import APART, MASKED, NEARLY, OTHER_M
 from edge.perception.tracking.look_kernels import LOOK_MIN_M, LOOK_RIM, MOST, OCCLUDED_M
 from edge.perception.tracking.sighting_kernels import FORGET, PARTIAL, PRIOR, SAME_M, WITHIN
 
@@ -120,8 +120,7 @@ def sample_depth(depth, fx, fy, cx, cy, box, max_range, side):
 
 
 def without_others(samples, view, boxes, word, mine, depth, claim):
-    """Samples in no box of another word that fits nearly as well, at its depths; all of them where
-    under `LEFT` would remain."""
+    """Samples in no box of another word that fits nearly as well, at its depths."""
     fx, fy, cx, cy = view[4:]
     u = fx * samples[:, 0] / samples[:, 2] + cx
     v = fy * samples[:, 1] / samples[:, 2] + cy
@@ -136,7 +135,7 @@ def without_others(samples, view, boxes, word, mine, depth, claim):
         inside = (other[0] <= u) & (u <= other[2]) & (other[1] <= v) & (v <= other[3])
         z = samples[:, 2]
         keep &= ~(inside & (near - OTHER_M <= z) & (z <= far + OTHER_M))
-    return samples[keep] if keep.mean() >= LEFT else samples
+    return samples[keep]
 
 
 def surfaces(z, max_range, bins, gap_m, sparse):

@@ -178,7 +178,7 @@ def drop_others(samples, n, view, boxes, word, mine, depth, claim):
         claim: (m,) float32, how well that fits the box.
 
     Returns:
-        How many count: all, where hardly any would be left.
+        How many those are.
     """
     _, _, _, _, fx, fy, cx, cy = view
     box = boxes[mine]
@@ -199,14 +199,14 @@ def drop_others(samples, n, view, boxes, word, mine, depth, claim):
             z = samples[i, 2]
             u, v = fx * samples[i, 0] / z + cx, fy * samples[i, 1] / z + cy
             if not (u0 <= u <= u1 and v0 <= v <= v1 and low <= z <= far):
-                # Swapped, not dropped: all are kept where too few would be left.
+                # Swapped, not dropped: the caller may keep all where too few would be left.
                 for axis in range(3):
                     kept = samples[k, axis]
                     samples[k, axis] = samples[i, axis]
                     samples[i, axis] = kept
                 k += 1
         left = k
-    return left if left >= LEFT * n else n
+    return left
 
 
 @njit(nogil=True, cache=True)
@@ -382,7 +382,8 @@ def lift_boxes(
     """Lift every box; see `lift.Lifter`.
 
     Two boxes may take the same surface, where one thing hides much of the other: it stays with the
-    box that it fits best, and the other looks at what is left.
+    box that it fits best, and the other looks at what is left. Where that is another's too, the box
+    is not valid.
 
     Args:
         view: depth, raster, the raster's points, its cell_px (0: depth is sampled), fx, fy, cx, cy.
@@ -419,11 +420,21 @@ def lift_boxes(
         n = drop_unmasked(samples, n, view, boxes, masks, i)
         whole = count_between(samples, n, low, high)
         left = drop_others(samples, n, view, boxes, word, i, depth, claim)
+        if left < LEFT * n:
+            left = n
         rest = drop_floor(samples, left, T, floor_z)
+        mine = True
         # Whose surface is mostly its own keeps it: a cushion hides no sofa.
         if left < n and count_between(samples, left, low, high) < MOSTLY * whole:
-            low, high, _ = choose(view, boxes[i], samples, rest, T, floor_z, max_range, scratch)
+            first = claim[i]
+            low, high, fits = choose(view, boxes[i], samples, rest, T, floor_z, max_range, scratch)
+            # The second choice may be another's too: then the box shows nothing of its own.
+            claim[i] = fits * rest / n
+            whole = count_between(samples, rest, low, high)
+            own = drop_others(samples, rest, view, boxes, word, i, depth, claim)
+            mine = count_between(samples, own, low, high) >= MOSTLY * whole
+            claim[i] = first
         x, y, z, m, used = place(samples, rest, low, high, T, points[i], in_map)
         center[i, 0], center[i, 1], center[i, 2] = x, y, z
         n_samples[i], n_points[i] = m, used
-        valid[i] = m >= min_points
+        valid[i] = mine and m >= min_points
