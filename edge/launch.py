@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 import os
 import signal
 import subprocess
@@ -49,6 +50,7 @@ from edge.sources import find_source
 from edge.sources.truth import make_truth
 from edge.tasks.brief import prepared
 
+log = logging.getLogger("edge")
 _SWITCH_S = 2e-4
 _CHILD_STOP_S = 5.0
 _CHILD_LOOK_S = 0.2
@@ -104,6 +106,9 @@ def open_service(
     stop = stop or threading.Event()
     make_source, make_sinks = make_source or find_source(config), find_sinks(config)
     make_policy = find_policy(config.policy, config.origin("policy"))
+    if not any(sink.kind in ("zenoh", "ros2") or ":" in sink.kind for sink in config.sinks):
+        log.warning("%s: neither zenoh nor ros2: no motion controller hears a goal",
+                    config.at("sinks"))  # fmt: skip
     with ExitStack() as stack:
         mission, keeper, brief = config.mission, None, None
         if mission.checkpoint is not None:
