@@ -80,7 +80,7 @@ def test_a_stage_that_fails_without_end_is_degraded_until_it_goes_well(service, 
         raise ZeroDivisionError
 
     with monkeypatch.context() as patch:
-        patch.setattr(service.running.service, "_gather", broken)
+        patch.setattr(service.running.service.map, "gather", broken)
         eventually(lambda: said[-1]["loop"]["state"] == "degraded", "it never said degraded")
         assert said[-1]["loop"]["failed"] >= before + DEGRADED_AFTER
         assert "candidates: ZeroDivisionError" in said[-1]["loop"]["failures"]

@@ -178,7 +178,11 @@ def test_a_process_that_ends_is_told_once_and_started_again(make, seen, caplog):
         assert not psutil.pid_exists(pid)
         assert len(detector.detect(seen())) == 1
         descriptors.append(len(os.listdir("/proc/self/fd")))
-    told = [r.getMessage() for r in caplog.records if r.name.startswith("edge.perception.process")]
+    told = [
+        r.getMessage()
+        for r in caplog.records
+        if r.name.startswith("edge.perception.detection.process")
+    ]
     assert len([t for t in told if "started again in" in t]) == len(ends)
     assert len([t for t in told if t.endswith("its process runs")]) == len(ends)
     assert detector.restarts == len(ends)
