@@ -40,7 +40,7 @@ def warmup(mapping: config.Mapping) -> None:
     grid.unknown_ratio(points_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
     grid.snapshot()
     _ = grid.known_m2
-    grid.kept()
+    grid.state_dict()
     grid.values.begin(("x",))
     for depth in (None, np.full((16, 16), 1.0, np.float32)):
         sight = grid.values.sight(Observation(0, 0, T, depth_m=depth, camera=camera))

@@ -10,13 +10,14 @@ import pytest
 from simulated import simulated
 
 from edge.config import Config
+from edge.host.checkpoint import load, save
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.keeper import Keeper
+from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.result import facts_of
 from edge.loop.service import Service
 from edge.loop.status import mission_of
 from edge.mission.brief import prepare
-from edge.mission.checkpoint import load, save
+from edge.mission.checkpoint import MISSION
 from edge.perception.factory import make_detector
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
@@ -28,26 +29,26 @@ def config(formula: str) -> Config:
     return simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": mission})
 
 
-def restart(loop: ClosedLoop, path: Path) -> Keeper:
+def restart(loop: ClosedLoop, path: Path) -> ServiceCheckpoint:
     """Put a service that reads the checkpoint in the place of the present one."""
-    keeper = Keeper(loop.config, path, None)
-    brief = keeper.brief() or loop.service.mission.brief
+    checkpoint = ServiceCheckpoint(loop.config, path, None)
+    brief = checkpoint.brief() or loop.service.mission.brief
     detector = make_detector(loop.config.perception, brief.targets, truth=loop.truth)
     worker = DetectorWorker(detector, inline=True)
     policy = make_policy(loop.config.policy)
-    loop.service = Service(loop.config, brief, worker, policy, [loop.notes], keeper)
-    return keeper
+    loop.service = Service(loop.config, brief, worker, policy, [loop.notes], checkpoint)
+    return checkpoint
 
 
 def television_given_up(path: Path) -> ClosedLoop:
     """A checkpoint of a mission whose television was seen and given up; its bed was not seen."""
     loop = ClosedLoop(config("F (television | bed)"), colour=False)
-    keeper = restart(loop, path)
+    checkpoint = restart(loop, path)
     while "television" not in loop.service.mission.detected:
         loop.step()
     loop.service.mission.give_up("no way to it", loop.drive.motion.stamp_ns)
     loop.step()
-    keeper.close()
+    checkpoint.close()
     return loop
 
 
@@ -57,9 +58,9 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_with_no_checkpoint_there_is_nothing_to_go_on_with(path):
-    keeper = Keeper(config("F bed"), path, None)
-    assert (keeper.saved, keeper.brief(), keeper.problem) == (None, None, "")
-    keeper.close()
+    checkpoint = ServiceCheckpoint(config("F bed"), path, None)
+    assert (checkpoint.saved, checkpoint.brief(), checkpoint.problem) == (None, None, "")
+    checkpoint.close()
 
 
 def test_which_reading_was_taken_is_kept(path):
@@ -76,9 +77,9 @@ def test_which_reading_was_taken_is_kept(path):
     first = restart(loop, path)
     loop.step()
     first.close()
-    before, kept = loop.service.mission.brief, Keeper(loop.config, path, None)
-    again = kept.brief()
-    kept.close()
+    before, saved = loop.service.mission.brief, ServiceCheckpoint(loop.config, path, None)
+    again = saved.brief()
+    saved.close()
     assert before.translation.implied
     assert again.warnings == before.warnings != ()
     assert again.translation.readings == before.translation.readings
@@ -114,19 +115,18 @@ def test_what_a_checkpoint_says_is_shown_in_one_short_line(path, caplog):
     first = restart(loop, path)
     loop.step()
     first.close()
-    forged = replace(
-        load(path).saved, instruction=said, english=said, backend=said[:900], reason=said
-    )
-    save(path, forged)
+    saved, _ = load(path, MISSION)
+    said_all = {"instruction": said, "english": said, "backend": said[:900], "reason": said}
+    save(path, replace(saved, state=replace(saved.state, **said_all)), MISSION)
     with caplog.at_level(logging.INFO):
         second = restart(loop, path)
         second.resume(loop.service.mission)
-        Keeper(loop.config, path, "another").close()
+        ServiceCheckpoint(loop.config, path, "another").close()
     loop.step()
     second.close()
     told = [record.getMessage() for record in caplog.records if "go on" in record.getMessage()]
     assert len(told) >= 2
-    assert load(path).saved.instruction == said  # which is how it is known again
+    assert load(path, MISSION)[0].state.instruction == said  # which is how it is known again
     service = loop.service
     shown = [
         service.status.instruction,

@@ -1,63 +1,64 @@
-"""Between a running service and its checkpoint: what is kept, when, and how it goes on.
+"""The checkpoint of a running service: saved while it runs, restored at the start.
 
-Two files, since they outlive different things: the mission's, small and written whenever it
-changes, and beside it that of all that is bound to `map` (`edge.loop.places`), which a robot whose
-mission is over keeps too.
+It is two files, because they outlive different things. The mission's is small and written when it
+changes. The map's, next to it, holds everything bound to the frame `map`
+(`edge.loop.map_checkpoint`). A robot whose mission is over saves that too.
 """
 
 from __future__ import annotations
 
+import hashlib
 import logging
 from collections.abc import Sequence
 from pathlib import Path
 
 from edge.config import Config
 from edge.errors import UserError
-from edge.loop.place_keeper import SUFFIX, PlaceKeeper
-from edge.loop.places import Now, Parts
+from edge.host.checkpoint import Checkpoint, CheckpointWriter, load
+from edge.loop.map_checkpoint import SUFFIX, MapCheckpoint, Parts, Sighted
 from edge.mission import ltl
 from edge.mission.brief import Brief, MissionError, brief_of
-from edge.mission.checkpoint import CheckpointWriter, load
+from edge.mission.checkpoint import MISSION, MissionState
 from edge.mission.run import MissionRun
-from edge.mission.saved import Saved
 from edge.mission.translate import Translation
 from edge.tasks.brief import prepare_task
 from edge.text import one_line
 from edge.types import MissionStatus
 
-log = logging.getLogger("edge.loop.keeper")
+log = logging.getLogger("edge.loop.checkpoint")
 
 
-class Keeper:
-    """Has the state of the mission written: at once when it changes, else each second.
+class ServiceCheckpoint:
+    """Saves the mission: at once when it changes, else each second.
 
     Attributes:
-        saved: the unfinished mission that the checkpoint held and that goes on; else None.
-        problem: why a checkpoint that was there is of no use, "" where there is none such.
-        places: keeps what is bound to `map`.
+        saved: the unfinished mission that the file held and that goes on; else None.
+        problem: why a file that was there is of no use, "" if there was none such.
+        map: saves what is bound to `map`.
     """
 
     def __init__(self, config: Config, path: Path, asked: str | None) -> None:
         """
         Args:
-            asked: what was asked for on the command line; None where nothing was. A checkpoint of
-                another mission then gives way.
+            asked: instruction on the command line, or None. A saved mission with another
+                instruction then gives way.
 
         Raises:
             CheckpointError: there is a file and it cannot be read, or none can be written.
         """
         self._config = config
-        loaded = load(path)
-        self.problem = loaded.problem
-        self.saved = _to_go_on_with(loaded.saved, asked)
-        self.places = PlaceKeeper(config, path.with_name(path.name + SUFFIX))
-        self._writer = CheckpointWriter(path)
+        text = config.model_dump_json(exclude={"path"})
+        self._fingerprint = hashlib.sha256(text.encode()).hexdigest()[:16]
+        loaded, self.problem = load(path, MISSION)
+        self.saved = None if loaded is None else _unfinished(loaded.state, asked)
+        self.map = MapCheckpoint(config, path.with_name(path.name + SUFFIX), self._fingerprint)
+        self._writer = CheckpointWriter(path, MISSION)
         self._resumed: MissionRun | None = None
-        self._kept: tuple[MissionRun, int] | None = None
+        self._noted: tuple[MissionRun, int] | None = None
 
     def brief(self) -> Brief | None:
-        """The saved mission again, from its formula: nothing is translated twice. A task is read
-        again, and goes on with the first step that was not driven.
+        """Make the saved mission again from its formula, without translating it twice. A task is
+        read again, and goes on with the first step that was not driven.
 
         Raises:
             MissionError: the limits in the configuration are narrower than they were.
@@ -80,8 +81,8 @@ class Keeper:
             ) from None
 
     def resume(self, mission: MissionRun) -> None:
-        """Set the mission to where it was; what was seen comes back with the first observation."""
-        self.places.prepare()
+        """Restore the mission; the map comes back with the first observation."""
+        self.map.prepare()
         if (saved := self.saved) is not None:
             mission.id = saved.id
             self._resumed = mission
@@ -93,7 +94,7 @@ class Keeper:
                      one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip
 
     def goes_on(self, mission: MissionRun, targets: Sequence[str]) -> bool:
-        """Whether this is the mission that the checkpoint held, and places were kept for it."""
+        """Whether this is the saved mission, and the map was saved under the same targets."""
         return mission is self._resumed and tuple(targets) == mission.brief.targets
 
     def note(
@@ -101,34 +102,34 @@ class Keeper:
         mission: MissionRun,
         status: MissionStatus,
         parts: Parts,
-        now: Now | None,
+        sighted: Sighted | None,
         now_ns: int,
     ) -> None:
         """Hand the state to the writers if it is time. Never blocks.
 
         Args:
-            now: the newest observation's; None before there was any.
+            sighted: the newest observation's; None before there was any.
             now_ns: the loop's time.
         """
-        kept, self._kept = self._kept, (mission, mission.changes)
-        changed = kept is None or kept[0] is not mission or kept[1] != mission.changes
-        if now is not None:
-            self.places.note(parts, now, mission.brief.targets, mission.target, changed)
+        noted, self._noted = self._noted, (mission, mission.changes)
+        changed = noted is None or noted[0] is not mission or noted[1] != mission.changes
+        if sighted is not None:
+            self.map.note(parts, sighted, mission.brief.targets, mission.target, changed)
         if not (changed or self._writer.due(now_ns)):
             return
-        brief = mission.brief
+        brief, translation = mission.brief, mission.brief.translation
         word, reached, failed = mission.word, mission.reached, mission.failed
         detected, paused, name = mission.detected, mission.paused, mission.id
 
-        def made() -> Saved:
-            return Saved(
-                instruction=brief.translation.instruction,
+        def made() -> Checkpoint[MissionState]:
+            state = MissionState(
+                instruction=translation.instruction,
                 formula=str(brief.automaton.formula),
-                backend=brief.translation.backend,
-                english=brief.translation.english,
-                reading=brief.translation.reading,
-                readings=brief.translation.readings,
-                implied=brief.translation.implied,
+                backend=translation.backend,
+                english=translation.english,
+                reading=translation.reading,
+                readings=translation.readings,
+                implied=translation.implied,
                 word=word,
                 reached=reached,
                 failed=tuple(sorted(failed)),
@@ -142,27 +143,27 @@ class Keeper:
                 id=name,
                 task=brief.steps is not None,
             )
+            return Checkpoint(state, config=self._fingerprint)
 
         self._writer.post(made, now_ns)
 
     def status(self) -> dict[str, object]:
-        """For the status message."""
-        writer, places = self._writer, self.places
-        problem = writer.problem or places.trouble or self.problem
+        """Return the part of the status message."""
+        writer = self._writer
         return {
             "path": str(writer.path), "written": writer.written, "failed": writer.failed,
-            "places_written": places.written,
-            "problem": problem,
+            "places_written": self.map.written,
+            "problem": writer.problem or self.map.trouble or self.problem,
         }  # fmt: skip
 
     def close(self) -> None:
         """Write what waits."""
-        self.places.close()
+        self.map.close()
         self._writer.close()
 
 
-def _to_go_on_with(saved: Saved | None, asked: str | None) -> Saved | None:
-    if saved is None or saved.phase in ("idle", "reached", "failed"):
+def _unfinished(saved: MissionState, asked: str | None) -> MissionState | None:
+    if saved.phase in ("idle", "reached", "failed"):
         return None
     if asked is not None and asked != saved.instruction:
         log.info("the checkpoint's mission (%s) gives way to the new one",
