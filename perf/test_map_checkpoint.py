@@ -105,5 +105,5 @@ def test_tick(benchmark, tmp_path, keeps):
     benchmark.pedantic(loop.service.tick, setup=drive, rounds=300, warmup_rounds=20)
     if keeps:
         checkpoint.close()
-        assert checkpoint.map.written > 3
+        assert checkpoint.map.writer.written > 3
     assert np.isfinite(loop.service.scores).all()

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import hashlib
 import io
+import itertools
 import logging
 import math
 import os
 import re
-import sys
 import tempfile
 import time
 import zipfile
@@ -41,7 +41,7 @@ _MAX_DIRECTORY_BYTES = 64 << 10
 _END_BYTES = 22  # of a zip archive's last record, without a comment
 _ZIP64 = b"PK\x06\x07"
 _HEAD = rb'"version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})",'
-_REST = rb'"config":"([0-9a-f]{0,64})","written_ns":([0-9]{1,19}),"state":([^\n]*)\}\n'
+_ABOUT = rb'"config":"([0-9a-f]{0,64})","written_ns":([0-9]{1,19}),"state":([^\n]*)\}\n'
 _FAR, _FAR_NS = 1 << 32, 1 << 61  # limits of integers: cells, and stamps or ids
 
 Arrays = dict[str, np.ndarray]
@@ -67,6 +67,12 @@ class Checkpoint(Generic[State]):
     arrays: Arrays = field(default_factory=dict)
     config: str = ""
     written_ns: int = field(default_factory=time.time_ns)
+
+    def part(self, name: str) -> Arrays:
+        """Return the arrays `name/…`, without that prefix."""
+        prefix = f"{name}/"
+        found = self.arrays.items()
+        return {key.removeprefix(prefix): a for key, a in found if key.startswith(prefix)}
 
 
 class CheckpointFormat(Generic[State]):
@@ -100,19 +106,16 @@ class CheckpointFormat(Generic[State]):
         self._state(state)
         if any(array.dtype.hasobject for array in checkpoint.arrays.values()):
             raise ValueError("an array holds Python objects")
-        file = io.BytesIO()
-        file.write(self.begins + b'"version":%d,"sha256":"' % VERSION)
-        at = file.tell()
-        file.write(
-            b'%s","config":"%s","written_ns":%d,"state":%s}\n'
-            % (bytes(64), checkpoint.config.encode(), checkpoint.written_ns, state)
-        )
-        np.savez(file, **checkpoint.arrays)  # type: ignore[arg-type]
-        with file.getbuffer() as content:
-            if len(content) > self.max_bytes:
-                raise ValueError(f"{len(content)} bytes, at most {self.max_bytes} are written")
-            content[at : at + 64] = _sha256(content[at + 66 :])
-        return file.getvalue()
+        archive = io.BytesIO()
+        np.savez(archive, **checkpoint.arrays)  # type: ignore[arg-type]
+        about = b'"config":"%s","written_ns":%d,"state":%s}\n' % (
+            checkpoint.config.encode(), checkpoint.written_ns, state
+        )  # fmt: skip
+        body = about + archive.getvalue()
+        content = self.begins + b'"version":%d,"sha256":"%s",' % (VERSION, _sha256(body)) + body
+        if len(content) > self.max_bytes:
+            raise ValueError(f"{len(content)} bytes, at most {self.max_bytes} are written")
+        return content
 
     def decode(self, content: bytes) -> Checkpoint[State]:
         """Return what `encode` was given. Memory is allocated within the limits only.
@@ -129,11 +132,11 @@ class CheckpointFormat(Generic[State]):
             raise ValueError(f"version {int(head[1])}, this program reads version {VERSION}")
         if _sha256(memoryview(content)[head.end() :]) != head[2]:
             raise ValueError("damaged: its checksum does not match")
-        rest = re.compile(_REST).match(content, head.end(), head.end() + MAX_STATE_BYTES)
-        if rest is None:
+        about = re.compile(_ABOUT).match(content, head.end(), head.end() + MAX_STATE_BYTES)
+        if about is None:
             raise ValueError(f"not a whole {self.title}")
-        state = self._state(rest[3])
-        return Checkpoint(state, _arrays(content), rest[1].decode(), int(rest[2]))
+        arrays = _arrays(content[about.end() :])
+        return Checkpoint(self._state(about[3]), arrays, about[1].decode(), int(about[2]))
 
     def _state(self, text: bytes) -> State:
         try:
@@ -146,12 +149,12 @@ class CheckpointFormat(Generic[State]):
         return state
 
 
-def _sha256(content: memoryview) -> bytes:
+def _sha256(content: bytes | memoryview) -> bytes:
     return hashlib.sha256(content).hexdigest().encode()
 
 
 def _arrays(content: bytes) -> Arrays:
-    """Return the arrays of an archive that ends with `content`; nothing in it is compressed."""
+    """Read an archive in which nothing is compressed, so that it takes no more than its length."""
     # Python lists the whole directory before anything can be asked of it.
     end = content[-_END_BYTES:]
     plain = end[:4] == b"PK\x05\x06" and end[-2:] == b"\0\0" and _ZIP64 not in content[-42:]
@@ -160,33 +163,24 @@ def _arrays(content: bytes) -> Arrays:
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
-            packed = any(
-                m.compress_type != zipfile.ZIP_STORED or m.file_size != m.compress_size
-                for m in members
-            )
-            if packed or sum(m.file_size for m in members) > len(content):
+            stored = all(m.compress_type == zipfile.ZIP_STORED for m in members)
+            if not stored or sum(m.file_size for m in members) > len(content):
                 raise ValueError("more bytes than the file has")
-            if len({m.filename for m in members}) < len(members):
-                raise ValueError("two have one name")
             return {m.filename.removesuffix(".npy"): _array(archive.read(m)) for m in members}
-    except Exception as error:  # whatever these two parsers make of bytes that a stranger wrote
+    except Exception as error:  # whatever these parsers make of bytes that a stranger wrote
         raise ValueError(f"its arrays cannot be read: {one_line(error)}") from None
 
 
 def _array(content: bytes) -> np.ndarray:
+    """Read one array, if it declares no more bytes than there are: NumPy would allocate them."""
     file = io.BytesIO(content)
-    if np.lib.format.read_magic(file) != (1, 0):
-        raise ValueError("another version of .npy")
+    np.lib.format.read_magic(file)
     shape, _, dtype = np.lib.format.read_array_header_1_0(file)
-    declared = math.prod(shape) * dtype.itemsize
-    known = dtype.kind in "biufU" and dtype.isnative and dtype.itemsize > 0
-    if not known or declared != len(content) - file.tell():
+    n_bytes = math.prod(shape) * dtype.itemsize
+    if dtype.kind not in "biufU" or not dtype.itemsize or n_bytes != len(content) - file.tell():
         raise ValueError(f"an array {dtype} {shape} in {len(content)} bytes")
     file.seek(0)
-    array = np.lib.format.read_array(file, allow_pickle=False)
-    if dtype.kind == "U" and (array.ravel().view(np.uint32) > sys.maxunicode).any():
-        raise ValueError("text that is none")
-    return array
+    return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def check_arrays(
@@ -236,7 +230,7 @@ def _check_names(name: str, words: np.ndarray) -> None:
     try:
         for word in set(words.tolist()):
             names.normalise(word)
-    except (UserError, ValueError) as error:
+    except (UserError, SystemError) as error:  # NumPy raises the second for no character
         raise ValueError(f"{name}: {error}") from None
 
 
@@ -278,19 +272,17 @@ def set_aside(path: Path, problem: str) -> str:
     Raises:
         CheckpointError: it cannot be renamed.
     """
-    path, n = _real(path), 1
-    try:
-        while True:
-            aside = path.with_name(f"{path.name}.damaged-{n}")
-            try:
-                os.close(os.open(aside, os.O_CREAT | os.O_EXCL))  # renaming would overwrite a file
-            except FileExistsError:
-                n += 1
-                continue
+    path = _real(path)
+    for n in itertools.count(1):
+        aside = path.with_name(f"{path.name}.damaged-{n}")
+        try:
+            os.close(os.open(aside, os.O_CREAT | os.O_EXCL))  # renaming would overwrite a file
             os.replace(path, aside)
             break
-    except OSError as error:
-        raise _unusable(path, error) from None
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise _unusable(path, error) from None
     problem = f"mission.checkpoint: {path}: {problem}; kept as {aside.name}, starting without it"
     log.warning("%s", problem)
     return problem

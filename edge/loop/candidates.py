@@ -203,9 +203,6 @@ class CandidatePool:
         Args:
             later_ns, later_stamp_ns: how much later it all happened on the clock of `discard`, and
                 on the sensors'.
-
-        Raises:
-            ValueError: it is none.
         """
         c, look = self.candidates, ("look_id", "look_rad")
         discarded = tuple(f"discarded_{name}" for name in ("kind", "id", "xy_m", "until_ns"))

@@ -18,7 +18,7 @@ from edge.host.checkpoint import Checkpoint, CheckpointWriter, load
 from edge.loop.map_checkpoint import SUFFIX, MapCheckpoint, Parts, Sighted
 from edge.mission import ltl
 from edge.mission.brief import Brief, MissionError, brief_of
-from edge.mission.checkpoint import MISSION, MissionState
+from edge.mission.checkpoint import MISSION, OF_TRANSLATION, MissionState, state_of
 from edge.mission.run import MissionRun
 from edge.mission.translate import Translation
 from edge.tasks.brief import prepare_task
@@ -68,11 +68,8 @@ class ServiceCheckpoint:
         try:
             if saved.task:
                 return prepare_task(self._config, saved.instruction)
-            formula = ltl.parse(saved.formula)
-            translation = Translation(
-                saved.instruction, formula, saved.english, saved.backend, reading=saved.reading,
-                readings=saved.readings, implied=saved.implied,
-            )  # fmt: skip
+            known = {name: getattr(saved, name) for name in OF_TRANSLATION}
+            translation = Translation(formula=ltl.parse(saved.formula), **known)
             return brief_of(self._config.mission, translation)
         except UserError as error:
             raise MissionError(
@@ -117,43 +114,17 @@ class ServiceCheckpoint:
             self.map.note(parts, sighted, mission.brief.targets, mission.target, changed)
         if not (changed or self._writer.due(now_ns)):
             return
-        brief, translation = mission.brief, mission.brief.translation
-        word, reached, failed = mission.word, mission.reached, mission.failed
-        detected, paused, name = mission.detected, mission.paused, mission.id
-
-        def made() -> Checkpoint[MissionState]:
-            state = MissionState(
-                instruction=translation.instruction,
-                formula=str(brief.automaton.formula),
-                backend=translation.backend,
-                english=translation.english,
-                reading=translation.reading,
-                readings=translation.readings,
-                implied=translation.implied,
-                word=word,
-                reached=reached,
-                failed=tuple(sorted(failed)),
-                detected=tuple(sorted(detected)),
-                target=status.target,
-                phase=status.phase,
-                reason=status.reason,
-                paused=paused,
-                elapsed_s=status.elapsed_s,
-                path_m=status.path_m,
-                id=name,
-                task=brief.steps is not None,
-            )
-            return Checkpoint(state, config=self._fingerprint)
-
-        self._writer.post(made, now_ns)
+        state = state_of(mission, status.phase)
+        self._writer.post(lambda: Checkpoint(state, config=self._fingerprint), now_ns)
 
     def status(self) -> dict[str, object]:
         """Return the part of the status message."""
-        writer = self._writer
+        writer, known = self._writer, self.map
+        problems = (writer.problem, known.writer.problem, known.problem, self.problem)
         return {
             "path": str(writer.path), "written": writer.written, "failed": writer.failed,
-            "places_written": self.map.written,
-            "problem": writer.problem or self.map.trouble or self.problem,
+            "places_written": known.writer.written,
+            "problem": next(filter(None, problems), ""),
         }  # fmt: skip
 
     def close(self) -> None:

@@ -447,9 +447,6 @@ class GoalTracker:
         """Go on with a `state_dict` as soon as it sets out for this target, if it does so first.
 
         The goal is sent again, by another stamp: what became of the last sending is not known.
-
-        Raises:
-            ValueError: it is none.
         """
         present, goal_rows = None, ("kind", "id", "at")
         rows = {goal_rows: 1, ("left_m",): LEFT, ("missed",): 1}

@@ -17,12 +17,12 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
+import numpy as np
 from pydantic import ConfigDict, Field
 
 from edge.config import Config
 from edge.geometry import FARTHEST_M, SE2, wrap_angle
 from edge.host.checkpoint import (
-    Arrays,
     Checkpoint,
     CheckpointFormat,
     CheckpointWriter,
@@ -131,8 +131,7 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
         was, now = getattr(state, name), getattr(mapping, name)
         if was != now:
             raise ValueError(f"made with mapping.{name} {was:g}, which now is {now:g}")
-    part = partial(_part, checkpoint.arrays)
-    grid = RollingMap(mapping, config.robot)
+    part, grid = checkpoint.part, RollingMap(mapping, config.robot)
     values = grid.values
     same = (state.value_source, state.value_side) == (config.value_source or "", values.side)
     if same and state.value_targets:
@@ -173,7 +172,7 @@ def restore(
     Raises:
         ValueError: the policy refuses what it is to remember; all else has been restored.
     """
-    state, part = checkpoint.state, partial(_part, checkpoint.arrays)
+    state, part = checkpoint.state, checkpoint.part
     later_ns = min(sighted.now_ns - state.now_ns, 0)
     parts.map.load_state_dict(grid, part, later_ns, min(sighted.stamp_ns - state.stamp_ns, 0))
     if not goes_on:
@@ -187,36 +186,6 @@ def restore(
             raise ValueError(str(error)) from None
 
 
-def why_elsewhere(state: MapState, sighted: Sighted, boot: str, config: Config) -> str:
-    """Return why `map` is not believed to be the saved frame; "" if it is the same.
-
-    A pose of `source.localised` is always in the same frame. Odometry is, if it went on: the
-    computer was not rebooted, and the robot stands where it was, or as far from there as it may
-    have driven. Without a service it ends its last goal and goes no farther, so only the first
-    seconds count. Odometry that began again at the very place and heading is not told from that.
-    """
-    if config.source.localised:
-        return ""
-    passed_s = (sighted.stamp_ns - state.stamp_ns) * 1e-9
-    if state.boot != boot:
-        return "the computer was started anew, and its odometry with it"
-    if passed_s < 0.0:
-        return "the sensors' clock began anew"
-    x_m, y_m, yaw_rad = state.pose
-    driving_s, robot = _HASTE * min(passed_s, _DRIVES_ON_S), config.robot
-    moved_m = sighted.pose.distance_to(x_m, y_m)
-    turned_rad = abs(wrap_angle(sighted.pose.yaw_rad - yaw_rad))
-    if moved_m > config.source.max_pose_jump_m + robot.max_speed_mps * driving_s:
-        return f"the robot is {moved_m:.1f} m from where it was"
-    if turned_rad > _MAX_TURN_RAD + robot.max_turn_radps * driving_s:
-        return f"the robot is turned by {turned_rad:.1f} rad from how it stood"
-    return ""
-
-
-def _part(arrays: Arrays, part: str) -> Arrays:
-    return {name[len(part) + 1 :]: a for name, a in arrays.items() if name.startswith(f"{part}/")}
-
-
 class MapCheckpoint:
     """Saves the map and what is bound to it; for the loop's thread.
 
@@ -227,6 +196,7 @@ class MapCheckpoint:
         problem: why the file that was there is of no use, "" if there was none such.
         loaded: content of the file, as long as it may be restored.
         waiting: its map, until the first observation.
+        writer: of the file.
     """
 
     def __init__(self, config: Config, path: Path, fingerprint: str = "") -> None:
@@ -241,7 +211,7 @@ class MapCheckpoint:
         self._fingerprint = fingerprint
         self.loaded, self.problem = load(path, MAP)
         self.waiting: RollingMap | None = None
-        self._writer = CheckpointWriter(path, MAP, PERIOD_S)
+        self.writer = CheckpointWriter(path, MAP, PERIOD_S)
         self._copier, self._packed = Copier(), PackedTiles()
         self._due = False
         self._last: tuple[Parts, Sighted, tuple[str, ...], str] | None = None
@@ -256,8 +226,30 @@ class MapCheckpoint:
             self.loaded, self.problem = None, set_aside(self._path, str(error))
 
     def why_elsewhere(self, sighted: Sighted) -> str:
-        """Return `why_elsewhere` of what waits."""
-        return why_elsewhere(self.loaded.state, sighted, self._boot, self._config)
+        """Return why `map` is not believed to be the saved frame; "" if it is the same.
+
+        A pose of `source.localised` is always in the same frame. Odometry is, if it went on: the
+        computer was not rebooted, and the robot stands where it was, or as far from there as it may
+        have driven. Without a service it ends its last goal and goes no farther, so only the first
+        seconds count. Odometry that began again at the very place and heading is not recognised.
+        """
+        state, source, robot = self.loaded.state, self._config.source, self._config.robot
+        if source.localised:
+            return ""
+        passed_s = (sighted.stamp_ns - state.stamp_ns) * 1e-9
+        if state.boot != self._boot:
+            return "the computer was started anew, and its odometry with it"
+        if passed_s < 0.0:
+            return "the sensors' clock began anew"
+        x_m, y_m, yaw_rad = state.pose
+        driving_s = _HASTE * min(passed_s, _DRIVES_ON_S)
+        moved_m = sighted.pose.distance_to(x_m, y_m)
+        turned_rad = abs(wrap_angle(sighted.pose.yaw_rad - yaw_rad))
+        if moved_m > source.max_pose_jump_m + robot.max_speed_mps * driving_s:
+            return f"the robot is {moved_m:.1f} m from where it was"
+        if turned_rad > _MAX_TURN_RAD + robot.max_turn_radps * driving_s:
+            return f"the robot is turned by {turned_rad:.1f} rad from how it stood"
+        return ""
 
     def take(self, elsewhere: str) -> tuple[RollingMap, Checkpoint[MapState]] | None:
         """Return what waits, once.
@@ -296,33 +288,18 @@ class MapCheckpoint:
         if self.waiting is not None:  # nothing was observed yet
             return
         self._last = parts, sighted, targets, target
-        self._due = self._due or changed or self._writer.due(sighted.now_ns)
-        if self._due and self._writer.idle:
+        self._due = self._due or changed or self.writer.due(sighted.now_ns)
+        if self._due and self.writer.idle:
             self._copy(MOST_PER_STEP + parts.map.grid.tiles_of_update)
-
-    @property
-    def idle(self) -> bool:
-        """Whether everything handed to the writer is on the disk, or could not be written."""
-        return self._writer.idle
-
-    @property
-    def written(self) -> int:
-        """How often it was written."""
-        return self._writer.written
-
-    @property
-    def trouble(self) -> str:
-        """Why it could not be written the last time, or not be read; else ""."""
-        return self._writer.problem or self.problem
 
     def close(self) -> None:
         """Write how it stands, if there is time."""
         until_s = time.monotonic() + _LAST_S
-        while not self._writer.idle and time.monotonic() < until_s:
+        while not self.writer.idle and time.monotonic() < until_s:
             time.sleep(0.005)
-        if self._last is not None and self._writer.idle:
+        if self._last is not None and self.writer.idle:
             self._copy(self._last[0].map.grid.window.written.size)
-        self._writer.close()
+        self.writer.close()
 
     def _copy(self, most: int) -> None:
         parts, sighted, targets, target = self._last
@@ -331,7 +308,7 @@ class MapCheckpoint:
             return
         self._due = False
         state = state_of(parts, sighted, self._boot, targets, target)
-        self._writer.post(
+        self.writer.post(
             partial(self._pack, state, grid.window.n, *self._copier.take()), sighted.now_ns
         )
 
@@ -343,5 +320,9 @@ class MapCheckpoint:
             self._packed = PackedTiles()
         self._packed.update(batches)
         tiles = self._packed.state_dict(checkpoint.arrays["map/origin"], n)
-        arrays = {f"tiles/{name}": array for name, array in tiles.items()}
-        return replace(checkpoint, arrays={**checkpoint.arrays, **arrays}, config=self._fingerprint)
+        arrays = checkpoint.arrays | {f"tiles/{name}": array for name, array in tiles.items()}
+        for name, array in arrays.items():  # the good file stays if a part has gone wrong
+            own = not name.startswith("policy/") and array.dtype.kind == "f"
+            if own and not np.isfinite(array).all():
+                raise ValueError(f"{name} is not finite")
+        return replace(checkpoint, arrays=arrays, config=self._fingerprint)

@@ -207,9 +207,6 @@ class Bumps:
 
         Args:
             later_ns: how much later it all happened on the clock of now.
-
-        Raises:
-            ValueError: it is none.
         """
         each = ("place_m", "heading_rad", "half_m", "until_ns", "opened", "again")
         rows = {each: 2 * _MOST, ("cell",): 1 << 16, ("closed",): 1 << 16}

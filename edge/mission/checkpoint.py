@@ -12,6 +12,7 @@ from edge.errors import UserError
 from edge.host.checkpoint import CheckpointFormat
 from edge.mission.automaton import NOTHING
 from edge.mission.ltl import parse, propositions
+from edge.mission.run import MissionRun
 from edge.text import bounded_repr
 
 Word = Annotated[str, Field(max_length=1000)]
@@ -53,6 +54,21 @@ class MissionState:
     implied: bool = False
     id: Word = ""
     task: bool = False
+
+
+OF_TRANSLATION = ("instruction", "backend", "english", "reading", "readings", "implied")
+_OF_RUN = ("word", "reached", "target", "reason", "paused", "elapsed_s", "path_m", "id")
+
+
+def state_of(mission: MissionRun, phase: str) -> MissionState:
+    """Return the mission as it stands."""
+    brief = mission.brief
+    return MissionState(
+        formula=str(brief.automaton.formula), phase=phase, task=brief.steps is not None,
+        failed=tuple(sorted(mission.failed)), detected=tuple(sorted(mission.detected)),
+        **{name: getattr(brief.translation, name) for name in OF_TRANSLATION},
+        **{name: getattr(mission, name) for name in _OF_RUN},
+    )  # fmt: skip
 
 
 def _check(state: MissionState) -> None:

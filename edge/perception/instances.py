@@ -283,9 +283,6 @@ class InstanceTracker:
 
         Args:
             later_ns: how much later it all happened on the sensors' clock of now.
-
-        Raises:
-            ValueError: it is none.
         """
         each = tuple(name for name, _ in (*_COLUMNS, *_EVIDENCE))
         rows = {(*each, "label", "state", "n_points"): 1 << 13}

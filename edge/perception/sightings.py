@@ -197,14 +197,11 @@ class SightingTracker:
 
         Args:
             later_ns: how much later it all happened on the sensors' clock of now.
-
-        Raises:
-            ValueError: it is none.
         """
         s, words = self._all, state.get("words", np.zeros(0))
         rows = {tuple(name for name, _ in self._saved()): 1 << 12, ("words",): 1 << 15}
         most = {
-            "word": len(words) - 1, "confidence": 2, "n_points": kernels.POINTS,
+            "word": words.size - 1, "confidence": 2, "n_points": kernels.POINTS,
             "cursor": kernels.POINTS - 1, "weight": FARTHEST_M, "total": FARTHEST_M,
         }  # fmt: skip
         check_arrays(state, self.state_dict(), rows, most, ("id", "words"))

@@ -56,6 +56,7 @@ ARRAYS = {
 BEGUN = Checkpoint(Note("é: the cheapest", 1), ARRAYS, "0123abcd", 5)
 WHOLE = NOTE.encode(BEGUN)
 BEGINS = NOTE.begins
+STATE = b'{"text":"a"}'
 
 
 def same(one: Checkpoint, other: Checkpoint) -> bool:
@@ -102,6 +103,11 @@ def npy(descr: str, shape: tuple[int, ...], content: bytes = b"", version: int =
     return b"\x93NUMPY%c\0" % version + len(head).to_bytes(2, "little") + head + content
 
 
+def x_of(content: bytes) -> bytes:
+    """Return a file with one array."""
+    return forged(STATE, archive(("x.npy", content)))
+
+
 def test_no_file_is_no_problem(tmp_path):
     assert load(tmp_path / "note", NOTE) == (None, "")
     assert others(tmp_path, tmp_path) == []
@@ -137,13 +143,11 @@ def test_what_could_not_be_loaded_is_not_saved(tmp_path, change, text):
 
 
 def test_the_files_of_the_table_below_are_taken_when_nothing_is_wrong_with_them():
-    one = npy("'<i4'", (2,), bytes(8))
-    taken = NOTE.decode(forged(b'{"text":"a"}', archive(("x.npy", one))))
+    taken = NOTE.decode(x_of(npy("'<i4'", (2,), bytes(8))))
     assert taken.state == Note("a")
     assert taken.arrays["x"].tolist() == [0, 0]
 
 
-STATE = b'{"text":"a"}'
 DAMAGED = {
     "head": (BEGINS, "not a whole note"),
     "cut": (WHOLE[:-1], "checksum"),
@@ -162,23 +166,20 @@ DAMAGED = {
     "secret": (forged(b'{"text":"secret"}', archive()), "it is a secret"),
     "a comment": (forged(STATE, archive(end=b"comment" * 9)), "its directory of arrays"),
     "many": (forged(STATE, archive(*((f"{i}", b"") for i in range(2000)))), "too long"),
-    "twice": (forged(STATE, archive(("x", npy("'<i1'", ())), ("x", b""))), "two have one name"),
     "packed": (
         forged(STATE, archive(("x.npy", bytes(1 << 28)), method=zipfile.ZIP_DEFLATED)),
         "more bytes than the file has",
     ),
-    "bomb": (forged(STATE, archive(("x.npy", npy("'<f8'", (1 << 40,))))), "in 80 bytes"),
-    "no text": (forged(STATE, archive(("x.npy", npy("'<U1'", (1,), b"\xff" * 4)))), "text that is"),
-    "no bytes": (forged(STATE, archive(("x.npy", npy("'<U0'", (1 << 40,))))), "in 80 bytes"),
-    "minus": (forged(STATE, archive(("x.npy", npy("'<i1'", (-2, -4), bytes(8))))), "arrays cannot"),
-    "pickle": (forged(STATE, archive(("x.npy", npy("'|O'", (1,), b"x" * 8)))), "an array object"),
-    "records": (
-        forged(STATE, archive(("x.npy", npy("[('a', '<f8')]", (1,), bytes(8))))), "an array [",
-    ),
-    "version": (forged(STATE, archive(("x.npy", npy("'<i1'", (), b"0", 3)))), "another version"),
-    "no array": (forged(STATE, archive(("x.npy", b"text"))), "arrays cannot be read"),
-    "code": (forged(STATE, archive(("x.npy", npy("exit()", ())))), "arrays cannot be read"),
-    "nested": (forged(STATE, archive(("x.npy", npy("(" * 9000, ())))), "arrays cannot be read"),
+    "bomb": (x_of(npy("'<f8'", (1 << 45,))), "an array float64 (35184372088832,) in 81 bytes"),
+    "no bytes": (x_of(npy("'<U0'", (1 << 40,))), "an array <U0"),
+    "short": (x_of(npy("'<f8'", (2,), bytes(8))), "an array float64 (2,)"),
+    "minus": (x_of(npy("'<i1'", (-2, -4), bytes(8))), ""),
+    "pickle": (x_of(npy("'|O'", (1,), b"x" * 8)), "an array object (1,)"),
+    "records": (x_of(npy("[('a', '<f8')]", (1,), bytes(8))), "an array [('a', '<f8')] (1,)"),
+    "version": (x_of(npy("'<i1'", (), b"0", 9)), ""),
+    "no array": (x_of(b"text"), ""),
+    "code": (x_of(npy("exit()", ())), ""),
+    "nested": (x_of(npy("(" * 9000, ())), ""),
 }  # fmt: skip
 
 
@@ -192,7 +193,7 @@ def test_a_damaged_file_is_set_aside_with_one_line_and_little_memory(tmp_path, c
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert loaded is None
-    assert text in problem
+    assert (text or "arrays cannot be read") in problem
     assert str(path) in problem
     assert "note.damaged-1" in problem
     assert "\n" not in problem
@@ -257,7 +258,7 @@ def test_damage_anywhere_is_found(data):
 def test_any_bytes_are_no_checkpoint(content, state):
     assert wrong(content) == "not a whole note"
     assert wrong(forged(state, content))
-    assert wrong(forged(STATE, archive(("x.npy", content))))
+    assert wrong(x_of(content))
 
 
 LIKE = {
@@ -295,6 +296,7 @@ FITS = {
         ("name", np.array(["tv", "a\nb"])),
         ("name", np.array(["tv", "a" * 5000])),
         ("name", np.array(["tv", ""])),
+        ("name", np.frombuffer(b"\xff" * 8, "<U1")),
     ],
 )
 def test_arrays_of_a_file_are_held_to_those_that_a_part_writes(name, array):

@@ -110,7 +110,7 @@ def begun(path: Path, ticks: int, settings: Config) -> Run:
 
 def test_without_a_checkpoint_nothing_is_restored(tmp_path):
     run = Run(tmp_path / "m.json", config())
-    assert run.service.checkpoint.map.trouble == ""
+    assert run.service.checkpoint.map.problem == ""
     run.ticks(1)
     assert not any("restored" in text for text in run.notes.events)
     run.service.checkpoint.close()
@@ -164,7 +164,7 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
 def idle(checkpoint: ServiceCheckpoint) -> None:
     """Wait for the writer's thread."""
     deadline_s = time.monotonic() + PATIENCE_S
-    while not checkpoint.map.idle:
+    while not checkpoint.map.writer.idle:
         assert time.monotonic() < deadline_s
         time.sleep(0.001)
 

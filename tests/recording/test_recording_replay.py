@@ -277,7 +277,7 @@ def test_a_run_that_takes_up_its_map(tmp_path, monkeypatch, localised, boot, els
     killed = loop.service.checkpoint = ServiceCheckpoint(config, path, None)
     for _ in range(20):
         loop.step()
-    eventually(lambda: killed.map.idle and killed.map.written and path.exists())
+    eventually(lambda: killed.map.writer.idle and killed.map.writer.written and path.exists())
     for suffix in ("", SUFFIX):
         shutil.copy(f"{path}{suffix}", f"{left}{suffix}")
     killed.close()
