@@ -209,7 +209,7 @@ def check_arrays(
         group, model = group_of.get(name), like[name]
         shape = model.shape
         if group is not None:
-            shape = (min(*state[group[0]].shape[:1], rows[group], rows[group]), *shape[1:])
+            shape = (min((*state[group[0]].shape[:1], rows[group])), *shape[1:])
         is_text = array.dtype.kind == model.dtype.kind == "U"
         if array.shape != shape or not (is_text or array.dtype == model.dtype):
             raise ValueError(f"{name}: {array.dtype} {array.shape}, expected {model.dtype} {shape}")
