@@ -114,7 +114,7 @@ def state_of(
         config.mapping.resolution_m, config.mapping.obstacle_max_m,
         config.value_source or "", tuple(values.targets), values.side,
     )  # fmt: skip
-    remembered = policy.state_dict() if isinstance(policy, Remembers) else {}
+    remembered = policy.state_dict() if _remembers(policy) else {}
     every = {**parts.map.state_dict(), "goals": parts.goals.state_dict(), "policy": remembered}
     arrays = {f"{part}/{name}": a for part, of in every.items() for name, a in of.items()}
     return Checkpoint(state, arrays)
@@ -179,11 +179,15 @@ def restore(
         return
     parts.goals.load_state_dict(part("goals"), state.target, sighted.now_ns)
     memory, policy = part("policy"), parts.policy
-    if memory and isinstance(policy, Remembers) and state.policy == parts.map.config.policy.kind:
+    if memory and _remembers(policy) and state.policy == parts.map.config.policy.kind:
         try:
             policy.load_state_dict(memory)
         except (KeyError, TypeError) as error:
             raise ValueError(str(error)) from None
+
+
+def _remembers(policy: Policy | Remembers) -> bool:
+    return hasattr(policy, "state_dict") and hasattr(policy, "load_state_dict")
 
 
 class MapCheckpoint:

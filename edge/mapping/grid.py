@@ -272,11 +272,12 @@ class RollingMap:
     def state_dict(self) -> Arrays:
         """Return what there is besides `planes`; `robot` and `floor_m` have no row if unknown."""
         robot = np.array([] if self._robot is None else [self._robot], np.int64)
-        floor_m = np.array([[self._floor_m, self._base_z_m]])
+        floor_m = self._floor_m, self._base_z_m
+        known = all(abs(z_m) < FARTHEST_M for z_m in floor_m)
         return {
             "origin": np.array(self.window.origin, np.int64),
             "cells": np.array(self.window.n, np.int64),
-            "floor_m": floor_m[(np.abs(floor_m) < FARTHEST_M).all(axis=1)],
+            "floor_m": np.array(floor_m if known else ()).reshape(-1, 2),
             "robot": robot.reshape(-1, 2),
             **{f"cluster_{name}": of for name, of in cl.state_dict(self._clusters).items()},
         }

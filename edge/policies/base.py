@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -203,9 +203,8 @@ class Policy(Protocol):
         ...
 
 
-@runtime_checkable
 class Remembers(Protocol):
-    """A policy whose memory is in the checkpoint."""
+    """A policy whose memory is in the checkpoint: one that has these is asked."""
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Return what it remembers, in arrays of its own of numbers; some megabytes at most."""
