@@ -343,13 +343,14 @@ def state_dict(clusters):
 
     Returns:
         `id`, `size` and `samples` (k,) int32; `sample` (k, MAX_SAMPLES) int32; `cell`, the
-        members of one cluster after the other, (size.sum(),) int32; `free` (f,) int32.
+        members of one cluster after the other, (size.sum(),) int32; `free` (f,) int16.
     """
     ids = np.flatnonzero(clusters.size).astype(np.int32)
     cell, size = np.zeros(int(clusters.size.sum()), np.int32), np.zeros(len(ids), np.int32)
     n = _members(clusters, ids, cell, size)
     free = clusters.free_id[: clusters.count[FREE_IDS]]
     free = np.concatenate((free, ids[size == 0]))  # those for which there was no node
+    free = free.astype(np.int16)  # half of the file of a small map
     ids, size = ids[size > 0], size[size > 0]
     samples, sample = clusters.samples[ids], clusters.sample[ids]
     sample[np.arange(MAX_SAMPLES) >= samples[:, None]] = 0  # of earlier clusters

@@ -231,7 +231,7 @@ def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
     same(files_of(tmp_path)[0], ticks)
 
 
-def test_a_run_that_goes_on_from_a_checkpoint(tmp_path):
+def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     path = tmp_path / "checkpoint.json"
     config = small(mission={"target": "bed", "checkpoint": str(path)})
     first = ClosedLoop(config)
@@ -257,7 +257,11 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path):
     second.close()
     sink.close()
     checkpoint.close()
-    same(files_of(tmp_path / "run")[0], 10)
+    recorded = files_of(tmp_path / "run")[0]
+    same(recorded, 10)
+    monkeypatch.setattr("edge.host.checkpoint.VERSION", 4)
+    with pytest.raises(ReplayError, match=r"recording: .* version 3, this program reads version 4"):
+        replay(Session(recorded))
 
 
 @pytest.mark.parametrize(
