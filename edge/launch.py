@@ -30,7 +30,7 @@ from edge.host.memory import trimmed
 from edge.host.ports import free_port
 from edge.host.repeated import repeated
 from edge.loop import requests
-from edge.loop.keeper import Keeper
+from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.result import Sink
 from edge.loop.runner import Running
 from edge.loop.scorers import make_scorers
@@ -110,12 +110,12 @@ def open_service(
         log.warning("%s: neither zenoh nor ros2: no motion controller hears a goal",
                     config.at("sinks"))  # fmt: skip
     with ExitStack() as stack:
-        mission, keeper, brief = config.mission, None, None
+        mission, checkpoint, brief = config.mission, None, None
         if mission.checkpoint is not None:
             named = next((text for text in (task, formula, asked) if text is not None), None)
-            keeper = Keeper(config, resources.expand(mission.checkpoint), named)
-            stack.callback(keeper.close)
-            brief = keeper.brief()
+            checkpoint = ServiceCheckpoint(config, resources.expand(mission.checkpoint), named)
+            stack.callback(checkpoint.close)
+            brief = checkpoint.brief()
         idle = mission.on_request and brief is None and {asked, formula, task} == {None}
         if brief is None:
             progress("understanding the mission")
@@ -163,8 +163,8 @@ def open_service(
             }
 
         service = Service(
-            config, brief, worker, policy, every, keeper, scorers, overruns, calibration.load(),
-            idle, inputs=getattr(source, "input_table", tuple),
+            config, brief, worker, policy, every, checkpoint, scorers, overruns,
+            calibration.load(), idle, inputs=getattr(source, "input_table", tuple),
         )  # fmt: skip
         stack.callback(service.close)
         served = requests.served(service, partial(prepared, config), amiss)

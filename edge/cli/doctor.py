@@ -301,13 +301,14 @@ def _remote(name: str, url: str) -> Finding:
 
 def check_mission(config: Config) -> Iterator[Finding]:
     """The configured mission is understood and can be done; its checkpoint can be kept."""
+    from edge.host.checkpoint import CheckpointWriter
     from edge.mission.brief import prepare
-    from edge.mission.checkpoint import CheckpointWriter
+    from edge.mission.checkpoint import MISSION
 
     try:
         brief = prepare(config.mission)
         if config.mission.checkpoint is not None:
-            CheckpointWriter(resources.expand(config.mission.checkpoint)).close()
+            CheckpointWriter(resources.expand(config.mission.checkpoint), MISSION).close()
     except UserError as error:
         what, todo = _split(error)
         yield Finding("fail", what, todo or "see `edge mission explain`")

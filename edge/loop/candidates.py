@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from edge.geometry import SE2, wrap_angle
+from edge.host.checkpoint import Arrays, check_arrays
 from edge.mapping.grid import Frontiers, RollingMap
 from edge.policies.base import FRONTIER, INSTANCE, LOOK, SNAP_M, Candidates
 from edge.types import Instance
@@ -179,8 +180,8 @@ class CandidatePool:
         """Give every discarded candidate another chance."""
         self._discarded_until_ns[:] = 0
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """The frontiers' identities, and what is left alone until when, as plain arrays."""
+    def state_dict(self) -> Arrays:
+        """Return the frontiers' identities, and what is left alone until when."""
         n = int(np.count_nonzero(self.candidates.kind[: self.candidates.n] == FRONTIER))
         left = self._discarded_until_ns > 0
         return {
@@ -195,27 +196,29 @@ class CandidatePool:
             "discarded_until_ns": self._discarded_until_ns[left],
         }
 
-    def restore(self, kept: dict[str, np.ndarray], later_ns: int, later_stamp_ns: int) -> None:
-        """Go on with what `kept` gave, with no candidate known yet; what does not fit is left out.
+    def load_state_dict(self, state: Arrays, later_ns: int, later_stamp_ns: int) -> None:
+        """Go on with a `state_dict`, with no candidate known yet; rows beyond the capacity are left
+        out.
 
         Args:
             later_ns, later_stamp_ns: how much later it all happened on the clock of `discard`, and
                 on the sensors'.
         """
-        c = self.candidates
-        c.n = min(len(kept["id"]), len(c.id))
+        c, look = self.candidates, ("look_id", "look_rad")
+        discarded = tuple(f"discarded_{name}" for name in ("kind", "id", "xy_m", "until_ns"))
+        rows = {_LASTING: 1 << 14, look: 1, discarded: _DISCARDED}
+        most = {"discarded_kind": LOOK, "measure_next": 1 << 16}
+        check_arrays(state, self.state_dict(), rows, most, ("id",))
+        c.n = min(len(state["id"]), len(c.id))
         c.kind[: c.n] = FRONTIER
         for name, array in zip(_LASTING, self._lasting, strict=True):
-            array[: c.n] = kept[name][: c.n]
+            array[: c.n] = state[name][: c.n]
         c.first_seen_ns[: c.n] += later_stamp_ns
-        self._next_id = max(self._next_id, int(kept["next_id"]))
-        self._measure_next = int(kept["measure_next"])
-        for look_id, heading in zip(kept["look_id"], kept["look_rad"], strict=True):
+        self._next_id = max(self._next_id, int(state["next_id"]))
+        self._measure_next = int(state["measure_next"])
+        for look_id, heading in zip(*(state[name] for name in look), strict=True):
             self._look = (int(look_id), float(heading))
-        for kind, i, xy_m, until_ns in zip(
-            kept["discarded_kind"], kept["discarded_id"], kept["discarded_xy_m"],
-            kept["discarded_until_ns"], strict=True,
-        ):  # fmt: skip
+        for kind, i, xy_m, until_ns in zip(*(state[name] for name in discarded), strict=True):
             self.discard(int(kind), int(i), (float(xy_m[0]), float(xy_m[1])), until_ns + later_ns)
 
     def clear(self) -> None:

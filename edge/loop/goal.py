@@ -17,9 +17,10 @@ import numpy as np
 
 from edge.config import Config
 from edge.geometry import SE2, wrap_angle
+from edge.host.checkpoint import Arrays, check_arrays
 from edge.loop.candidates import CandidatePool
 from edge.loop.goal_client import GoalClient
-from edge.loop.search import LASTING_NS, TURNS, NextBestView, Search
+from edge.loop.search import LASTING_NS, LEFT, TURNS, NextBestView, Search
 from edge.loop.standstill import Standstill
 from edge.mapping.coverage import Viewpoint
 from edge.mapping.grid import RollingMap
@@ -425,14 +426,13 @@ class GoalTracker:
         if restored is not None and restored[0] == mission.target:
             _, self._search, self._present = restored
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """The present goal and what was tried in vain, as plain arrays; a view is not kept, nor a
-        task's goal."""
+    def state_dict(self) -> Arrays:
+        """Return the present goal and what was tried in vain, but no view and no task's goal."""
         present, goals = self._present, []
         if present is not None and present.view is None and present.goal.kind in _KINDS:
             goals = [(present.goal, present.peak)]
         return {
-            **self._search.kept(),
+            **self._search.state_dict(),
             "kind": np.array([_KINDS.index(goal.kind) for goal, _ in goals], np.int8),
             "id": np.array([goal.candidate_id for goal, _ in goals], np.int64),
             "at": np.array(
@@ -443,18 +443,21 @@ class GoalTracker:
             ).reshape(-1, 7),
         }
 
-    def restore(self, kept: dict[str, np.ndarray], target: str, now_ns: int) -> None:
-        """Go on with what `kept` gave as soon as it sets out for this target, if it does so first.
+    def load_state_dict(self, state: Arrays, target: str, now_ns: int) -> None:
+        """Go on with a `state_dict` as soon as it sets out for this target, if it does so first.
 
         The goal is sent again, by another stamp: what became of the last sending is not known.
         """
-        present = None
-        for kind, i, at in zip(kept["kind"], kept["id"], kept["at"].tolist(), strict=True):
+        present, goal_rows = None, ("kind", "id", "at")
+        rows = {goal_rows: 1, ("left_m",): LEFT, ("missed",): 1}
+        most = {"kind": len(_KINDS) - 1, "turns": 1000}
+        check_arrays(state, self.state_dict(), rows, most)
+        for kind, i, at in zip(state["kind"], state["id"], state["at"].tolist(), strict=True):
             x_m, y_m, yaw_rad, to_x_m, to_y_m, score, peak = at
             pose = SE2(x_m, y_m, yaw_rad)
             goal = Goal(now_ns, pose, _KINDS[kind], int(i), (to_x_m, to_y_m), score, target)
             present = _Present(goal, peak)
-        self._restored = (target, Search.restored(kept), present)
+        self._restored = (target, Search.of_state_dict(state), present)
 
     def forget_mission(self) -> None:
         """Another mission has other goals, and forbids other things."""

@@ -53,7 +53,7 @@ class Look:
         self.histograms = service.latency.histograms()
         self.detector, self.images = running.worker.detector, running.worker.stats
         self.scorers = {} if service.scorers is None else service.scorers.status()
-        self.checkpoint = None if service.keeper is None else service.keeper.status()
+        self.checkpoint = None if service.checkpoint is None else service.checkpoint.status()
 
     def stages(self, value: Callable[[Any], float]) -> dict[str, float]:
         """By stage, of its row in the latency report."""

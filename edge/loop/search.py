@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from edge.host.checkpoint import Arrays
 from edge.loop.candidates import CandidatePool
 from edge.mapping.coverage import Viewpoint
 from edge.mapping.grid import RollingMap
@@ -25,7 +26,7 @@ _RETRY_NS = LASTING_NS + 1_000_000_000
 _RETRIES, _PAUSE_NS = 2, 10_000_000_000
 # A frontier left so often for another, or because it vanished, before the robot came there, shows
 # from afar alone or is farther than it looks: then it is seen through, or left alone.
-_FICKLE, _SAME_M, _LEFT = 3, 0.6, 64
+_FICKLE, _SAME_M, LEFT = 3, 0.6, 64
 _SAME_PLACE_M = 0.3  # goals this near to one another are for standing at one place
 
 
@@ -40,7 +41,7 @@ class Search:
     """
 
     exhausted: bool = False
-    left: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_LEFT))
+    left: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LEFT))
     _turns: int = 0  # since there was something to go to
     _idle_since_ns: int | None = None
     _second_chance: bool = False
@@ -49,8 +50,8 @@ class Search:
     _retries: int = 0
     _next_retry_ns: int = 0
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """What is held against places, as plain arrays; what takes seconds is not."""
+    def state_dict(self) -> Arrays:
+        """Return what is held against places, but nothing that takes only seconds."""
         missed = () if self._missed is None else ((self._missed[0], *self._missed[1]),)
         return {
             "exhausted": np.array(self.exhausted),
@@ -61,12 +62,12 @@ class Search:
         }
 
     @classmethod
-    def restored(cls, kept: dict[str, np.ndarray]) -> Search:
-        """As `kept` gave it."""
-        search = cls(bool(kept["exhausted"]))
-        search.left.extend((x, y) for x, y in kept["left_m"].tolist())
-        search._turns, search._second_chance = int(kept["turns"]), bool(kept["second_chance"])
-        for i, x, y in kept["missed"].tolist():
+    def of_state_dict(cls, state: Arrays) -> Search:
+        """Make it again from a `state_dict` that was checked."""
+        search = cls(bool(state["exhausted"]))
+        search.left.extend((x, y) for x, y in state["left_m"].tolist())
+        search._turns, search._second_chance = int(state["turns"]), bool(state["second_chance"])
+        for i, x, y in state["missed"].tolist():
             search._missed = (int(i), (x, y))
         return search
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 
-import numpy as np
-
 from edge.config import Config
 from edge.geometry import Grid
+from edge.host.checkpoint import Arrays
 from edge.loop.candidates import CandidatePool
 from edge.loop.prior import make_prior
 from edge.loop.result import VALUE_LAYER
@@ -23,8 +22,6 @@ from edge.perception.tracking.instances import InstanceTracker
 from edge.perception.tracking.lift import Lifter
 from edge.perception.tracking.sightings import SightingTracker
 from edge.types import Detections, Instance, Observation
-
-Kept = dict[str, np.ndarray]
 
 
 class SemanticMap:
@@ -133,39 +130,35 @@ class SemanticMap:
         if self.prior is not None:
             self.prior.forget()
 
-    def kept(self) -> dict[str, Kept]:
-        """All that lasts but the tiles, by part, as plain arrays; see `edge.loop.places.TABLE`."""
-        grid, values = self.grid, self.grid.values
+    def state_dict(self) -> dict[str, Arrays]:
+        """Return all that lasts but the tiles, by part."""
+        grid = self.grid
         return {
-            "values": {
-                "source": np.array([self.config.value_source or ""]),
-                "targets": np.array(values.targets, np.str_), "side": np.array(values.side),
-            },
-            "map": grid.kept(), "gain": grid.gain.kept(), "bumps": grid.bumps.kept(),
-            "sightings": self.sightings.kept(), "instances": self.tracker.kept(),
-            "candidates": self.pool.kept(),
+            "map": grid.state_dict(), "gain": grid.gain.state_dict(),
+            "bumps": grid.bumps.state_dict(), "sightings": self.sightings.state_dict(),
+            "instances": self.tracker.state_dict(), "candidates": self.pool.state_dict(),
         }  # fmt: skip
 
-    def take_up(
+    def load_state_dict(
         self,
         grid: RollingMap,
-        kept: Callable[[str], Kept],
+        part: Callable[[str], Arrays],
         later_ns: int,
         later_stamp_ns: int,
     ) -> None:
-        """Go on with what `kept` gave, in the same frame.
+        """Go on with a `state_dict`, in the same frame.
 
         Args:
-            grid: the new one of that frame; see `edge.loop.places.make_map`.
-            kept: the arrays of a part.
+            grid: the new one of that frame; see `edge.loop.map_checkpoint.make_map`.
+            part: returns the arrays of a part.
             later_ns, later_stamp_ns: how much later it all happened on the loop's clock, and on the
                 sensors'.
         """
         self._lay(grid)
-        grid.bumps.restore(kept("bumps"), later_ns)
-        self.sightings.restore(kept("sightings"), later_stamp_ns)
-        self.tracker.restore(kept("instances"), later_stamp_ns)
-        self.pool.restore(kept("candidates"), later_ns, later_stamp_ns)
+        grid.bumps.load_state_dict(part("bumps"), later_ns)
+        self.sightings.load_state_dict(part("sightings"), later_stamp_ns)
+        self.tracker.load_state_dict(part("instances"), later_stamp_ns)
+        self.pool.load_state_dict(part("candidates"), later_ns, later_stamp_ns)
 
     def close(self) -> None:
         """Nothing is asked any more."""

@@ -21,13 +21,13 @@ from edge.loop import stages
 from edge.loop.behaviours.base import Behaviour
 from edge.loop.behaviours.follow import Follow
 from edge.loop.behaviours.search import Search
+from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.faults import Faults
 from edge.loop.goal import GoalTracker
 from edge.loop.governor import Governor
 from edge.loop.journal import DETECTOR, ELSEWHERE, SIGHTED, USE, Journal
-from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
-from edge.loop.places import Now, Parts, restore
+from edge.loop.map_checkpoint import Parts, Sighted, restore
 from edge.loop.plausibility import Plausibility
 from edge.loop.publish import Publisher
 from edge.loop.result import Event, Sink, TickResult
@@ -60,7 +60,7 @@ class Service:
         worker: detects on the side; `submit` and `poll` never wait for the model.
         policy: scores the candidates.
         sinks: take the results; their methods never block.
-        keeper: has the mission's state written, and what it read taken up again.
+        checkpoint: saves the state, and holds what is to be restored.
         scorers: models that are asked beside the loop, where any are configured.
         overruns: by what is listened to, how often more came than could be taken.
         calibration: of this computer, for the budgets; None: they are the reference computer's.
@@ -95,7 +95,7 @@ class Service:
         worker: DetectorWorker,
         policy: Policy,
         sinks: Sequence[Sink],
-        keeper: Keeper | None = None,
+        checkpoint: ServiceCheckpoint | None = None,
         scorers: Scorers | None = None,
         overruns: Callable[[], dict[str, int]] = dict,
         calibration: Calibration | None = None,
@@ -105,7 +105,7 @@ class Service:
     ) -> None:
         self.config = config
         self._journal = journal = journal or Journal()
-        self.keeper, self.overruns, self.inputs = keeper, overruns, inputs
+        self.checkpoint, self.overruns, self.inputs = checkpoint, overruns, inputs
         self.map = SemanticMap(config, brief.targets)
         self.mission = MissionRun(brief, config.mission, self._step_taken)
         self.policy = policy
@@ -134,7 +134,7 @@ class Service:
         self.blind_s = max(config.loop.blind_s, 3.0 / config.observed_hz)
         self.plausibility = Plausibility(config, self.blind_s, self.event)
         self._health = HealthWatch(
-            worker, self.swapper, scorers, keeper, self.faults, overruns,
+            worker, self.swapper, scorers, checkpoint, self.faults, overruns,
             lambda: self.governor and self.governor.status(),
             self.event, sinks, inputs, self.plausibility.status,
         )  # fmt: skip
@@ -151,16 +151,18 @@ class Service:
         self._newest_seq = self._void_seq = -1
         self.refused = False
         self.past: deque[dict[str, str]] = deque(maxlen=_PAST)
-        if keeper is not None:
-            keeper.resume(self.mission)
+        if checkpoint is not None:
+            checkpoint.resume(self.mission)
         if idle:
             self.mission.wait()
             # A controller may have a goal of a service before this one.
             self.goals.client.driving = True
-        saved, places = (None, None) if keeper is None else (keeper.saved, keeper.places.read)
+        saved, known = None, None
+        if checkpoint is not None:
+            saved, known = checkpoint.saved, checkpoint.map.loaded
         journal.note(
-            "start", translation=brief.translation, task=task_of(brief), saved=saved,
-            places=places, idle=idle,
+            "start", translation=brief.translation, task=task_of(brief), saved=saved, places=known,
+            idle=idle,
         )  # fmt: skip
 
     # -- the tick ---------------------------------------------------------------------------
@@ -200,8 +202,8 @@ class Service:
         self.latency.resume(perf_counter_ns())
 
         self.stage = MAP
-        if self.keeper is not None:
-            self._take_up(self.keeper, Now(pose, observation.stamp_ns, now_ns))
+        if self.checkpoint is not None:
+            self._restore(self.checkpoint, Sighted(pose, observation.stamp_ns, now_ns))
         self._map(observation, now_ns)
         self._lap(MAP)
         self._lift(self._worker.poll(), now_ns)
@@ -230,24 +232,25 @@ class Service:
         self.latency.mark(stage, perf_counter_ns())
         self.stage = (stage + 1) % len(stages.STAGES)
 
-    def _take_up(self, keeper: Keeper, now: Now) -> None:
-        """What was mapped and seen before a restart, with the first observation."""
-        places = keeper.places
-        if places.waiting is None:
+    def _restore(self, checkpoint: ServiceCheckpoint, sighted: Sighted) -> None:
+        """Restore what was mapped and seen before a restart, with the first observation."""
+        saved = checkpoint.map
+        if saved.waiting is None:
             return
-        found = places.take(self._journal.decided(ELSEWHERE, partial(places.why_elsewhere, now)))
+        why = partial(saved.why_elsewhere, sighted)
+        found = saved.take(self._journal.decided(ELSEWHERE, why))
         if found is None:
             return
-        grid, kept = found
-        goes_on = keeper.goes_on(self.mission, kept["about/targets"].tolist())
-        with self.faults.outlived("restore", now.now_ns):
-            restore(Parts(self.map, self.goals, self.policy), grid, kept, now, goes_on)
+        grid, loaded = found
+        goes_on = checkpoint.goes_on(self.mission, loaded.state.targets)
+        with self.faults.outlived("restore", sighted.now_ns):
+            restore(Parts(self.map, self.goals, self.policy), grid, loaded, sighted, goes_on)
         if goes_on:
             self.mission.overlook(self.map.tracker.newest_id)
         else:
             self._forget_tried()
-        known = f"{self.map.grid.known_m2:.0f} m2 and {len(self.map.tracker)} things"
-        self.event(f"taken up from before the restart: {known}", now.now_ns)
+        known = f"map ({self.map.grid.known_m2:.0f} m²) and {len(self.map.tracker)} objects"
+        self.event(f"restored {known} from the checkpoint", sighted.now_ns)
 
     def _map(self, observation: Observation, now_ns: int) -> None:
         """Stage 3: fold the depth image or cloud into the map."""
@@ -336,11 +339,11 @@ class Service:
         """Write the checkpoint, and tell the sinks."""
         try:
             self._health.look(now_ns)
-            if self.keeper is not None:
-                now = None if self.pose is None else Now(self.pose, self.stamp_ns, now_ns)
+            if self.checkpoint is not None:
+                sighted = None if self.pose is None else Sighted(self.pose, self.stamp_ns, now_ns)
                 with self.faults.outlived("checkpoint", now_ns):
                     parts = Parts(self.map, self.goals, self.policy)
-                    self.keeper.note(self.mission, self.status, parts, now, now_ns)
+                    self.checkpoint.note(self.mission, self.status, parts, sighted, now_ns)
             self._publisher.publish(self.result(now_ns, observation), self.faults)
         finally:
             self._publisher.let_go()
@@ -484,8 +487,8 @@ class Service:
         self.behaviour.forget()
         self.goals.forget_places()
         self._void_seq = self._newest_seq
-        if self.keeper is not None:
-            self.keeper.places.jumped()
+        if self.checkpoint is not None:
+            self.checkpoint.map.jumped()
 
     def event(self, text: str, now_ns: int, level: int = logging.INFO) -> None:
         """Tell log and sinks of something that a person would want to know.

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.faults import DEGRADED_AFTER, Faults
-from edge.loop.keeper import Keeper
 from edge.loop.publish import statuses
 from edge.loop.result import MissionFacts, Sink, TickResult
 from edge.loop.scorers import Scorers
@@ -86,7 +86,7 @@ class HealthWatch:
         worker: DetectorWorker,
         swapper: Swapper,
         scorers: Scorers | None,
-        keeper: Keeper | None,
+        checkpoint: ServiceCheckpoint | None,
         faults: Faults,
         overruns: Callable[[], dict[str, int]],
         governor: Callable[[], dict[str, object] | None],
@@ -96,7 +96,7 @@ class HealthWatch:
         plausibility: Callable[[], dict[str, object]] = dict,
     ) -> None:
         self._worker, self._swapper, self._scorers = worker, swapper, scorers
-        self._keeper, self._faults, self._overruns = keeper, faults, overruns
+        self._checkpoint, self._faults, self._overruns = checkpoint, faults, overruns
         self._governor, self._event = governor, event
         self._sinks, self._inputs, self._plausibility = sinks, inputs, plausibility
         self._degraded = False  # the detector is known to be, and that was told
@@ -117,7 +117,7 @@ class HealthWatch:
         worker = self._worker
         return {
             "loop": {**self._faults.status(), "overruns": self._overruns()},
-            "checkpoint": None if self._keeper is None else self._keeper.status(),
+            "checkpoint": None if self._checkpoint is None else self._checkpoint.status(),
             "detector": {
                 "model": worker.detector.name,
                 **detector_health(worker)._asdict(),

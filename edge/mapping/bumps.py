@@ -10,6 +10,7 @@ import numpy as np
 
 from edge import config
 from edge.geometry import SE2
+from edge.host.checkpoint import Arrays, check_arrays
 from edge.mapping import layers as ly
 from edge.mapping.update import SEEN_FREE
 from edge.mapping.window import Window
@@ -178,9 +179,9 @@ class Bumps:
         kept = [b._replace(felt=b.felt & held, guessed=b.guessed & held) for b in self._bumps]
         self._bumps = [bump for bump in kept if bump.cells]
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """All that is closed, and what was opened to be tried again, as plain arrays; a row of
-        `cell` is (bump, x, y, whether guessed), one of `closed` (x, y, raw, top) as it was."""
+    def state_dict(self) -> Arrays:
+        """Return all that is closed, and what was opened to be tried again; a row of `cell` is
+        (bump, x, y, whether guessed), one of `closed` (x, y, raw, top) as it was."""
         opened = self._opened[-_MOST:]
         every = (*opened, *self._bumps)
         cells = [
@@ -201,17 +202,25 @@ class Bumps:
             "closed": np.array(closed, np.int64).reshape(-1, 4),
         }
 
-    def restore(self, kept: dict[str, np.ndarray], later_ns: int) -> None:
-        """Go on with what `kept` gave, in a map whose layers have these cells closed.
+    def load_state_dict(self, state: Arrays, later_ns: int) -> None:
+        """Go on with a `state_dict`, in a map whose layers have these cells closed.
 
         Args:
             later_ns: how much later it all happened on the clock of now.
         """
+        each = ("place_m", "heading_rad", "half_m", "until_ns", "opened", "again")
+        rows = {each: 2 * _MOST, ("cell",): 1 << 16, ("closed",): 1 << 16}
+        check_arrays(state, self.state_dict(), rows, {})
+        cells, raw_top = state["cell"], state["closed"][:, 2:]
+        if ((cells[:, ::3] < 0) | (cells[:, ::3] >= (len(state["opened"]), 2))).any():
+            raise ValueError("cell: no such bump")
+        if ((raw_top < 0) | (raw_top > 255)).any():
+            raise ValueError("closed: not cells")
+        self._opened, self._bumps = [], []
         held: dict[Cell, int] = {}
         for at, heading, half, until_ns, opened, again, (felt, guessed) in zip(
-            kept["place_m"], kept["heading_rad"], kept["half_m"], kept["until_ns"],
-            kept["opened"], kept["again"], _by_bump(kept["cell"], len(kept["opened"])), strict=True,
-        ):  # fmt: skip
+            *(state[name] for name in each), _by_bump(cells, len(state["opened"])), strict=True
+        ):
             bump = _Bump(
                 (float(at[0]), float(at[1])), float(heading), float(half), int(until_ns) + later_ns,
                 felt, guessed, bool(again),
@@ -219,7 +228,7 @@ class Bumps:
             (self._opened if opened else self._bumps).append(bump)
             for cell in () if opened else bump.cells:
                 held[cell] = held.get(cell, 0) + 1
-        was = {(x, y): (raw, top) for x, y, raw, top in kept["closed"].tolist()}
+        was = {(x, y): (raw, top) for x, y, raw, top in state["closed"].tolist()}
         self._closed = {c: _Closed(*was.get(c, (ly.FREE, 0)), n) for c, n in held.items()}
         self.follow_window()
 
@@ -359,7 +368,7 @@ class Bumps:
 
 
 def _by_bump(cells: np.ndarray, n: int) -> list[tuple[frozenset[Cell], frozenset[Cell]]]:
-    """(felt, guessed) of each of `n` bumps, from rows as `Bumps.kept` has them."""
+    """(felt, guessed) of each of `n` bumps, from rows as `Bumps.state_dict` has them."""
     sets: list[tuple[set[Cell], set[Cell]]] = [(set(), set()) for _ in range(n)]
     for i, x, y, guessed in cells.tolist():
         sets[i][guessed].add((x, y))

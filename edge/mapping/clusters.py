@@ -18,8 +18,8 @@ MAX_SAMPLES = 32
 MAX_CLUSTERS = 8192
 MAX_KEPT = 1024
 _CELLS_PER_SIDE = 64
-KEPT_AS = ("id", "size", "samples", "sample", "cell", "free")
-"""What `kept` gives."""
+ROWS = {("id", "size", "samples", "sample"): MAX_CLUSTERS, ("cell",): 1 << 18, ("free",): 1 << 13}
+"""Arrays of a `state_dict` with one row each for the same things, and how many at most."""
 # Entries of `Clusters.count`.
 FREE_NODE, FREE_IDS, OVERFLOW, KEPT = 0, 1, 2, 3
 
@@ -338,18 +338,19 @@ def list_targets(n, shift_x, shift_y, origin_x, origin_y, res, clusters, min_cel
     return out
 
 
-def kept(clusters):
-    """All clusters as plain arrays, from which `restore` makes the same again.
+def state_dict(clusters):
+    """Return all clusters as plain arrays, from which `load_state_dict` makes the same again.
 
     Returns:
         `id`, `size` and `samples` (k,) int32; `sample` (k, MAX_SAMPLES) int32; `cell`, the
-        members of one cluster after the other, (size.sum(),) int32; `free` (f,) int32.
+        members of one cluster after the other, (size.sum(),) int32; `free` (f,) int16.
     """
     ids = np.flatnonzero(clusters.size).astype(np.int32)
     cell, size = np.zeros(int(clusters.size.sum()), np.int32), np.zeros(len(ids), np.int32)
     n = _members(clusters, ids, cell, size)
     free = clusters.free_id[: clusters.count[FREE_IDS]]
     free = np.concatenate((free, ids[size == 0]))  # those for which there was no node
+    free = free.astype(np.int16)  # half of the file of a small map
     ids, size = ids[size > 0], size[size > 0]
     samples, sample = clusters.samples[ids], clusters.sample[ids]
     sample[np.arange(MAX_SAMPLES) >= samples[:, None]] = 0  # of earlier clusters
@@ -359,15 +360,15 @@ def kept(clusters):
     }  # fmt: skip
 
 
-def restore(label, clusters, kept):
-    """Make the clusters of `kept` in a map that has none yet.
+def load_state_dict(label, clusters, state):
+    """Make the clusters of a `state_dict` in a map that has none yet.
 
     Raises:
         ValueError: they are no clusters of such a map.
     """
     flat = label.ravel()
-    ids, size, cell, free = (kept[name] for name in ("id", "size", "cell", "free"))
-    samples, sample = kept["samples"], kept["sample"]
+    ids, size, cell, free = (state[name] for name in ("id", "size", "cell", "free"))
+    samples, sample = state["samples"], state["sample"]
     every = np.sort(np.concatenate((ids, free)))
     if not (
         np.array_equal(every, np.arange(1, MAX_CLUSTERS))

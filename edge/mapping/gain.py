@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from edge.geometry import SE2, wrap_angle
+from edge.host.checkpoint import Arrays, Rows, check_arrays
 from edge.mapping.layers import OCCUPIED, UNSEEN, Layers
 from edge.mapping.window import Window
 
@@ -96,16 +97,20 @@ class Gain:
         turn, sweep, area_m2 = best_sweep(self._ray_m2, looked, SURE * fov_rad, ahead)
         return wrap_angle(pose.yaw_rad + turn), sweep, area_m2
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """From where the camera looked where."""
+    def state_dict(self) -> Arrays:
+        """Return from which places the camera looked where."""
+        used = np.isfinite(self._at_m[:, 0])  # the first ones
         return {
-            "at_m": self._at_m.copy(), "looked": self._looked.copy(), "next": np.array(self._next),
+            "at_m": self._at_m[used], "looked": self._looked[used], "next": np.array(self._next),
         }  # fmt: skip
 
-    def restore(self, kept: dict[str, np.ndarray]) -> None:
-        """Go on with what `kept` gave."""
-        self._at_m[:], self._looked[:] = kept["at_m"], kept["looked"]
-        self._next = int(kept["next"])
+    def load_state_dict(self, state: Arrays) -> None:
+        """Go on with a `state_dict`; ValueError if it is none."""
+        rows: Rows = {("at_m", "looked"): PLACES}
+        check_arrays(state, self.state_dict(), rows, {"next": PLACES - 1})
+        n = len(state["at_m"])
+        self._at_m[:n], self._looked[:n] = state["at_m"], state["looked"]
+        self._next = int(state["next"])
 
     def _place(self, pose: SE2) -> int:
         """The place that stands for where the robot is, a new one where there is none."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from functools import partial
 from weakref import proxy
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from edge import config
 from edge.geometry import FARTHEST_M, CameraModel, Grid
+from edge.host.checkpoint import Arrays, check_arrays
 from edge.mapping import clusters as cl
 from edge.mapping import layers as ly
 from edge.mapping import points, tiles, unknown, update
@@ -271,49 +271,48 @@ class RollingMap:
         """What a tile takes without the value maps."""
         return tiles.bytes_of(self.planes[: -tiles.VALUE_PLANES])
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """What there is besides `planes`: see `restore`."""
+    def state_dict(self) -> Arrays:
+        """Return what there is besides `planes`; `robot` and `floor_m` have no row if unknown."""
         robot = np.array([] if self._robot is None else [self._robot], np.int64)
+        floor_m = self._floor_m, self._base_z_m
+        known = all(abs(z_m) < FARTHEST_M for z_m in floor_m)
         return {
             "origin": np.array(self.window.origin, np.int64),
             "cells": np.array(self.window.n, np.int64),
-            "floor_m": np.array([self._floor_m, self._base_z_m]),
+            "floor_m": np.array(floor_m if known else ()).reshape(-1, 2),
             "robot": robot.reshape(-1, 2),
-            **{f"cluster_{name}": of for name, of in cl.kept(self._clusters).items()},
+            **{f"cluster_{name}": of for name, of in cl.state_dict(self._clusters).items()},
         }
 
-    def restore(
-        self,
-        kept: dict[str, np.ndarray],
-        tiles_of: Iterable[tuple[tuple[int, int], bytes]],
-        values: bool,
-    ) -> None:
+    def load_state_dict(self, state: Arrays, packed: Arrays, tile_bytes: int, values: bool) -> None:
         """Take the place of a map that there was; for one that has seen nothing yet.
 
         Frontiers keep their clusters where the window is as large as it was; else the window lies
         around the robot, and what lies outside is left out.
 
         Args:
-            kept: see `kept`.
-            tiles_of: world tiles (x, y), each with what `planes` had there.
+            packed: state of `tiles.PackedTiles`: what `planes` had.
+            tile_bytes: what a tile takes, unpacked.
             values: whether the value maps are for the same, and as fine.
 
         Raises:
             ValueError: this was no map.
         """
         layers, window, n = self._layers, self.window, self.window.n
-        robot = [(int(x), int(y)) for x, y in kept["robot"]]
+        rows = {tuple(f"cluster_{name}" for name in group): most for group, most in cl.ROWS.items()}
+        rows |= {("robot",): 1, ("floor_m",): 1}
+        check_arrays(state, self.state_dict(), rows, {"cells": 1 << 16})
+        robot = [(x, y) for x, y in state["robot"].tolist()]
         self._robot = robot[0] if robot else None
-        floor_m = kept["floor_m"]
-        if (np.abs(floor_m) < FARTHEST_M).all():
-            self._floor_m, self._base_z_m = floor_m.tolist()
-        x, y = (int(at) for at in kept["origin"])
-        if kept["cells"] != n and robot:
+        for floor_m in state["floor_m"].tolist():
+            self._floor_m, self._base_z_m = floor_m
+        x, y = state["origin"].tolist()
+        if state["cells"] != n and robot:
             x, y = (at - n // 2 for at in robot[0])
         window.origin = (x // ly.WORD * ly.WORD, y // ly.WORD * ly.WORD)
         window.placed = True
         planes = self.planes if values else self.planes[: -tiles.VALUE_PLANES]
-        tiles.write(planes, window, tiles_of)
+        tiles.write(planes, window, tiles.unpacked(packed, tile_bytes))
         np.minimum(self.coverage.looks, MOST_LOOKS, out=self.coverage.looks)
         seen = layers.raw != ly.UNSEEN
         layers.known[:] = ly.bits_of(seen)
@@ -323,9 +322,10 @@ class RollingMap:
             for axis in (0, 1):
                 at = (np.flatnonzero(seen.any(axis=axis)) - window.origin[axis]) % n
                 self._explored[axis], self._explored[axis + 2] = at.min(), at.max() + 1
-        if kept["cells"] == n:
-            clusters = {name: kept[f"cluster_{name}"] for name in cl.KEPT_AS}
-            cl.restore(layers.label, self._clusters, clusters)
+        if state["cells"] == n:
+            names = (name for group in cl.ROWS for name in group)
+            clusters = {name: state[f"cluster_{name}"] for name in names}
+            cl.load_state_dict(layers.label, self._clusters, clusters)
             layers.frontier[:] = ly.bits_of(layers.label > 0)
         self._retest(0, 0, n, n)
         self._refresh_frontiers(True)

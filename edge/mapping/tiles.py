@@ -8,11 +8,12 @@ that were written meanwhile. When none is left, what it has is the map of that t
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
+from edge.host.checkpoint import Arrays, check_arrays
 from edge.mapping.window import TILE, Window
 
 MOST_PER_STEP = 128
@@ -96,23 +97,43 @@ class PackedTiles:
                     tile = b"".join(plane[i].tobytes() for plane in planes)
                     self._packed[place] = zlib.compress(tile, _LEVEL)
 
-    def all(self, origin: tuple[int, int], m: int) -> tuple[np.ndarray, list[bytes]]:
-        """(k, 2) int32 world tiles (x, y), which hold the cells from 64 times that on, and them.
+    def state_dict(self, origin: np.ndarray, n: int) -> Arrays:
+        """Return the packed tiles, one after the other.
 
         Args:
-            origin: world tile of the window's lower-left corner; m: tiles on its side.
+            origin: world cell of the window's lower-left corner; n: cells on its side.
+
+        Returns:
+            `xy` (k, 2) int32 world tiles, which hold the cells from 64 times that on; `n_bytes`
+            (k,) int32; `packed` (n_bytes.sum(),) uint8.
         """
-        x0, y0 = origin
+        (x0, y0), m = (int(at) // TILE for at in origin), n // TILE
         xy = [(x0 + (c - x0) % m, y0 + (r - y0) % m) for r, c in self._packed]
-        return np.array(xy, np.int32).reshape(-1, 2), list(self._packed.values())
+        return {
+            "xy": np.array(xy, np.int32).reshape(-1, 2),
+            "n_bytes": np.array(list(map(len, self._packed.values())), np.int32),
+            "packed": np.frombuffer(b"".join(self._packed.values()), np.uint8),
+        }
 
 
-def unpack(packed: bytes | memoryview, size: int) -> bytes:
-    """One tile.
+def unpacked(state: Arrays, size: int) -> Iterator[tuple[Place, bytes]]:
+    """Yield world tiles (x, y) of a `state_dict`, each with its bytes.
 
     Raises:
-        ValueError: it is none of this size; no more than that is unpacked.
+        ValueError: the arrays do not fit, or a tile has another size.
     """
+    like = PackedTiles().state_dict(np.zeros(2), TILE)
+    rows = {("xy", "n_bytes"): 1 << 12, ("packed",): 1 << 27}
+    check_arrays(state, like, rows, {"n_bytes": 1 << 24})
+    packed, ends = state["packed"].data, np.cumsum(state["n_bytes"], dtype=np.int64).tolist()
+    if (ends[-1] if ends else 0) != len(packed):
+        raise ValueError("the tiles do not fit")
+    for (x, y), start, end in zip(state["xy"].tolist(), [0, *ends], ends, strict=False):
+        yield (x, y), _unpack(packed[start:end], size)
+
+
+def _unpack(packed: memoryview, size: int) -> bytes:
+    """Unpack one tile; ValueError if it has another size. No more than that is unpacked."""
     unpacker = zlib.decompressobj()
     try:
         tile = unpacker.decompress(packed, size + 1)

@@ -36,7 +36,7 @@ def warmup(mapping: config.Mapping) -> None:
     grid.unknown_ratio(points_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
     grid.snapshot()
     _ = grid.known_m2
-    grid.kept()
+    grid.state_dict()
     far = grid.window.n * grid.resolution_m
     grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, SE2(far, 0.0, 0.0).matrix(), T)
 

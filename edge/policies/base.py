@@ -204,15 +204,15 @@ class Policy(Protocol):
 
 
 class Remembers(Protocol):
-    """A policy whose memory outlives the service: one that has these is asked."""
+    """A policy whose memory is in the checkpoint: one that has these is asked."""
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """What it remembers, in arrays of its own of numbers; some megabytes at most."""
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """Return what it remembers, in arrays of its own of numbers; some megabytes at most."""
         ...
 
-    def restore(self, kept: dict[str, np.ndarray]) -> None:
-        """Go on with what `kept` gave, by the same kind of policy and for the same targets;
-        candidates have the ids that they had.
+    def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
+        """Go on with a `state_dict` of the same kind of policy for the same targets; candidates
+        have the ids that they had.
 
         Raises:
             ValueError: it is no such memory.

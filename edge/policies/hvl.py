@@ -94,13 +94,13 @@ class Hvl:
         if why != "map rolled":
             self._n = 0
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """See `edge.policies.base.Remembers`: the first sights."""
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """Return the first sights; see `edge.policies.base.Remembers`."""
         return {"id": self._id[: self._n].copy(), "vl": self._vl[:, : self._n].copy()}
 
-    def restore(self, kept: dict[str, np.ndarray]) -> None:
-        """See `edge.policies.base.Remembers`."""
-        ids, vl = kept["id"], kept["vl"]
+    def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
+        """Restore them; see `edge.policies.base.Remembers`."""
+        ids, vl = state["id"], state["vl"]
         if ids.ndim != 1 or vl.ndim != 2 or vl.shape[1] != len(ids) or np.isinf(vl).any():
             raise ValueError("no first sights")
         self._remember(len(vl), len(ids))

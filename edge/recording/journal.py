@@ -17,12 +17,13 @@ import numpy as np
 from edge.config import Config
 from edge.config.root import parse
 from edge.geometry import SE2, CameraModel, Grid
-from edge.loop import place_file
+from edge.host.checkpoint import Checkpoint
 from edge.loop.behaviours.draft import Draft
 from edge.loop.journal import Input
+from edge.loop.map_checkpoint import MAP
 from edge.loop.prior import Rooms
 from edge.loop.result import TickResult
-from edge.mission import saved
+from edge.mission.checkpoint import MISSION
 from edge.mission.logic import ltl
 from edge.mission.translate import Translation
 from edge.perception.scoring.choice.question import Choice
@@ -215,23 +216,27 @@ def _translation_of(said: dict[str, Any]) -> Translation:
 
 
 def _start(fields: dict[str, Any]) -> dict[str, Any]:
-    kept, places = fields["saved"], fields["places"]
+    saved, known = fields["saved"], fields["places"]
+    files = {
+        "saved": None if saved is None else MISSION.encode(Checkpoint(saved)),
+        "places": None if known is None else MAP.encode(known),
+    }
     return {
         **fields,
         "translation": _translation(fields["translation"]),
-        "saved": None if kept is None else saved.encode(kept).decode(),
-        "places": None if places is None else base64.b64encode(place_file.encode(places)).decode(),
+        **{name: None if b is None else base64.b64encode(b).decode() for name, b in files.items()},
     }
 
 
 def _start_of(said: dict[str, Any]) -> dict[str, Any]:
-    kept, places = said["saved"], said["places"]
-    return {
-        **said,
-        "translation": _translation_of(said["translation"]),
-        "saved": None if kept is None else saved.decode(kept.encode()),
-        "places": None if places is None else base64.b64decode(places),
-    }
+    files = {name: _file_of(said[name]) for name in ("saved", "places")}
+    return {**said, "translation": _translation_of(said["translation"]), **files}
+
+
+def _file_of(said: str | None) -> bytes | None:
+    if said is None or said.startswith("{"):  # a mission of a version before
+        return said and said.encode()
+    return base64.b64decode(said)
 
 
 def _boxes(found: Detections) -> dict[str, Any]:

@@ -17,18 +17,16 @@ from typing import Any
 
 from edge.config import ChoiceCooccurrence, Config, DetectorOnnx, Mission
 from edge.errors import UserError
+from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.faults import TICK
 from edge.loop.journal import TASK, Input
-from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyReport
-from edge.loop.place_keeper import SUFFIX
+from edge.loop.map_checkpoint import SUFFIX
 from edge.loop.result import TickResult
 from edge.loop.scorers import Scorers, make_scorers
 from edge.loop.service import INGEST, Service
 from edge.loop.stages import STAGES
-from edge.mission import checkpoint
 from edge.mission.brief import brief_again
-from edge.mission.saved import Saved
 from edge.perception.detection.detector import Detector
 from edge.perception.factory import make_detector
 from edge.perception.masks.masker import make_masker
@@ -168,14 +166,14 @@ class _Run:
     def _start(
         self,
         translation: Any,
-        saved: Saved | None,
+        saved: bytes | None,
         places: bytes | None,
         idle: bool,
         task: Any = None,
     ) -> None:
         config = self.config
         brief = brief_again(config.mission, translation, task)
-        keeper = self._keeper(saved, places)
+        checkpoint = self._checkpoint(saved, places)
         detector: Detector = Silent("replay")
         anew: Callable[[Observation], Detections] | None = None
         if self._detect:
@@ -198,24 +196,25 @@ class _Run:
         self._journal = Replayed(self._now, anew, own)
         policy = make_policy(config.policy, config.path)
         self.service = Service(
-            config, brief, worker, policy, [self.sink], keeper, scorers,
+            config, brief, worker, policy, [self.sink], checkpoint, scorers,
             idle=idle, journal=self._journal,
         )  # fmt: skip
         self._stack.callback(self.service.close)
 
-    def _keeper(self, saved: Saved | None, places: bytes | None) -> Keeper | None:
-        """That reads what the run read; None: there was nothing."""
-        if saved is None and places is None:
+    def _checkpoint(self, *files: bytes | None) -> ServiceCheckpoint | None:
+        """Return one of the files that the run read, the mission's and the map's, or None."""
+        if files == (None, None):
             return None
         folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="edge-replay-"))
-        path = Path(folder) / "checkpoint.json"
-        if saved is not None:
-            checkpoint.save(path, saved)
-        if places is not None:
-            path.with_name(path.name + SUFFIX).write_bytes(places)
-        keeper = Keeper(self.config, path, None)
-        self._stack.callback(keeper.close)
-        return keeper
+        path = Path(folder) / "checkpoint"
+        for suffix, content in zip(("", SUFFIX), files, strict=True):
+            if content is not None:
+                path.with_name(path.name + suffix).write_bytes(content)
+        checkpoint = ServiceCheckpoint(self.config, path, None)
+        self._stack.callback(checkpoint.close)
+        for problem in filter(None, (checkpoint.problem, checkpoint.map.problem)):
+            raise ReplayError(f"the checkpoint in the recording: {problem}")
+        return checkpoint
 
     def _count_images(self, entries: Sequence[Input]) -> None:
         """So many the detector had looked at when the loop asked."""

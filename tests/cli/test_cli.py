@@ -29,8 +29,8 @@ from edge.cli.main import main
 from edge.cli.parsers import make_parser
 from edge.config import ConfigError
 from edge.errors import EXIT_CODES, FAILED, Stopped, UserError
+from edge.host.checkpoint import CheckpointError
 from edge.host.ports import free_port
-from edge.mission.checkpoint import CheckpointError
 from edge.mission.language.words import TranslationError
 from edge.perception.runtime.model_file import ModelError
 

@@ -12,6 +12,7 @@ from simulated import simulated
 from edge import config
 from edge.config import WorldHouse, WorldProcthor
 from edge.errors import UserError
+from edge.host import checkpoint
 from edge.host.files import open_regular, read_regular, replace_atomically, write_atomically
 from edge.lab.bench.frames import from_folder
 from edge.lab.eval.planning.file import read_tasks
@@ -19,7 +20,7 @@ from edge.lab.eval.translate import lang2ltl_cases
 from edge.lab.sim.house import load_house
 from edge.lab.sim.mesh import read_objects
 from edge.lab.sim.procthor import load_procthor
-from edge.mission.checkpoint import load as load_checkpoint
+from edge.mission.checkpoint import MISSION
 from edge.models.local import extract
 from edge.models.make import keep_vocabulary
 from edge.perception.embedding.text import TextEmbeddings
@@ -86,7 +87,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "recording": ("r.mcap", lambda path: list(recording.read(path))),
     "tasks": ("t.jsonl", read_tasks),
     "utterances": ("u.csv", lang2ltl_cases),
-    "checkpoint": ("c.json", load_checkpoint),
+    "checkpoint": ("c.json", lambda path: checkpoint.load(path, MISSION)),
     "pictures": ("p.png", lambda path: from_folder(path.parent, 1)),
     "wheel": ("a-1-py3-none-any.whl", lambda path: extract(path, "w.pt", None)),
 }

@@ -70,12 +70,10 @@ def test_a_mission_goes_on_where_kill_9_cut_it_off(edge, endpoint, tmp_path):
     (tmp_path / "go on").touch()
     second = edge("run", config, "--once", **path)
     assert second.wait() == 0, second.output
-    taken_up = re.search(
-        r"taken up from before the restart: (\d+) m2 and (\d+) things", second.output
-    )
-    assert taken_up, second.output
-    assert int(taken_up[1]) > 10
-    assert int(taken_up[2]) > 0
+    restored = re.search(r"restored map \((\d+) m²\) and (\d+) objects", second.output)
+    assert restored, second.output
+    assert int(restored[1]) > 10
+    assert int(restored[2]) > 0
     assert "going on with the mission" in second.output
     assert "reached: sofa (" not in second.output, "what was reached stays reached"
     assert "reached: sofa, then television, then trash can" in second.output

@@ -14,7 +14,7 @@ from edge.host.board import Board
 from edge.host.service_manager import ServiceManager
 from edge.host.worker import Stats
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.keeper import Keeper
+from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.metrics import BOARD, LIFE, SERVICE, Metrics
 from edge.loop.publish import statuses
 from edge.loop.reload import Reloader
@@ -197,10 +197,10 @@ def test_sinks_that_say_how_they_are_tell_what_they_could_not_send():
 def test_a_checkpoint_tells_what_was_written(tmp_path):
     watched = Watched().watch()
     assert "edge_checkpoint_written_total" not in watched.scrape()
-    keeper = Keeper(watched.closed.config, tmp_path / "mission.json", None)
-    watched.running.service.keeper = keeper
+    checkpoint = ServiceCheckpoint(watched.closed.config, tmp_path / "mission.json", None)
+    watched.running.service.checkpoint = checkpoint
     watched.closed.step()
-    keeper.close()
+    checkpoint.close()
     found = watched.scrape()
     assert found["edge_checkpoint_written_total"] == {(): 1}
     assert found["edge_checkpoint_failed_total"] == {(): 0}

@@ -14,7 +14,7 @@ from edge.bus.verbs import Request
 from edge.errors import UserError
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.behaviours import draft
-from edge.loop.keeper import Keeper
+from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.metrics import SERVICE
 from edge.loop.requests import handle_mission, mission_verbs
 from edge.loop.service import Service
@@ -365,10 +365,10 @@ def test_after_a_restart_a_task_goes_on_with_the_first_step_that_was_not_driven(
     task = f"{STRAIGHT}, then {TO_THE_OVEN}"
     loop = until(until(closed(task), "driving"), "looking")
     config = loop.config
-    loop.service.keeper = Keeper(config, tmp_path / "c", task)
+    loop.service.checkpoint = ServiceCheckpoint(config, tmp_path / "c", task)
     loop.step()
-    loop.service.keeper.close()
-    again = Keeper(config, tmp_path / "c", None)
+    loop.service.checkpoint.close()
+    again = ServiceCheckpoint(config, tmp_path / "c", None)
     brief = again.brief()
     assert (brief.targets, brief.translation.instruction) == (("oven",), task)
     loop.service = Service(

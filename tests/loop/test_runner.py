@@ -19,14 +19,14 @@ from edge import launch
 from edge.bus.client import ask
 from edge.config import Config
 from edge.errors import ConfigError, Stopped
+from edge.host.checkpoint import Checkpoint, save
 from edge.host.ports import free_port
 from edge.launch import open_service
 from edge.loop.runner import loop
 from edge.loop.status import status_of
-from edge.mission.checkpoint import save
-from edge.mission.saved import Saved
+from edge.mission.checkpoint import MISSION, MissionState
 
-UNFINISHED = Saved(
+UNFINISHED = MissionState(
     "go to the bed", "F bed", "grammar", "reach the bed", (), (), (), (), "bed", "exploring", "",
     False, 1.0, 0.5,
 )  # fmt: skip
@@ -99,7 +99,7 @@ def config(**mission: object) -> Config:
 def test_an_unfinished_mission_goes_on_unless_another_is_asked_for(
     tmp_path, asked, formula, expected
 ):
-    save(tmp_path / "mission.json", UNFINISHED)
+    save(tmp_path / "mission.json", Checkpoint(UNFINISHED), MISSION)
     settings = config(instruction="go to the sofa", checkpoint=str(tmp_path / "mission.json"))
     with open_service(settings, [], asked, formula) as running:
         assert running.service.mission.brief.translation.instruction == expected

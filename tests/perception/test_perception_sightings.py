@@ -226,7 +226,7 @@ def test_what_is_surer_to_be_something_else_is_doubted(scene, seen, doubtful):
 
 def test_what_was_restored_is_no_doubt_until_it_is_looked_for_again(scene):
     before, after = scene().see(("sofa", NEAR, 0, 0.9)), scene()
-    after.tracker.restore(before.tracker.kept(), 0)
+    after.tracker.load_state_dict(before.tracker.state_dict(), 0)
     assert not after.tracker.doubts("bed", surface(NEAR), 0.2)
     after.see()
     assert after.tracker.doubts("bed", surface(NEAR), 0.2)

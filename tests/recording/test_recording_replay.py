@@ -21,10 +21,10 @@ from edge.cli.parsers import make_parser
 from edge.config import Config
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
+from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.goal import GoalTracker
 from edge.loop.journal import Journal
-from edge.loop.keeper import Keeper
-from edge.loop.place_keeper import SUFFIX
+from edge.loop.map_checkpoint import SUFFIX
 from edge.loop.scorers import Scorers
 from edge.loop.service import Service
 from edge.mission.brief import prepare
@@ -231,33 +231,37 @@ def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
     same(files_of(tmp_path)[0], ticks)
 
 
-def test_a_run_that_goes_on_from_a_checkpoint(tmp_path):
+def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     path = tmp_path / "checkpoint.json"
     config = small(mission={"target": "bed", "checkpoint": str(path)})
     first = ClosedLoop(config)
-    first.service.keeper = Keeper(config, path, None)
+    first.service.checkpoint = ServiceCheckpoint(config, path, None)
     for _ in range(25):
         first.step()
-    first.service.keeper.close()
+    first.service.checkpoint.close()
     before = first.service.status
     first.close()
 
-    keeper = Keeper(config, path, None)
-    assert keeper.saved is not None
-    assert keeper.saved.path_m > 0.0
+    checkpoint = ServiceCheckpoint(config, path, None)
+    assert checkpoint.saved is not None
+    assert checkpoint.saved.path_m > 0.0
     sink = McapSink(config, str(tmp_path / "run"))
     second = ClosedLoop(config)
     second.service = Service(
-        config, keeper.brief(), second.worker, make_policy(config.policy), [second.notes, sink],
-        keeper,
+        config, checkpoint.brief(), second.worker, make_policy(config.policy), [second.notes, sink],
+        checkpoint,
     )  # fmt: skip
     for _ in range(10):
         second.step()
     assert second.service.status.path_m > before.path_m
     second.close()
     sink.close()
-    keeper.close()
-    same(files_of(tmp_path / "run")[0], 10)
+    checkpoint.close()
+    recorded = files_of(tmp_path / "run")[0]
+    same(recorded, 10)
+    monkeypatch.setattr("edge.host.checkpoint.VERSION", 4)
+    with pytest.raises(ReplayError, match=r"recording: .* version 3, this program reads version 4"):
+        replay(Session(recorded))
 
 
 @pytest.mark.parametrize(
@@ -270,23 +274,26 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path):
 )
 def test_a_run_that_takes_up_its_map(tmp_path, monkeypatch, localised, boot, elsewhere):
     """Killed, and started again: in a replay there is neither its computer nor its clock."""
-    monkeypatch.setattr("edge.loop.place_keeper.boot_id", lambda: "this")
+    monkeypatch.setattr("edge.loop.map_checkpoint.boot_id", lambda: "this")
     path, left = tmp_path / "mission.json", tmp_path / "left.json"
     config = small(source={"localised": localised})
     loop = ClosedLoop(config)
-    killed = loop.service.keeper = Keeper(config, path, None)
+    killed = loop.service.checkpoint = ServiceCheckpoint(config, path, None)
     for _ in range(20):
         loop.step()
-    eventually(lambda: killed.places.idle and killed.places.written and path.exists())
+    eventually(lambda: killed.map.writer.idle and killed.map.writer.written and path.exists())
     for suffix in ("", SUFFIX):
         shutil.copy(f"{path}{suffix}", f"{left}{suffix}")
     killed.close()
     known_m2 = loop.service.map.grid.known_m2
 
-    monkeypatch.setattr("edge.loop.place_keeper.boot_id", lambda: boot)
-    keeper, sink = Keeper(config, left, None), McapSink(config, str(tmp_path / "run"))
+    monkeypatch.setattr("edge.loop.map_checkpoint.boot_id", lambda: boot)
+    checkpoint, sink = (
+        ServiceCheckpoint(config, left, None),
+        McapSink(config, str(tmp_path / "run")),
+    )
     policy, sinks = make_policy(config.policy), [loop.notes, sink]
-    loop.service = Service(config, keeper.brief(), loop.worker, policy, sinks, keeper)
+    loop.service = Service(config, checkpoint.brief(), loop.worker, policy, sinks, checkpoint)
     loop.step()
     assert (loop.service.map.grid.known_m2 > 0.8 * known_m2) == (not elsewhere[0])
     for _ in range(5):
@@ -295,9 +302,9 @@ def test_a_run_that_takes_up_its_map(tmp_path, monkeypatch, localised, boot, els
         loop.service.forget_places(loop.drive.motion.stamp_ns)
     for _ in range(5):
         loop.step()
-    for one in (loop, sink, keeper):
+    for one in (loop, sink, checkpoint):
         one.close()
-    monkeypatch.setattr("edge.loop.place_keeper.boot_id", lambda: "a desk")
+    monkeypatch.setattr("edge.loop.map_checkpoint.boot_id", lambda: "a desk")
     recorded = files_of(tmp_path / "run")[0]
     entries = [e for m in Session(recorded).moments() for e in m.page.entries]
     assert [e.fields["said"] for e in entries if e.kind == "decided"] == elsewhere

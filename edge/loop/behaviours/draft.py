@@ -1,4 +1,4 @@
-"""How a task's trajectory is written and refined, beside the loop (`edge.loop.task`)."""
+"""How a task's trajectory is written and refined, in the background (see `follow.py`)."""
 
 from __future__ import annotations
 

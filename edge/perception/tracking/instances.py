@@ -10,7 +10,8 @@ from typing import get_args
 import numpy as np
 
 from edge import config, names
-from edge.geometry import SE2, invert
+from edge.geometry import FARTHEST_M, SE2, invert
+from edge.host.checkpoint import Arrays, check_arrays
 from edge.perception.tracking import instance_kernels as kernels
 from edge.perception.tracking.lift import Lifted
 from edge.perception.tracking.look_kernels import AT_EDGE, HIDDEN, NO_DEPTH, WHOLE, shown, view_of
@@ -35,7 +36,7 @@ SURER = 1.6
 is seen in part, and what stands before it fills the image."""
 _PROTECTED = ("confirmed", "refuted", "reached")
 _STATES: tuple[InstanceState, ...] = get_args(InstanceState)
-# What is kept of an instance, and of its track.
+# State of an instance, and of its track.
 _COLUMNS = (
     ("id", np.int64), ("score", np.float64), ("hits", np.int64), ("first_seen_ns", np.int64),
     ("last_seen_ns", np.int64),
@@ -256,9 +257,9 @@ class InstanceTracker:
         if track := self._tracks.get(instance_id):
             track.instance.state = "reached"
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """Every instance and what deciding about it needs, as plain arrays of a row each, oldest
-        first; the points of one after the other."""
+    def state_dict(self) -> Arrays:
+        """Return every instance and what deciding about it needs, a row each, oldest first; the
+        points of one after the other."""
         tracks = list(self._tracks.values())
         found = [track.instance for track in tracks]
         points = [track.points_m for track in tracks]
@@ -277,28 +278,36 @@ class InstanceTracker:
         """Take in an instance that was found elsewhere, under its id."""
         self._adopt(instance, instance.points_m, np.ones(len(instance.points_m), np.int32))
 
-    def restore(self, kept: dict[str, np.ndarray], later_ns: int) -> None:
-        """Go on with what `kept` gave, with no instance known yet.
+    def load_state_dict(self, state: Arrays, later_ns: int) -> None:
+        """Go on with a `state_dict`, with no instance known yet.
 
         Args:
             later_ns: how much later it all happened on the sensors' clock of now.
         """
-        end = np.cumsum(kept["n_points"])
-        for row, label in enumerate(kept["label"].tolist()):
-            its = slice(end[row] - kept["n_points"][row], end[row])
-            points_m = kept["points_m"][its].copy()
+        each = tuple(name for name, _ in (*_COLUMNS, *_EVIDENCE))
+        rows = {(*each, "label", "state", "n_points"): 1 << 13}
+        rows[("points_m", "support")] = MAX_POINTS << 13
+        most = {"state": len(_STATES) - 1, "n_points": MAX_POINTS, "score": 2}
+        most |= dict.fromkeys(("views", "target_sum", "rival_sum"), FARTHEST_M)
+        check_arrays(state, self.state_dict(), rows, most, ("id",))
+        n_points, end = state["n_points"], np.cumsum(state["n_points"])
+        if (n_points == 0).any() or n_points.sum() != len(state["points_m"]):
+            raise ValueError("n_points does not fit")
+        for row, label in enumerate(state["label"].tolist()):
+            its = slice(end[row] - n_points[row], end[row])
+            points_m = state["points_m"][its].copy()
             instance = Instance(
                 label=label, center_m=points_m[0], points_m=points_m,
-                state=_STATES[kept["state"][row]],
-                **{name: kept[name][row].item() for name, _ in _COLUMNS},
+                state=_STATES[state["state"][row]],
+                **{name: state[name][row].item() for name, _ in _COLUMNS},
             )  # fmt: skip
             instance.first_seen_ns += later_ns
             instance.last_seen_ns += later_ns
-            track = self._adopt(instance, points_m, kept["support"][its].copy())
+            track = self._adopt(instance, points_m, state["support"][its].copy())
             for name, _ in _EVIDENCE:
-                setattr(track, name, kept[name][row].item())
+                setattr(track, name, state[name][row].item())
             track.evidence_ns += later_ns
-        self._next_id = max(self._next_id, int(kept["next_id"]))
+        self._next_id = max(self._next_id, int(state["next_id"]))
         self._limit()
 
     @property

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from edge import config, names
-from edge.geometry import invert
+from edge.geometry import FARTHEST_M, invert
+from edge.host.checkpoint import Arrays, check_arrays
 from edge.perception.tracking import sighting_kernels as kernels
 from edge.perception.tracking.lift import Lifted
 from edge.perception.tracking.look_kernels import NO_DEPTH, view_of
@@ -184,34 +185,39 @@ class SightingTracker:
         self._all.n = 0
         self._show()
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """All of it, as plain arrays of `n` rows, and what numbers its words."""
-        columns = {name: array[: self._all.n].copy() for name, array in self._columns_kept()}
+    def state_dict(self) -> Arrays:
+        """Return all of it, as plain arrays of `n` rows, and what numbers its words."""
+        columns = {name: array[: self._all.n].copy() for name, array in self._saved()}
         return {
             **columns, "words": np.array(self._all.words, np.str_),
             "next_id": np.array(self._next_id),
         }  # fmt: skip
 
-    def restore(self, kept: dict[str, np.ndarray], later_ns: int) -> None:
-        """Go on with what `kept` gave, with nothing seen yet; what does not fit is left out.
+    def load_state_dict(self, state: Arrays, later_ns: int) -> None:
+        """Go on with a `state_dict`, with nothing seen yet; rows beyond the capacity are left out.
 
         Args:
             later_ns: how much later it all happened on the sensors' clock of now.
         """
-        s = self._all
-        self._numbers(kept["words"].tolist())
-        s.n = min(len(kept["word"]), len(s.word))
-        for name, array in self._columns_kept():
-            array[: s.n] = kept[name][: s.n]
-        s.word[: s.n] = self._numbers(kept["words"].tolist())[kept["word"][: s.n]]
+        s, words = self._all, state.get("words", np.zeros(0))
+        rows = {tuple(name for name, _ in self._saved()): 1 << 12, ("words",): 1 << 15}
+        most = {
+            "word": words.size - 1, "confidence": 2, "n_points": kernels.POINTS,
+            "cursor": kernels.POINTS - 1, "weight": FARTHEST_M, "total": FARTHEST_M,
+        }  # fmt: skip
+        check_arrays(state, self.state_dict(), rows, most, ("id", "words"))
+        s.n = min(len(state["word"]), len(s.word))
+        for name, array in self._saved():
+            array[: s.n] = state[name][: s.n]
+        s.word[: s.n] = self._numbers(words.tolist())[state["word"][: s.n]]
         s.last_seen_ns[: s.n] += later_ns
-        self._next_id = max(self._next_id, int(kept["next_id"]))
+        self._next_id = max(self._next_id, int(state["next_id"]))
         # Nothing was looked for yet, whatever was known before.
         self._asked, self._asked_for = np.zeros(len(s.words), np.bool_), ((), ())
         s.generation += 1
         self._show()
 
-    def _columns_kept(self) -> Iterator[tuple[str, np.ndarray]]:
+    def _saved(self) -> Iterator[tuple[str, np.ndarray]]:
         s = self._all
         yield from (
             ("xyz_m", s.xyz_m), ("word", s.word), ("confidence", s.confidence),

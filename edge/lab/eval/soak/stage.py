@@ -47,7 +47,7 @@ START_S = 900.0  # kernels are compiled at the first start, on a machine that ma
 _HTTP_S = 2.0
 _LOOK_S = 0.1
 _ELSEWHERE_M = 60.0  # houses lie so far apart: no robot could have come from one to the other
-_MODEL = re.compile(r"\bedge\.perception\.process\.serve\b")
+_MODEL = re.compile(r"\bedge\.perception\.serve_detector\b")
 
 
 def staged(config: Config, out: Path) -> Config:

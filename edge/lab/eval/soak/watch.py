@@ -17,14 +17,14 @@ import zenoh
 from prometheus_client.parser import text_string_to_metric_families
 
 from edge.bus import topics
+from edge.host.checkpoint import CheckpointFormat
 from edge.host.processes import usage
 from edge.lab.eval.soak import beat
 from edge.lab.eval.soak.recordings import Recordings
 from edge.lab.eval.soak.stage import Stage
-from edge.loop import place_file
-from edge.loop.place_keeper import SUFFIX
+from edge.loop.map_checkpoint import MAP, SUFFIX
 from edge.loop.vitals import PROBES
-from edge.mission import saved
+from edge.mission.checkpoint import MISSION
 from edge.text import read_json_object
 
 log = logging.getLogger("edge.lab.eval.soak")
@@ -153,9 +153,9 @@ class Watch:
         if self.mutes:
             self.muted_s = now_s
         mission = Path(stage.config.mission.checkpoint)
-        self.checkpoint = _unreadable(mission, saved.MAX_BYTES, saved.decode)
+        self.checkpoint = _unreadable(mission, MISSION)
         places = mission.with_name(mission.name + SUFFIX)
-        self.places = _unreadable(places, place_file.MAX_BYTES, place_file.decode)
+        self.places = _unreadable(places, MAP)
         self.recordings.look()
         stage.look_at_family()
         with self._hand:
@@ -214,11 +214,11 @@ def _age_s(path: Path) -> float | None:
         return None
 
 
-def _unreadable(path: Path, most_bytes: int, decode: Callable[[bytes], object]) -> str:
+def _unreadable(path: Path, form: CheckpointFormat) -> str:
     """Why a checkpoint is no whole one; empty where it is, or where there is none yet."""
     try:
         with path.open("rb") as file:
-            decode(file.read(most_bytes + 1))
+            form.decode(file.read(form.max_bytes + 1))
     except FileNotFoundError:
         return ""
     except (OSError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""What is kept of places: taken up again, a service goes on as if it had never been away."""
+"""The map's checkpoint: restored, a service goes on as if it had never been away."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ from simulated import simulated
 from edge.config import Config
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop, Notes
-from edge.loop import place_keeper
-from edge.loop.keeper import Keeper
-from edge.loop.place_file import decode
-from edge.loop.places import Now, Parts, gather, make_map
+from edge.loop import map_checkpoint
+from edge.loop.checkpoint import ServiceCheckpoint
+from edge.loop.map_checkpoint import MAP, Parts, Sighted, make_map, state_of
 from edge.loop.service import Service
 from edge.mapping.tiles import Copier, Planes
 from edge.mapping.window import Window
@@ -56,14 +55,14 @@ class Run(ClosedLoop):
         self.service = self.another()
 
     def another(self, settings: Config | None = None) -> Service:
-        """A service that reads what is kept."""
+        """Return a service that reads the checkpoint."""
         settings = settings or self.config
-        keeper = Keeper(settings, self.path, None)
-        brief = keeper.brief() or self.service.mission.brief
+        checkpoint = ServiceCheckpoint(settings, self.path, None)
+        brief = checkpoint.brief() or self.service.mission.brief
         detector = make_detector(settings.perception, brief.targets, truth=self.truth)
         worker = DetectorWorker(detector, inline=True)
         policy = make_policy(settings.policy)
-        return Service(settings, brief, worker, policy, [self.notes], keeper)
+        return Service(settings, brief, worker, policy, [self.notes], checkpoint)
 
     def ticks(self, n: int) -> Run:
         for _ in range(n):
@@ -72,7 +71,7 @@ class Run(ClosedLoop):
 
     def killed(self, settings: Config | None = None) -> Run:
         """The service is gone, and another is in its place."""
-        self.service.keeper.close()
+        self.service.checkpoint.close()
         self.service = self.another(settings)
         return self
 
@@ -100,21 +99,21 @@ def told(goal: Goal | None) -> tuple | None:
 
 
 def begun(path: Path, ticks: int, settings: Config) -> Run:
-    """A run that was kept after so many ticks, with a service beside that read that."""
+    """A run that was saved after so many ticks, with a service beside that read that."""
     run = Run(path, settings).ticks(ticks)
-    run.service.keeper.close()
+    run.service.checkpoint.close()
     run.beside = run.another()
     # What it says is nobody's to obey.
     run.beside._publisher._sinks = [Notes()]
     return run
 
 
-def test_with_nothing_kept_there_is_nothing_to_take_up(tmp_path):
+def test_without_a_checkpoint_nothing_is_restored(tmp_path):
     run = Run(tmp_path / "m.json", config())
-    assert run.service.keeper.places.trouble == ""
+    assert run.service.checkpoint.map.problem == ""
     run.ticks(1)
-    assert not any("taken up" in text for text in run.notes.events)
-    run.service.keeper.close()
+    assert not any("restored" in text for text in run.notes.events)
+    run.service.checkpoint.close()
 
 
 @settings(max_examples=6)
@@ -124,7 +123,7 @@ def test_with_nothing_kept_there_is_nothing_to_take_up(tmp_path):
 def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, policy, ticks):
     """Frontiers, identities, ways, gains, scores, things and goals are the same, bit for bit, on
     the same further observations."""
-    run = begun(tmp_path_factory.mktemp("kept") / "m.json", ticks, config(policy))
+    run = begun(tmp_path_factory.mktemp("saved") / "m.json", ticks, config(policy))
     before = run.service.goal
     for i in range(25):
         one, other = run.both()
@@ -146,13 +145,14 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
             (i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in other.map.tracker.all
         ]
         assert one.map.sightings.shown.n == other.map.sightings.shown.n
+    nowhere = Sighted(SE2(0, 0, 0), 0, 0)
     mine, its = (
-        gather(Parts(s.map, s.goals, s.policy), Now(SE2(0, 0, 0), 0, 0), "", (), "")
-        for s in (one, other)
+        state_of(Parts(s.map, s.goals, s.policy), nowhere, "", (), "") for s in (one, other)
     )
-    assert mine.keys() == its.keys()
-    for name, array in mine.items():
-        np.testing.assert_array_equal(array, its[name], name)
+    assert mine.state == its.state
+    assert mine.arrays.keys() == its.arrays.keys()
+    for name, array in mine.arrays.items():
+        np.testing.assert_array_equal(array, its.arrays[name], name)
     np.testing.assert_array_equal(one.map.grid.coverage.looks, other.map.grid.coverage.looks)
     for layer, (a, b) in zip(
         one.map.grid.layers._fields,
@@ -160,20 +160,18 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
         strict=True,
     ):
         np.testing.assert_array_equal(a, b, layer)
-    other.keeper.close()
+    other.checkpoint.close()
 
 
-def idle(keeper: Keeper) -> None:
+def idle(checkpoint: ServiceCheckpoint) -> None:
     """Wait for the writer's thread."""
     deadline_s = time.monotonic() + PATIENCE_S
-    while not keeper.places.idle:
+    while not checkpoint.map.writer.idle:
         assert time.monotonic() < deadline_s
         time.sleep(0.001)
 
 
-def test_what_is_kept_is_the_map_of_one_tick_and_never_older_than_five_seconds(
-    tmp_path, monkeypatch
-):
+def test_the_file_is_the_map_of_one_tick_and_never_older_than_five_seconds(tmp_path, monkeypatch):
     """Even where copying it takes several ticks, in which the robot drives on."""
     steps, step = [], Copier.step
 
@@ -183,33 +181,33 @@ def test_what_is_kept_is_the_map_of_one_tick_and_never_older_than_five_seconds(
 
     monkeypatch.setattr(Copier, "step", few)
     run = Run(tmp_path / "m.json", config())
-    path, raw, written, kept_ns = tmp_path / "m.json.map", {}, set(), None
+    path, raw, written = tmp_path / "m.json.map", {}, set()
     for _ in range(120):
         now_ns = run.drive.motion.stamp_ns
         run.ticks(1)
         grid = run.service.map.grid
         raw[now_ns] = grid.layers.raw.copy()
-        idle(run.service.keeper)
+        idle(run.service.checkpoint)
         if path.exists():
-            places = decode(path.read_bytes())
-            kept_ns = int(places.kept["about/now_ns"])
-            assert now_ns - kept_ns <= 5 * 10**9
-            if kept_ns not in written:
-                written.add(kept_ns)
-                again = make_map(places.kept, places.unpacked, run.config)
-                np.testing.assert_array_equal(again.layers.raw, raw[kept_ns])
+            saved = MAP.decode(path.read_bytes())
+            saved_ns = saved.state.now_ns
+            assert now_ns - saved_ns <= 5 * 10**9
+            if saved_ns not in written:
+                written.add(saved_ns)
+                again = make_map(saved, run.config)
+                np.testing.assert_array_equal(again.layers.raw, raw[saved_ns])
     assert len(written) >= 4
     assert not all(steps)
-    run.service.keeper.close()
+    run.service.checkpoint.close()
 
 
-def test_a_disk_that_takes_nothing_costs_only_what_is_kept(tmp_path, caplog):
+def test_a_disk_that_takes_nothing_costs_only_the_checkpoint(tmp_path, caplog):
     run = Run(tmp_path / "m.json", config())
     (tmp_path / ".m.json.map.tmp").mkdir()  # where the file is written before it takes its place
     for _ in range(40):
         run.ticks(1)
-        idle(run.service.keeper)
-    assert run.service.keeper.status()["problem"] == "Is a directory"
+        idle(run.service.checkpoint)
+    assert run.service.checkpoint.status()["problem"] == "Is a directory"
     assert sum("not written" in message for message in caplog.messages) == 1
     assert run.service.faults.failed == 0
     assert run.service.goal is not None
@@ -217,7 +215,7 @@ def test_a_disk_that_takes_nothing_costs_only_what_is_kept(tmp_path, caplog):
     run.killed()
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
     assert run.service.map.grid.known_m2 > 10
-    run.service.keeper.close()
+    run.service.checkpoint.close()
 
 
 def test_a_bump_and_what_was_given_up_come_back(tmp_path):
@@ -234,11 +232,11 @@ def test_a_bump_and_what_was_given_up_come_back(tmp_path):
     assert cells.any()
     np.testing.assert_array_equal(grid.layers.raw == 255, cells)
     assert grid.bumps.closed_m == service.map.grid.bumps.closed_m
-    assert run.service.map.pool.kept()["discarded_id"].tolist() == [7]
+    assert run.service.map.pool.state_dict()["discarded_id"].tolist() == [7]
     assert (3.0, 4.0) in run.service.goals._search.left
     grid.bumps.expire(now_ns + 10**13)
     assert not (grid.layers.raw == 255).any()
-    run.service.keeper.close()
+    run.service.checkpoint.close()
 
 
 @pytest.mark.parametrize(
@@ -257,7 +255,7 @@ def test_the_map_comes_back_where_the_frame_is_the_same(tmp_path, monkeypatch, c
     run = Run(tmp_path / "m.json", settings).ticks(20)
     known_m2 = run.service.map.grid.known_m2
     if "boot" in change:
-        monkeypatch.setattr(place_keeper, "boot_id", lambda: change["boot"])
+        monkeypatch.setattr(map_checkpoint, "boot_id", lambda: change["boot"])
     run.killed()
     seen, now_ns = run.observe(), run.drive.motion.stamp_ns
     at = run.drive.motion.odometry
@@ -268,8 +266,8 @@ def test_the_map_comes_back_where_the_frame_is_the_same(tmp_path, monkeypatch, c
     run.service.tick(replace(seen, T_map_base=pose.matrix(), stamp_ns=stamp_ns), now_ns)
     taken = run.service.map.grid.known_m2 > 0.9 * known_m2
     assert taken is expected
-    assert any("taken up" in text for text in run.notes.events) is expected
-    run.service.keeper.close()
+    assert any("restored" in text for text in run.notes.events) is expected
+    run.service.checkpoint.close()
 
 
 def test_a_clock_that_was_set_back_cuts_nothing_short_and_stretches_nothing(tmp_path):
@@ -277,20 +275,21 @@ def test_a_clock_that_was_set_back_cuts_nothing_short_and_stretches_nothing(tmp_
     now_ns = run.drive.motion.stamp_ns
     run.service.map.pool.discard(0, 7, (1.0, 2.0), now_ns + 5 * 10**9)
     run.killed()
-    kept = decode((tmp_path / "m.json.map").read_bytes()).kept
+    saved = MAP.decode((tmp_path / "m.json.map").read_bytes())
     observation = replace(run.observe(), stamp_ns=10**8)
     run.service.tick(observation, 10**8)
-    back_ns = int(kept["about/stamp_ns"]) - 10**8
-    first_ns = dict(zip(kept["candidates/id"], kept["candidates/first_seen_ns"], strict=True))
-    now = run.service.map.pool.kept()
+    back_ns = saved.state.stamp_ns - 10**8
+    frontiers = (saved.arrays[f"candidates/{name}"] for name in ("id", "first_seen_ns"))
+    first_ns = dict(zip(*frontiers, strict=True))
+    now = run.service.map.pool.state_dict()
     lasting = [i for i, k in enumerate(now["id"]) if k in first_ns]
     assert lasting
     assert all(now["first_seen_ns"][i] == first_ns[now["id"][i]] - back_ns for i in lasting)
-    kept_ns = run.service.map.pool.kept()["discarded_until_ns"].tolist()
-    assert kept_ns[0] - 10**8 == pytest.approx(5 * 10**9, abs=10**9)
+    until_ns = now["discarded_until_ns"].tolist()
+    assert until_ns[0] - 10**8 == pytest.approx(5 * 10**9, abs=10**9)
     assert (run.service.map.pool.candidates.first_seen_ns <= 10**8).all()
     assert all(i.last_seen_ns <= 10**8 for i in run.service.map.tracker.all)
-    run.service.keeper.close()
+    run.service.checkpoint.close()
 
 
 def test_a_mission_that_is_over_leaves_its_map_to_the_next(tmp_path):
@@ -299,13 +298,13 @@ def test_a_mission_that_is_over_leaves_its_map_to_the_next(tmp_path):
     run.ticks(1)
     known_m2, things = run.service.map.grid.known_m2, len(run.service.map.sightings.shown.id)
     run.killed()
-    assert run.service.keeper.saved is None
+    assert run.service.checkpoint.saved is None
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
     assert run.service.map.grid.known_m2 >= known_m2 > 0
     assert len(run.service.map.sightings.shown.id) == things
     # For the new mission nothing was looked at: only what this one image shows now.
     assert run.service.map.grid.coverage.looks.max(initial=0) <= 1
-    run.service.keeper.close()
+    run.service.checkpoint.close()
 
 
 @pytest.mark.parametrize(
@@ -313,7 +312,7 @@ def test_a_mission_that_is_over_leaves_its_map_to_the_next(tmp_path):
     [
         ({"extent_m": 40.0}, False, "mapping.extent_m is another"),
         ({"extent_m": 14.0}, False, "mapping.extent_m is another"),
-        ({"inflation_m": 0.3}, False, "taken up"),
+        ({"inflation_m": 0.3}, False, "restored map"),
         ({"resolution_m": 0.1}, True, "made with mapping.resolution_m 0.05, which now is 0.1"),
         ({"obstacle_max_m": 1.5}, True, "made with mapping.obstacle_max_m 1, which now is 1.5"),
     ],
@@ -333,10 +332,10 @@ def test_another_map_is_adapted_or_set_aside(tmp_path, caplog, mapping, aside, p
         grid = run.service.map.grid
         assert any(grid.state_at(x, y) == 100 for y, x in occupied)
         assert run.service.goal is not None
-    run.service.keeper.close()
+    run.service.checkpoint.close()
 
 
-def test_a_pose_that_jumps_where_it_is_localised_goes_back_to_what_was_kept(tmp_path):
+def test_a_pose_that_jumps_where_it_is_localised_goes_back_to_what_was_saved(tmp_path):
     run = Run(tmp_path / "m.json", config(source={"localised": True})).ticks(40)
     known_m2 = run.service.map.grid.known_m2
     run.killed()
@@ -345,4 +344,4 @@ def test_a_pose_that_jumps_where_it_is_localised_goes_back_to_what_was_kept(tmp_
     assert run.service.map.grid.known_m2 == 0
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
     assert run.service.map.grid.known_m2 >= 0.99 * known_m2
-    run.service.keeper.close()
+    run.service.checkpoint.close()

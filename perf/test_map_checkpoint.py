@@ -1,4 +1,4 @@
-"""What keeping places costs the loop, and what taking them up costs the start."""
+"""Costs of the map's checkpoint: to the loop when it is saved, to the start when it is restored."""
 
 from __future__ import annotations
 
@@ -9,19 +9,18 @@ from test_mapping import MAPPING, explored_map, update_all_round
 from edge import config
 from edge.config import parse
 from edge.geometry import SE2
+from edge.host.checkpoint import Checkpoint
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop import places
+from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.goal import GoalTracker
-from edge.loop.keeper import Keeper
-from edge.loop.place_file import Places, decode, encode
+from edge.loop.map_checkpoint import MAP, Parts, Sighted, make_map, state_of
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping import grid as mapping
 from edge.mapping.tiles import MOST_PER_STEP, Copier, PackedTiles
 from edge.mapping.warmup import warmup
-from edge.mapping.window import TILE
 from edge.policies import make_policy
 
-NOW = places.Now(SE2(0.0, 0.0, 0.0), 10**9, 10**9)
+NOW = Sighted(SE2(0.0, 0.0, 0.0), 10**9, 10**9)
 SETTINGS = {"perception": {"detector": {"kind": "sim"}}, "policy": {"kind": "search"}}
 
 
@@ -34,15 +33,11 @@ def settings(cells: int) -> config.Config:
     return parse({**SETTINGS, "mapping": {"extent_m": cells * MAPPING.resolution_m}})
 
 
-def parts_of(grid: mapping.RollingMap, c: config.Config) -> places.Parts:
+def parts_of(grid: mapping.RollingMap, c: config.Config) -> Parts:
     known = SemanticMap(c, ())
     known.grid = grid
     goals = GoalTracker(c, known.pool, known.tracker, lambda goal: None, lambda text, now_ns: None)
-    return places.Parts(known, goals, make_policy(c.policy))
-
-
-def gathered(grid: mapping.RollingMap, c: config.Config) -> places.Kept:
-    return places.gather(parts_of(grid, c), NOW, "", ("bed",), "bed")
+    return Parts(known, goals, make_policy(c.policy))
 
 
 def file_of(cells: int) -> bytes:
@@ -52,9 +47,10 @@ def file_of(cells: int) -> bytes:
     grid.window.written[:] = True
     copier.step(grid.window, grid.planes, grid.window.written.size)
     packed.update(copier.take()[1])
-    origin = grid.window.origin[0] // TILE, grid.window.origin[1] // TILE
-    xy, tiles = packed.all(origin, grid.window.n // TILE)
-    return encode(Places({**gathered(grid, c), "tile/xy": xy}, tuple(tiles)))
+    saved = state_of(parts_of(grid, c), NOW, "", ("bed",), "bed")
+    tiles = packed.state_dict(saved.arrays["map/origin"], grid.window.n)
+    arrays = {f"tiles/{name}": array for name, array in tiles.items()}
+    return MAP.encode(Checkpoint(saved.state, {**saved.arrays, **arrays}))
 
 
 @pytest.mark.parametrize("cells", [1000, 4000])
@@ -72,20 +68,19 @@ def test_copying_what_changed(benchmark, cells):
 
     def copy() -> None:
         assert copier.step(grid.window, grid.planes, MOST_PER_STEP + grid.tiles_of_update)
-        places.gather(parts, NOW, "", ("bed",), "bed")
+        state_of(parts, NOW, "", ("bed",), "bed")
 
     benchmark.pedantic(copy, setup=written, rounds=100, warmup_rounds=5)
 
 
 @pytest.mark.parametrize("cells", [1000, 4000])
-def test_taking_up(benchmark, cells):
+def test_restoring(benchmark, cells):
     """From the file's bytes to a map with its frontiers, before the first tick."""
     benchmark.extra_info["budget"] = f"places_restore_{cells}"
     content, c = file_of(cells), settings(cells)
 
     def restore() -> mapping.RollingMap:
-        kept = decode(content)
-        return places.make_map(kept.kept, kept.unpacked, c)
+        return make_map(MAP.decode(content), c)
 
     grid = benchmark.pedantic(restore, rounds=5, warmup_rounds=1)
     benchmark.extra_info["megabytes"] = len(content) * 1e-6
@@ -95,13 +90,13 @@ def test_taking_up(benchmark, cells):
 
 @pytest.mark.parametrize("keeps", [False, True])
 def test_tick(benchmark, tmp_path, keeps):
-    """A tick of a service that keeps places, and of one that keeps nothing, on one road."""
+    """A tick of a service with a checkpoint, and of one without, on one road."""
     benchmark.extra_info["budget"] = "tick_keeping" if keeps else "tick_not_keeping"
     lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.05}}
     loop = ClosedLoop(parse({**SETTINGS, **lockstep, "mission": {"target": "toilet"}}))
     if keeps:
-        keeper = Keeper(loop.config, tmp_path / "mission.json", None)
-        loop.service.keeper = keeper
+        checkpoint = ServiceCheckpoint(loop.config, tmp_path / "mission.json", None)
+        loop.service.checkpoint = checkpoint
 
     def drive() -> tuple[tuple, dict]:
         loop.step()
@@ -109,6 +104,6 @@ def test_tick(benchmark, tmp_path, keeps):
 
     benchmark.pedantic(loop.service.tick, setup=drive, rounds=300, warmup_rounds=20)
     if keeps:
-        keeper.close()
-        assert keeper.places.written > 3
+        checkpoint.close()
+        assert checkpoint.map.writer.written > 3
     assert np.isfinite(loop.service.scores).all()

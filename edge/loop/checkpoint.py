@@ -1,0 +1,143 @@
+"""The checkpoint of a running service: saved while it runs, restored at the start.
+
+It is two files, because they outlive different things. The mission's is small and written when it
+changes. The map's, next to it, holds everything bound to the frame `map`
+(`edge.loop.map_checkpoint`). A robot whose mission is over saves that too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+from edge.config import Config
+from edge.errors import UserError
+from edge.host.checkpoint import Checkpoint, CheckpointWriter, load
+from edge.loop.map_checkpoint import SUFFIX, MapCheckpoint, Parts, Sighted
+from edge.mission.brief import Brief, MissionError, brief_of
+from edge.mission.checkpoint import MISSION, OF_TRANSLATION, MissionState, state_of
+from edge.mission.logic import ltl
+from edge.mission.run import MissionRun
+from edge.mission.translate import Translation
+from edge.tasks.brief import prepare_task
+from edge.text import one_line
+from edge.types import MissionStatus
+
+log = logging.getLogger("edge.loop.checkpoint")
+
+
+class ServiceCheckpoint:
+    """Saves the mission: at once when it changes, else each second.
+
+    Attributes:
+        saved: the unfinished mission that the file held and that goes on; else None.
+        problem: why a file that was there is of no use, "" if there was none such.
+        map: saves what is bound to `map`.
+    """
+
+    def __init__(self, config: Config, path: Path, asked: str | None) -> None:
+        """
+        Args:
+            asked: instruction on the command line, or None. A saved mission with another
+                instruction then gives way.
+
+        Raises:
+            CheckpointError: there is a file and it cannot be read, or none can be written.
+        """
+        self._config = config
+        text = config.model_dump_json(exclude={"path"})
+        self._fingerprint = hashlib.sha256(text.encode()).hexdigest()[:16]
+        loaded, self.problem = load(path, MISSION)
+        self.saved = None if loaded is None else _unfinished(loaded.state, asked)
+        self.map = MapCheckpoint(config, path.with_name(path.name + SUFFIX), self._fingerprint)
+        self._writer = CheckpointWriter(path, MISSION)
+        self._resumed: MissionRun | None = None
+        self._noted: tuple[MissionRun, int] | None = None
+
+    def brief(self) -> Brief | None:
+        """Make the saved mission again from its formula, without translating it twice. A task is
+        read again, and goes on with the first step that was not driven.
+
+        Raises:
+            MissionError: the limits in the configuration are narrower than they were.
+        """
+        if (saved := self.saved) is None:
+            return None
+        try:
+            if saved.task:
+                return prepare_task(self._config, saved.instruction)
+            known = {name: getattr(saved, name) for name in OF_TRANSLATION}
+            translation = Translation(formula=ltl.parse(saved.formula), **known)
+            return brief_of(self._config.mission, translation)
+        except UserError as error:
+            raise MissionError(
+                f"mission.checkpoint: {self._writer.path}: its mission cannot go on: {error}; "
+                "move the file away to begin without it"
+            ) from None
+
+    def resume(self, mission: MissionRun) -> None:
+        """Restore the mission; the map comes back with the first observation."""
+        self.map.prepare()
+        if (saved := self.saved) is not None:
+            mission.id = saved.id
+            self._resumed = mission
+            mission.restore(
+                saved.word, saved.reached, saved.failed, saved.elapsed_s, saved.path_m, saved.paused
+            )
+            log.info("going on with the mission: %s (state %d, reached: %s)",
+                     one_line(saved.instruction), mission.state,
+                     one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip
+
+    def goes_on(self, mission: MissionRun, targets: Sequence[str]) -> bool:
+        """Whether this is the saved mission, and the map was saved under the same targets."""
+        return mission is self._resumed and tuple(targets) == mission.brief.targets
+
+    def note(
+        self,
+        mission: MissionRun,
+        status: MissionStatus,
+        parts: Parts,
+        sighted: Sighted | None,
+        now_ns: int,
+    ) -> None:
+        """Hand the state to the writers if it is time. Never blocks.
+
+        Args:
+            sighted: the newest observation's; None before there was any.
+            now_ns: the loop's time.
+        """
+        noted, self._noted = self._noted, (mission, mission.changes)
+        changed = noted is None or noted[0] is not mission or noted[1] != mission.changes
+        if sighted is not None:
+            self.map.note(parts, sighted, mission.brief.targets, mission.target, changed)
+        if not (changed or self._writer.due(now_ns)):
+            return
+        state = state_of(mission, status.phase)
+        self._writer.post(lambda: Checkpoint(state, config=self._fingerprint), now_ns)
+
+    def status(self) -> dict[str, object]:
+        """Return the part of the status message."""
+        writer, known = self._writer, self.map
+        problems = (writer.problem, known.writer.problem, known.problem, self.problem)
+        return {
+            "path": str(writer.path), "written": writer.written, "failed": writer.failed,
+            "places_written": known.writer.written,
+            "problem": next(filter(None, problems), ""),
+        }  # fmt: skip
+
+    def close(self) -> None:
+        """Write what waits."""
+        self.map.close()
+        self._writer.close()
+
+
+def _unfinished(saved: MissionState, asked: str | None) -> MissionState | None:
+    if saved.phase in ("idle", "reached", "failed"):
+        return None
+    if asked is not None and asked != saved.instruction:
+        log.info("the checkpoint's mission (%s) gives way to the new one",
+                 one_line(saved.instruction))  # fmt: skip
+        return None
+    return saved

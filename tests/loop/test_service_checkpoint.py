@@ -1,0 +1,146 @@
+"""A mission goes on after a restart: checkpoint, new service, same robot."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from simulated import simulated
+from test_map_checkpoint import Run
+
+from edge.host.checkpoint import load, save
+from edge.loop.checkpoint import ServiceCheckpoint
+from edge.loop.result import facts_of
+from edge.loop.status import mission_of
+from edge.mission.brief import prepare
+from edge.mission.checkpoint import MISSION
+from edge.text import MAX_CHARS
+
+
+def run_of(path: Path, instruction: str, kind: str = "ltl") -> Run:
+    mission = {"instruction": instruction, "translator": {"kind": kind}}
+    lockstep = {"lockstep": True}
+    return Run(path, simulated({"loop": lockstep, "sim": lockstep, "mission": mission}))
+
+
+def television_given_up(path: Path) -> Run:
+    """A run whose television was seen and given up; its bed was not seen. It was restarted."""
+    run = run_of(path, "F (television | bed)")
+    while "television" not in run.service.mission.detected:
+        run.step()
+    run.service.mission.give_up("no way to it", run.drive.motion.stamp_ns)
+    return run.ticks(1).killed()
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "mission.json"
+
+
+def test_without_a_checkpoint_no_mission_is_saved(path):
+    checkpoint = run_of(path, "F bed").service.checkpoint
+    assert (checkpoint.saved, checkpoint.brief(), checkpoint.problem) == (None, None, "")
+    checkpoint.close()
+
+
+def test_which_reading_was_taken_is_saved(path):
+    run = run_of(path, "the sofa must be visited before the bed", "grammar").ticks(1)
+    before = run.service.mission.brief
+    again = run.killed().service.mission.brief
+    assert before.translation.implied
+    assert again.warnings == before.warnings != ()
+    assert again.translation.readings == before.translation.readings
+    mission = mission_of(facts_of(run.service.mission))
+    assert (mission["reading"], mission["readings"]) == (1, list(before.translation.readings))
+    run.service.checkpoint.close()
+
+
+def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
+    run = run_of(path, "F (sofa & F television)")
+    run.service.mission.id = "1f.2"
+    while not run.service.mission.reached:
+        run.step()
+    old = run.service
+    mission = run.killed().service.mission
+    assert mission.word == old.mission.word == ("sofa",)
+    assert mission.id == "1f.2"
+    assert mission.brief.automaton.formula == old.mission.brief.automaton.formula
+    run.step()
+    assert {i.id for i in old.map.tracker.all} <= {i.id for i in run.service.map.tracker.all}
+    assert mission.target == "television"
+    run.run(200)
+    run.service.checkpoint.close()
+    assert run.service.status.phase == "reached", run.notes.events
+    assert run.distance_m("television") <= 1.0
+
+
+def test_what_a_checkpoint_says_is_shown_in_one_short_line(path, caplog):
+    """A checkpoint is a file: whoever may write it must not write the log."""
+    said = "go on\n12:00 error   service: \x1b[31mon fire\u202e" + "!" * 5000
+    run = run_of(path, "F bed").ticks(1)
+    run.service.checkpoint.close()
+    saved, _ = load(path, MISSION)
+    said_all = {"instruction": said, "english": said, "backend": said[:900], "reason": said}
+    save(path, replace(saved, state=replace(saved.state, **said_all)), MISSION)
+    with caplog.at_level(logging.INFO):
+        run.service = run.another()
+        ServiceCheckpoint(run.config, path, "another").close()
+    run.step()
+    run.service.checkpoint.close()
+    told = [record.getMessage() for record in caplog.records if "go on" in record.getMessage()]
+    assert len(told) >= 2
+    assert load(path, MISSION)[0].state.instruction == said  # which is how it is known again
+    service = run.service
+    shown = [
+        service.status.instruction,
+        *mission_of(facts_of(service.mission)).values(),
+        *run.notes.events,
+    ]
+    for text in map(str, [*told, *shown]):
+        assert text.isprintable()
+        assert len(text) < 1500
+    assert len(service.status.instruction) == MAX_CHARS
+
+
+def test_a_restart_that_saw_nothing_loses_no_object(path):
+    run = television_given_up(path)
+    places = path.with_name("mission.json.map")
+    before = places.read_bytes()
+    run.service.idle(run.drive.motion.stamp_ns, None)
+    run.killed()
+    assert places.read_bytes() == before
+    run.ticks(1).service.checkpoint.close()
+    assert run.service.map.tracker.of("television")
+    assert run.service.mission.failed == {"television"}
+
+
+def test_objects_come_back_under_an_order_that_came_before_the_first_image(path):
+    run = run_of(path, "F television & F bed")
+    while "television" not in run.service.mission.detected:
+        run.step()
+    before = run.service.map.tracker.all
+    run.killed().service.idle(run.drive.motion.stamp_ns, None)
+    brief = prepare(run.config.mission, formula="F television")
+    run.service.begin(brief, run.drive.motion.stamp_ns)
+    run.ticks(1).service.checkpoint.close()
+    hits = {i.id: i.hits for i in run.service.map.tracker.all}
+    assert before
+    assert all(hits.get(i.id, 0) >= i.hits for i in before)
+
+
+def test_what_had_failed_is_not_detected_again_by_the_same_instance(path):
+    run = television_given_up(path).ticks(3)
+    run.service.checkpoint.close()
+    assert run.service.map.tracker.of("television")
+    assert run.service.mission.failed == {"television"}
+    assert run.service.mission.target == "bed"
+
+
+def test_an_ended_mission_does_not_go_on(path):
+    run = run_of(path, "F bed").ticks(1)
+    run.service.mission.fail("cancelled", run.drive.motion.stamp_ns)
+    checkpoint = run.ticks(1).killed().service.checkpoint
+    assert checkpoint.saved is None
+    checkpoint.close()
