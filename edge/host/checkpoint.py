@@ -242,8 +242,8 @@ def save(path: Path, checkpoint: Checkpoint[State], form: CheckpointFormat[State
         ValueError: `load` would not take it.
     """
     path, content = _real(path), form.encode(checkpoint)
-    with replace_atomically(path, path.with_name(f".{path.name}.tmp")) as beside:
-        beside.write_bytes(content)
+    with replace_atomically(path, path.with_name(f".{path.name}.tmp")) as temporary:
+        temporary.write_bytes(content)
     sync(path.parent)  # or the old file may be back after a power cut
 
 

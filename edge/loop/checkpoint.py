@@ -91,7 +91,7 @@ class ServiceCheckpoint:
                      one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip
 
     def goes_on(self, mission: MissionRun, targets: Sequence[str]) -> bool:
-        """Whether this is the saved mission, and the map was saved under the same targets."""
+        """Return whether this is the saved mission, and the map was saved with the same targets."""
         return mission is self._resumed and tuple(targets) == mission.brief.targets
 
     def note(

@@ -291,7 +291,7 @@ class GoalTracker:
     def judge(
         self, grid: RollingMap, pose: SE2, mission: MissionRun, images: int, now_ns: int
     ) -> bool:
-        """Handle what became of the present goal; `Follow` handles a trajectory's own.
+        """Handle what became of the present goal; `FollowBehaviour` handles a trajectory's own.
 
         Args:
             grid: closed where the robot is held up.

@@ -88,7 +88,7 @@ MAP = CheckpointFormat("edge-map", "map", MapState, 96 << 20)
 
 
 class Parts(NamedTuple):
-    """Those parts of a service that are bound to `map`."""
+    """The parts of a service that are bound to `map`."""
 
     map: SemanticMap
     goals: GoalTracker

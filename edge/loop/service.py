@@ -19,8 +19,8 @@ from edge.geometry import SE2
 from edge.host.calibration import Calibration
 from edge.loop import stages
 from edge.loop.behaviours.base import Behaviour
-from edge.loop.behaviours.follow import Follow
-from edge.loop.behaviours.search import Search
+from edge.loop.behaviours.follow import FollowBehaviour
+from edge.loop.behaviours.search import SearchBehaviour
 from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.faults import Faults
 from edge.loop.goal import GoalTracker
@@ -378,8 +378,8 @@ class Service:
     def _behaviour_of(self, mission: MissionRun) -> Behaviour:
         config, here, goals = self.config, self.map, self.goals
         if mission.brief.steps is None:
-            return Search(mission, config, here, goals, self._surveyor)
-        return Follow(mission, config, here, goals, self._journal)
+            return SearchBehaviour(mission, config, here, goals, self._surveyor)
+        return FollowBehaviour(mission, config, here, goals, self._journal)
 
     def _remember(self, mission: MissionRun) -> None:
         if mission.id:

@@ -56,8 +56,8 @@ def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None)
         "mapping": lambda: warm_mapping(config.mapping),
         "prior": lambda: warm_prior(config),
         "policy": lambda: warm_policy(config),
-        "tasks": warm_tasks,
         **apart,
+        "tasks": warm_tasks,
     }
     started = perf_counter()
     helper = _compile_apart(config) if _is_cold() else None
@@ -81,7 +81,7 @@ def weights_of(config: Config) -> str:
 
 
 def _is_cold() -> bool:
-    """Whether kernels have to be compiled: one of them, called here, is not in the cache."""
+    """Return whether kernels have to be compiled: a cheap one is not in the cache."""
     kernel = kernels.to_planes
     if kernel.signatures:  # this process has called it before
         return False

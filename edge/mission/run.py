@@ -97,7 +97,7 @@ class MissionRun:
 
     @property
     def active(self) -> bool:
-        """Whether something is being pursued: the mission is neither over nor paused."""
+        """True while something is pursued: the mission is neither over nor paused."""
         return not (self.done or self.paused)
 
     @property

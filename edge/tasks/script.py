@@ -42,7 +42,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class ScriptLimits:
-    """What a model's script may take.
+    """Limits of a model's script.
 
     Attributes:
         time_s: of computing; after twice that no call of it is answered.

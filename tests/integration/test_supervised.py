@@ -118,7 +118,7 @@ def test_from_the_start_to_the_stop(edge, config, manager):
     service = supervised(edge, config, manager)
     steps = [line for line in manager.heard if line.startswith("STATUS=")]
     assert "STATUS=loading the detector" in steps
-    assert steps[-1] == "STATUS=preparing kernels 7/7: messages"
+    assert steps[-1] == "STATUS=preparing kernels 7/7: tasks"
     assert "WATCHDOG=1" not in manager.heard, "the start has a limit of its own"
     manager.hears("WATCHDOG=1")
     manager.hears(f"STATUS=not ready: {UNSEEN} (searching: bed)")

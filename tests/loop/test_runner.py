@@ -119,6 +119,19 @@ def test_whatever_is_named_is_looked_up_before_anything_is_begun(monkeypatch, se
         raise AssertionError
 
 
+@pytest.mark.parametrize(
+    ("sinks", "heard"),
+    [([], False), (["foxglove"], False), (["zenoh"], True), (["foxglove", "ros2"], True)],
+)
+def test_sinks_that_no_motion_controller_hears_are_warned_of(sinks, heard, caplog):
+    stop, settings = threading.Event(), simulated({"sinks": sinks})
+    stop.set()
+    with pytest.raises(Stopped), open_service(settings, [], stop=stop):
+        raise AssertionError
+    warned = "sinks: neither zenoh nor ros2: no motion controller hears a goal" in caplog.text
+    assert warned is not heard
+
+
 STEPS = ["prepared", "make_detector", "make_scorers", "warm_up"]
 
 

@@ -53,7 +53,7 @@ SAME_PLACE_M = 0.5
 _REASON_CHARS = 300
 
 
-class Follow:
+class FollowBehaviour:
     """One task, from what it names to the end of its trajectory; for one thread, the loop's.
 
     Args:
@@ -140,7 +140,8 @@ class Follow:
 
     def gather(self) -> Sequence[Instance]:
         """Return the objects of which one was named, and that are not confirmed yet."""
-        return self._unconfirmed()
+        found = [self._map.tracker.get(number) for number in self._unsure]
+        return [one for one in found if one is not None and one.state == "seen"]
 
     def plan(self, context: Context, images: int) -> None:
         """Advance the task; start in the background what takes long."""
@@ -257,10 +258,6 @@ class Follow:
                 state = "to come" if missing.isdisjoint(step.names) else "looked for"
             yield StepFacts(step.said, state)
 
-    def _unconfirmed(self) -> list[Instance]:
-        found = [self._map.tracker.get(number) for number in self._unsure]
-        return [one for one in found if one is not None and one.state == "seen"]
-
     # -- inside -----------------------------------------------------------------------------
 
     def _look_round(self, pose: SE2, stuck: bool) -> None:
@@ -282,7 +279,7 @@ class Follow:
         if self._all_seen:
             self._mission.fail(_line(self._refused), now_ns)
             return
-        settled = self._unsure and not self._unconfirmed()
+        settled = self._unsure and not self.gather()
         if settled or self._goals.exhausted or now_ns - self._looked_ns >= AGAIN_NS:
             self._looked_ns, self._all_seen = now_ns, self._goals.exhausted
             self._ask(observation, None)
@@ -344,7 +341,7 @@ class Follow:
         """Drive what was found; where nothing was, have another written, or give up."""
         mission, self._order = self._mission, None
         self._unsure = draft.mistakable
-        unsure = self._unconfirmed()
+        unsure = self.gather()
         for n, said in enumerate(draft.rounds, start=1):
             if said.error and order.before is None:
                 mission.tell(_line(f"answer {n} of the model: {said.error}"), now_ns)

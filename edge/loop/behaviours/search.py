@@ -16,7 +16,7 @@ from edge.policies.base import Context
 from edge.types import Goal, Instance
 
 
-class Search:
+class SearchBehaviour:
     """Go to the best candidate: a frontier, or an object that may be the active target.
 
     Args:

@@ -1,4 +1,4 @@
-"""What every program of a model process shares."""
+"""The parts that the programs of all model processes share."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NO_MEMORY = ("failed to allocate memory", "bad_alloc", "bad allocation", "out o
 
 
 def begin() -> tuple[dict[str, Any], socket.socket, socket.socket, FrameView]:
-    """What a model process is told, its two sockets, `images` and `control`, and the images."""
+    """Return what stdin told, the sockets `images` and `control`, and the shared images."""
     told = json.loads(sys.stdin.buffer.read())
     _end_with(told["parent"])
     faulthandler.enable()
@@ -43,6 +43,6 @@ def _end_with(parent: int) -> None:
 
 
 def by_kind(error: Exception) -> Exception:
-    """Want of memory as what it is: onnxruntime and CUDA have types of their own for it."""
+    """Return MemoryError for a lack of memory: onnxruntime and CUDA have types of their own."""
     text = str(error).lower()
     return MemoryError(str(error)) if any(sign in text for sign in _NO_MEMORY) else error

@@ -1,4 +1,4 @@
-"""What models run on: cards, files, onnxruntime, TensorRT, and model servers (KServe, version 2).
+"""The runtime of models: cards, files, onnxruntime, TensorRT, model servers (KServe, version 2).
 
 Tensors in and out: only a card knows what a model is for. A server is not trusted: its answers are
 checked like a file from a stranger.

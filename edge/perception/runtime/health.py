@@ -1,4 +1,4 @@
-"""How a model is: its health, and what makes its output unsound."""
+"""The health of a model, and checks of its output."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HEALTH_STATES: tuple[HealthState, ...] = get_args(HealthState)
 
 
 class Health(NamedTuple):
-    """How a detector is.
+    """The state of a detector.
 
     Attributes:
         state: `ok`; `building engine` (TensorRT, takes minutes); `restarting` (its process ended);
