@@ -248,11 +248,12 @@ def children(
                         arguments, env=environ, start_new_session=True, pass_fds=(file.fileno(),)
                     )
                 except OSError as error:
-                    raise UserError(f"cannot start edge {command}: {error.strerror}") from None
+                    named = " ".join([command, *options])
+                    raise UserError(f"cannot start edge {named}: {error.strerror}") from None
                 started.append(child)
             with _watched(started, stop):
                 yield started
-            _check([command for command, *_ in commands], started)
+            _check(list(map(" ".join, commands)), started)
         finally:
             _stop(started)
 

@@ -255,7 +255,7 @@ def run_demo(
     _prepare(config, report)
     ended = None
     try:
-        started = children(config, stop, ("sim", "--no-motion"), ("motion",))
+        started = children(config, stop, ("sim", "--no-motion"), ("sim", "--motion-only"))
         with started, suppress(Stopped):  # `started` says it when a child that ended was the cause
             stay = live is not None
             ended = _serve(config, stop, True, asked, formula, task, stay=stay, recorded=True)
@@ -355,5 +355,5 @@ def run_simulator(config: Config, stop: threading.Event, motion: bool) -> int:
     """The simulated robot in this process, the reference controller in another."""
     from edge.lab.sim.process import main as run_sim
 
-    with children(config, stop, *([("motion",)] if motion else [])):
+    with children(config, stop, *([("sim", "--motion-only")] if motion else [])):
         return run_sim(config, stop)

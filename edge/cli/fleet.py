@@ -48,6 +48,8 @@ def where(name: str) -> tuple[Zenoh, Mission]:
 
 def show(args: argparse.Namespace) -> int:
     """Handle `edge fleet list`."""
+    if args.watch:
+        return _watch(args)
     with open_roster(where(args.where)[0]) as roster:
         robots = roster.look()
     if args.json:
@@ -95,8 +97,8 @@ def _data(robot: Robot) -> dict[str, Any]:
     return {"robot": robot.name, "problem": robot.problem, "answer": robot.answer}
 
 
-def watch(args: argparse.Namespace) -> int:
-    """Handle `edge fleet watch`, until a signal."""
+def _watch(args: argparse.Namespace) -> int:
+    """Print a line for each change, until a signal."""
     stop = stop_on_signals()
     with open_roster(where(args.where)[0]) as roster:
         before: dict[str, dict[str, str]] = {}

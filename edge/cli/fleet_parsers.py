@@ -16,8 +16,8 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
     """`edge fleet` and its actions."""
     fleet = commands.add_parser("fleet", help="several robots over one router")
     actions = fleet.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
-    _action(actions, "list", "who is there, and how each stands", "show")
-    _action(actions, "watch", "the same, a line for each change", "watch")
+    show = _action(actions, "list", "who is there, and how each stands", "show")
+    show.add_argument("--watch", action="store_true", help="go on, with a line for each change")
     for verb, text in {
         "status": "how the robots' missions stand",
         "pause": "stop robots where they are",

@@ -16,6 +16,7 @@ import sys
 from functools import partial
 
 from edge.cli.parsers import make_parser
+from edge.cli.renamed import renew
 from edge.errors import Stopped, UserError
 from edge.host.interruptible import any_unjoined
 from edge.host.kernel_cache import kernel_cache
@@ -39,12 +40,14 @@ def main(argv: list[str] | None = None) -> int:
         "run": _run,
         "demo": _demo,
         "sim": _sim,
-        "motion": _motion,
         "config": _config,
         "play": _play,
     }
+    argv, renamed = renew(sys.argv[1:] if argv is None else argv)
     args = make_parser(__doc__.splitlines()[0], handlers).parse_args(argv)
     setup(args.log_level, args.log_json)
+    if renamed:
+        log.warning("%s; the next release drops the old name", renamed)
     # Before it ends, Python looks for garbage among all objects: a service stops 0.3 s later by it.
     atexit.register(gc.freeze)
     if args.trust_cache:  # in the environment, a model's process has it too
@@ -168,17 +171,13 @@ def _play(args: argparse.Namespace) -> int:
 def _sim(args: argparse.Namespace) -> int:
     claim()
     stop = stop_on_signals(args.with_parent)
+    if args.motion_only:
+        from edge.lab.motion.process import main as run_motion
+
+        return run_motion(load_config(args), stop)
     from edge.cli.commands import run_simulator
 
     return run_simulator(load_config(args), stop, motion=not args.no_motion)
-
-
-def _motion(args: argparse.Namespace) -> int:
-    claim()
-    stop = stop_on_signals(args.with_parent)
-    from edge.lab.motion.process import main as run_motion
-
-    return run_motion(load_config(args), stop)
 
 
 def _config(args: argparse.Namespace) -> int:

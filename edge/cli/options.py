@@ -9,7 +9,7 @@ from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
 
-from edge.errors import UnavailableError
+from edge.errors import UnavailableError, UsageError
 
 Handler = Callable[[argparse.Namespace], int]
 
@@ -31,6 +31,29 @@ def lazy(module: str, function: str, lab: bool = False) -> Handler:
         if lab:
             require_lab()
         return getattr(import_module(module), function)(args)
+
+    return handler
+
+
+def switched(
+    option: str, on: Handler, on_only: tuple[str, ...], off: Handler, off_only: tuple[str, ...]
+) -> Handler:
+    """Return a handler that is `on` if an option is given, else `off`.
+
+    Args:
+        option: or several: "--trace or --recover".
+        on_only, off_only: options, or names of arguments, that only one of the two takes.
+    """
+
+    def given(args: argparse.Namespace, name: str) -> bool:
+        return bool(getattr(args, name.lstrip("-").replace("-", "_")))
+
+    def handler(args: argparse.Namespace) -> int:
+        is_on = any(given(args, name) for name in option.split(" or "))
+        for name in off_only if is_on else on_only:
+            if given(args, name):
+                raise UsageError(f"{name}: {'not' if is_on else 'only'} with {option}")
+        return (on if is_on else off)(args)
 
     return handler
 

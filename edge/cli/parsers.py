@@ -20,6 +20,7 @@ from edge.cli.options import (
     port,
     positive,
     seed,
+    switched,
     unit_name,
 )
 from edge.errors import EXIT_CODES
@@ -50,8 +51,6 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
         model_parsers.add,
         _record,
         _replay,
-        _recover,
-        _trace,
         _ros2_adapter,
         _trajectory,
         _bench,
@@ -123,16 +122,11 @@ def _trust(command: argparse.ArgumentParser) -> None:
 def _sim(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     sim = commands.add_parser("sim", help="run the simulated robot (and the reference controller)")
     sim.add_argument("config", help=CONFIG)
-    sim.add_argument("--no-motion", action="store_true", help="bring another motion controller")
+    which = sim.add_mutually_exclusive_group()
+    which.add_argument("--no-motion", action="store_true", help="bring another motion controller")
+    which.add_argument("--motion-only", action="store_true", help="run the controller alone")
     _with_parent(sim)
     return sim
-
-
-def _motion(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
-    motion = commands.add_parser("motion", help="run the reference motion controller alone")
-    motion.add_argument("config", help=CONFIG)
-    _with_parent(motion)
-    return motion
 
 
 def _with_parent(command: argparse.ArgumentParser) -> None:
@@ -197,10 +191,13 @@ def _replay(commands) -> None:  # type: ignore[no-untyped-def]
     replay = commands.add_parser(
         "replay", help="feed a recorded run through the service again, and compare what it says"
     )
-    replay.add_argument("file", type=Path, metavar="FILE", help="the first file of the run")
+    replay.add_argument(
+        "file", metavar="FILE", help="the first file of the run; with --trace also the "
+        "configuration of a running service, whose http.port is asked",
+    )  # fmt: skip
     replay.add_argument("--config", help=f"another configuration than was recorded: {CONFIG}")
     replay.add_argument(
-        "--detect", action="store_true", help="run the detector anew on the recorded pictures"
+        "--detect", action="store_true", help="run the detector again on the recorded pictures"
     )
     replay.add_argument(
         "--trust",
@@ -208,32 +205,23 @@ def _replay(commands) -> None:  # type: ignore[no-untyped-def]
         help="run the classes and read the files that the recorded configuration names: they run "
         "as your own programs do",
     )
-    replay.set_defaults(handler=lazy("edge.recording.commands", "replay"))
-
-
-def _recover(commands) -> None:  # type: ignore[no-untyped-def]
-    recover = commands.add_parser(
-        "recover", help="make a complete file of a recording that was cut off"
+    instead = replay.add_argument_group("write a file instead")
+    kind = instead.add_mutually_exclusive_group()
+    kind.add_argument(
+        "--trace", action="store_true", help="every stage of every tick, for ui.perfetto.dev"
     )
-    recover.add_argument("file", type=Path, metavar="FILE", help="NAME.mcap.partial, or any MCAP")
-    recover.add_argument(
-        "--out", type=Path, metavar="FILE", help="default: FILE without `.partial`"
+    kind.add_argument(
+        "--recover", action="store_true", help="a complete recording of one that was cut off"
+    )
+    instead.add_argument(
+        "--out", type=Path, metavar="FILE",
+        help="default: trace.json, or the recording's name without `.partial`",
     )  # fmt: skip
-    recover.set_defaults(handler=lazy("edge.recording.commands", "recover"))
-
-
-def _trace(commands) -> None:  # type: ignore[no-untyped-def]
-    trace = commands.add_parser(
-        "trace", help="every stage of every tick, as a file for ui.perfetto.dev"
-    )
-    trace.add_argument(
-        "source", metavar="FILE|CONFIG", help="a recording (.mcap), or the configuration of the "
-        "running service, whose http.port is asked"
-    )  # fmt: skip
-    trace.add_argument(
-        "--out", type=Path, default=Path("trace.json"), metavar="FILE", help="default: %(default)s"
-    )
-    trace.set_defaults(handler=lazy("edge.recording.commands", "trace"))
+    mine = ("--config", "--detect", "--trust")
+    of = {name: lazy("edge.recording.commands", name) for name in ("replay", "recover", "trace")}
+    write = switched("--trace", of["trace"], (), of["recover"], ())
+    handler = switched("--trace or --recover", write, ("--out",), of["replay"], mine)
+    replay.set_defaults(handler=handler)
 
 
 def _ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]
@@ -363,7 +351,6 @@ _OWN = {
     "run": _run,
     "demo": _demo,
     "sim": _sim,
-    "motion": _motion,
     "config": _config,
     "play": _play,
 }

@@ -1,4 +1,4 @@
-"""`edge replay`, `edge recover` and `edge trace`."""
+"""`edge replay`, and what it writes by `--recover` and `--trace`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def replay(args: argparse.Namespace) -> int:
     Raises:
         UserError: see `edge.recording.replay.replay`.
     """
-    session = Session(args.file, getattr(args, "trust", False))
+    session = Session(Path(args.file), getattr(args, "trust", False))
     config = None if args.config is None else load(args.config)
     warm_up(config or session.config())
     outcome = replay_session(session, config, args.detect)
@@ -107,12 +107,12 @@ def latencies(then: dict[str, Any], now: LatencyReport) -> str:
 
 
 def recover(args: argparse.Namespace) -> int:
-    """Handle `edge recover`.
+    """Handle `edge replay --recover`.
 
     Raises:
         RecordingError: it cannot be read, or nothing can be written.
     """
-    path: Path = args.file
+    path = Path(args.file)
     out = args.out or path.with_name(path.name.removesuffix(PARTIAL))
     if args.out is None and out == path:
         out = path.with_name(f"{path.stem}.recovered.mcap")
@@ -122,17 +122,18 @@ def recover(args: argparse.Namespace) -> int:
 
 
 def trace(args: argparse.Namespace) -> int:
-    """Handle `edge trace`.
+    """Handle `edge replay --trace`.
 
     Raises:
         UserError: no such recording or service, or the file cannot be written.
     """
-    if args.source.endswith((".mcap", PARTIAL)):
-        content = trace_bytes(spans_of(Path(args.source)))
+    if args.file.endswith((".mcap", PARTIAL)):
+        content = trace_bytes(spans_of(Path(args.file)))
     else:
-        content = _asked(args.source)
-    save(args.out, content)
-    print(f"{args.out}: open it in https://ui.perfetto.dev")
+        content = _asked(args.file)
+    out = args.out or Path("trace.json")
+    save(out, content)
+    print(f"{out}: open it in https://ui.perfetto.dev")
     return os.EX_OK
 
 

@@ -217,7 +217,9 @@ def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
         if not reading.cut:
             return
     why = reading.cut or "cut off"
-    raise RecordingError(f"{path}: not a complete MCAP file: {why}; `edge recover` makes one of it")
+    raise RecordingError(
+        f"{path}: not a complete MCAP file: {why}; `edge replay --recover` makes one of it"
+    )
 
 
 class Played(NamedTuple):

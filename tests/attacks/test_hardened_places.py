@@ -80,9 +80,9 @@ def test_one_folder_is_all_that_a_user_without_a_home_needs(as_stranger, tempora
     assert [folder.name for folder in temporary.iterdir()] == ["kernels"]
 
 
-@pytest.mark.parametrize("command", ["run", "motion"])
+@pytest.mark.parametrize("command", [["run"], ["sim", "--motion-only"]])
 def test_a_stop_is_obeyed_while_kernels_are_compiled(edge, config, temporary, command):
-    service = edge("--log-level", "debug", command, config, NUMBA_CACHE_DIR=str(temporary))
+    service = edge("--log-level", "debug", *command, config, NUMBA_CACHE_DIR=str(temporary))
     # A kernel is compiled and written: others follow.
     service.until(lambda: list(temporary.rglob("*.nbc")), "it never compiled")
     assert service.stop(signal.SIGTERM) == 0, service.output

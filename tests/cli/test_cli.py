@@ -27,6 +27,7 @@ from edge.cli import commands as run_commands
 from edge.cli import main as cli
 from edge.cli.main import main
 from edge.cli.parsers import make_parser
+from edge.cli.renamed import RENAMED, renew
 from edge.config import ConfigError
 from edge.errors import EXIT_CODES, FAILED, Stopped, UserError
 from edge.host.checkpoint import CheckpointError
@@ -117,7 +118,7 @@ def test_without_the_extra_lab_a_command_that_needs_it_says_so_first(command, mo
     assert error == "matplotlib: not installed; run: pip install 'edge-vln[lab]'"
 
 
-@pytest.mark.parametrize("command", ["run", "demo", "sim", "motion", "config", "bench", "doctor"])
+@pytest.mark.parametrize("command", ["run", "demo", "sim", "config", "bench", "doctor"])
 def test_a_configuration_that_is_not_there(command, capsys):
     error = fails(capsys, command, "nowhere.yaml", code=os.EX_CONFIG)
     assert error.startswith("nowhere.yaml: no such file (ready configurations: ")
@@ -414,3 +415,24 @@ def test_output_that_nobody_reads_on_is_no_error():
     command = f"{sys.executable} -m edge.cli config --schema | head -c 1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("{", "")
+
+
+@pytest.mark.parametrize("old", RENAMED)
+def test_an_old_name_of_a_command_is_taken_with_a_warning(old, monkeypatch):
+    argv, told = renew(["--log-level", "error", *old.split(), "--help"])
+    assert argv == ["--log-level", "error", *RENAMED[old].split(), "--help"]
+    assert told == f"edge {old} is now: edge {RENAMED[old]}"
+    assert " ".join(word for word in RENAMED[old].split() if word[0] != "-") in COMMANDS
+    assert old not in COMMANDS
+    assert renew(["run", old]) == (["run", old], None)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("replay x.mcap --trace --detect", "--detect: not with --trace or --recover"),
+        ("replay x.mcap --out y", "--out: only with --trace or --recover"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(words, told, capsys):
+    assert fails(capsys, *words.split(), code=os.EX_USAGE) == told

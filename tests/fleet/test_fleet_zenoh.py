@@ -159,7 +159,7 @@ def test_a_mission_for_each_of_several(port, robots):
 
 def test_who_watches_is_told_of_changes_only(port, robots, tmp_path):
     anna = robots("anna")
-    watching = Edge("fleet", "watch", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
+    watching = Edge("fleet", "list", "--watch", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
     try:
         watching.says("anna  idle  -  -  ok")
         anna.amiss = ("nothing to be seen",)

@@ -24,7 +24,7 @@ def limited(soft: int, hard: int, command: list[str]) -> subprocess.CompletedPro
 
 
 @pytest.mark.parametrize(
-    "command", [["run", "demo"], ["demo"], ["sim", "demo"], ["motion", "demo"]]
+    "command", [["run", "demo"], ["demo"], ["sim", "demo"], ["sim", "demo", "--motion-only"]]
 )
 def test_too_few_are_one_line_with_what_is_needed(command):
     done = limited(20, 20, [*python_module("edge.cli"), *command])

@@ -94,7 +94,7 @@ def test_a_demo_ends_when_its_simulator_does(edge, config):
     victim = next(child for child in demo.children() if "sim" in child.cmdline())
     victim.kill()
     assert demo.wait() == os.EX_SOFTWARE
-    assert "edge sim ended before its time (signal 9)" in demo.lines[-1]
+    assert "edge sim --no-motion ended before its time (signal 9)" in demo.lines[-1]
     assert not demo.orphans()
 
 
@@ -120,11 +120,11 @@ def test_the_mission_outlives_simulator_and_controller(edge, endpoint, tmp_path)
     service = edge("run", config, "--once").says("ready:")
     simulator = edge("sim", config, "--no-motion")
     service.says("seen | map")
-    controller = edge("motion", config)
+    controller = edge("sim", config, "--motion-only")
     with odometer(settings) as driven_m:
         service.until(lambda: driven_m[0] > 0.4, "the robot never drove")
         controller.kill()
-        controller = edge("motion", config)
+        controller = edge("sim", config, "--motion-only")
         before_m = driven_m[0]
         service.until(lambda: driven_m[0] > before_m + 0.3, "it never drove on")
         simulator.kill()

@@ -24,7 +24,7 @@ def test_what_was_on_the_disk_at_kill_9_is_recovered_and_replays(edge, endpoint,
     mcap = {"kind": "mcap", "options": {"folder": str(folder), "sync_s": 0.5}}
     config = write_config(tmp_path, zenoh={"endpoint": endpoint}, sinks=["zenoh", mcap])
     edge("sim", config)
-    edge("motion", config)
+    edge("sim", config, "--motion-only")
     run = edge("run", config).says("ready:")
 
     def enough(path: Path) -> bool:
@@ -40,7 +40,7 @@ def test_what_was_on_the_disk_at_kill_9_is_recovered_and_replays(edge, endpoint,
     there = pages(left)
     assert there >= pages(before)
 
-    recovered = edge("recover", left)
+    recovered = edge("replay", left, "--recover")
     assert recovered.wait() == os.EX_OK, recovered.output
     whole = left.with_name(left.name.removesuffix(PARTIAL))
     assert pages(whole) == there

@@ -288,7 +288,7 @@ def test_a_robot_is_driven_as_the_page_says(etc, edge, tmp_path):
     assert stranger.wait() == os.EX_UNAVAILABLE
     assert "takes no session" in stranger.output
     edge("sim", config, "--no-motion", **robot)
-    edge("motion", config, **controller)
+    edge("sim", config, "--motion-only", **controller)
     assert service.wait() == 0, service.output
     assert "is open" not in service.output
 

@@ -73,7 +73,7 @@ def driven(edge: Callable[..., Edge], endpoint, tmp_path) -> Iterator[tuple[Edge
     try:
         far = write_config(tmp_path / "robot", zenoh=robot.model_dump(), **settings)
         edge("sim", far, "--no-motion")
-        edge("motion", config)
+        edge("sim", config, "--motion-only")
         service.until(lambda: track.v_mps > 0.3, "the robot never drove")
         yield service, track
     finally:

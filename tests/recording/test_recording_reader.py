@@ -187,6 +187,6 @@ def test_a_trace_is_of_the_first_spans(tmp_path, monkeypatch, capsys):
     path = Recording(tmp_path).steps(3).close()
     every = commands.spans_of(path)
     monkeypatch.setattr(commands, "MAX_SPANS", len(every) - 1)
-    args = argparse.Namespace(source=str(path), out=tmp_path / "trace.json")
+    args = argparse.Namespace(file=str(path), out=tmp_path / "trace.json")
     assert commands.trace(args) == 0
     assert f"only its first {len(every) - 1} spans" in capsys.readouterr().out

@@ -79,7 +79,7 @@ def test_what_runs_beside_never_overlaps_itself(beside):
 def test_a_recording_has_every_tick(tmp_path, capsys):
     path = Recording(tmp_path).steps(12).close()
     out = tmp_path / "trace.json"
-    assert commands.trace(argparse.Namespace(source=str(path), out=out)) == 0
+    assert commands.trace(argparse.Namespace(file=str(path), out=out)) == 0
     assert "ui.perfetto.dev" in capsys.readouterr().out
     names = [e["name"] for e in checked(json.loads(out.read_text()))]
     # Told once a second: the last ones may not have been.
@@ -115,7 +115,7 @@ def test_a_running_service_is_asked(tmp_path, token):
     page, port = TracePage(), free_port()
     source = config(tmp_path, port, token)
     asked = read_token("t", str(tmp_path / "token")) if token else None
-    args = argparse.Namespace(source=source, out=tmp_path / "trace.json")
+    args = argparse.Namespace(file=source, out=tmp_path / "trace.json")
     with serve(page.pages(), "127.0.0.1", port, asked):
         with pytest.raises(UnavailableError, match="503"):
             commands.trace(args)
@@ -138,4 +138,4 @@ def test_a_service_without_pages(tmp_path):
     path = tmp_path / "robot.yaml"
     path.write_text('{"perception": {"detector": {"kind": "sim"}}}')
     with pytest.raises(ConfigError, match=r"http\.port: not set"):
-        commands.trace(argparse.Namespace(source=str(path), out=tmp_path / "t.json"))
+        commands.trace(argparse.Namespace(file=str(path), out=tmp_path / "t.json"))

@@ -51,9 +51,9 @@ class Notes:
 class ClosedLoop:
     """A simulated robot that obeys a service; `step` is one tick and what follows from it.
 
-    What is done when is what `edge sim`, `edge motion` and `edge run` do in lockstep over Zenoh:
-    the service's tick, the map and the goal to the controller, its answers to the service, and its
-    command to the robot. Scorers and planners answer in the tick where `loop.lockstep` is set.
+    What is done when is what `edge sim` and `edge run` do in lockstep over Zenoh: the service's
+    tick, the map and the goal to the controller, its answers to the service, and its command to
+    the robot. Scorers and planners answer in the tick where `loop.lockstep` is set.
     A policy of one's own may ask for the simulator's truth, `world` and `robot_radius_m`
     (`edge.lab.eval.bounds`).
 

@@ -159,7 +159,7 @@ def over_zenoh(
             if stop.is_set():
                 over.set()
 
-        with children(config, over, ("sim", "--no-motion"), ("motion",)):
+        with children(config, over, ("sim", "--no-motion"), ("sim", "--motion-only")):
             loop(running, over, once=True, each=heed)
         if stop.is_set():
             raise Stopped("told to stop")

@@ -163,7 +163,7 @@ class Stage:
             self._python("router", "edge.lab.eval.soak.router", self.config.zenoh.endpoint)
 
     def start_controller(self) -> None:
-        self._start("controller", "motion", str(self.config_file))
+        self._start("controller", "sim", str(self.config_file), "--motion-only")
 
     def start_viewer(self) -> None:
         """Somebody who hears all that is published."""

@@ -1,0 +1,26 @@
+"""Commands whose name has changed: the old one is taken for one release, with a warning."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+RENAMED = {
+    "motion": "sim --motion-only",
+    "recover": "replay --recover",
+    "trace": "replay --trace",
+    "fleet watch": "fleet list --watch",
+}
+"""New words by old ones. What followed the old words follows the new ones."""
+
+
+def renew(argv: Sequence[str]) -> tuple[list[str], str | None]:
+    """Return the arguments with today's words, and a line that says so if others were given."""
+    at = 0  # of the command, behind options of `edge` itself
+    while at < len(argv) and argv[at].startswith("-"):
+        at += 1 + (argv[at] == "--log-level")
+    for old, new in RENAMED.items():
+        words = old.split()
+        if list(argv[at : at + len(words)]) == words:
+            rest = argv[at + len(words) :]
+            return [*argv[:at], *new.split(), *rest], f"edge {old} is now: edge {new}"
+    return list(argv), None
