@@ -14,7 +14,7 @@ from typing import Any
 from edge.bus.client import RequestError
 from edge.bus.session import zenoh_session
 from edge.bus.zenoh_file import protocol
-from edge.cli.requests import ANSWER_S, as_text
+from edge.cli.requests import ANSWER_S, PATIENCE_S, as_text
 from edge.config import Mission, Zenoh, load
 from edge.errors import FAILED, UserError
 from edge.fleet.dispatch import LOOK_S, Dispatcher, Plan, plan
@@ -50,7 +50,7 @@ def show(args: argparse.Namespace) -> int:
     """Handle `edge fleet list`."""
     if args.watch:
         return _watch(args)
-    with open_roster(where(args.where)[0]) as roster:
+    with open_roster(where(args.config)[0]) as roster:
         robots = roster.look()
     if args.json:
         print(json.dumps([_data(robot) for robot in robots.values()], indent=2))
@@ -100,7 +100,7 @@ def _data(robot: Robot) -> dict[str, Any]:
 def _watch(args: argparse.Namespace) -> int:
     """Print a line for each change, until a signal."""
     stop = stop_on_signals()
-    with open_roster(where(args.where)[0]) as roster:
+    with open_roster(where(args.config)[0]) as roster:
         before: dict[str, dict[str, str]] = {}
         online = True
         while not stop.is_set():
@@ -136,15 +136,15 @@ def _changes(
 
 
 def ask(args: argparse.Namespace) -> int:
-    """Handle `edge fleet status | pause | resume | cancel`: the same to each at once.
+    """Handle `edge mission status | pause | resume | cancel --fleet`: the same to each at once.
 
     Of robots that were not named, one without a mission has nothing to stop, which is no fault.
     """
-    with open_roster(where(args.where)[0]) as roster:
+    with open_roster(where(args.config)[0]) as roster:
         there = roster.names()
         chosen = args.robots or there
         _check_names(chosen, there)
-        answers = roster.ask(chosen, {"do": args.do}, ANSWER_S)
+        answers = roster.ask(chosen, {"do": args.do}, args.timeout or ANSWER_S)
     if args.json:
         print(json.dumps([_data(robot) for robot in answers.values()], indent=2))
     else:
@@ -166,12 +166,12 @@ def _check_names(names: Iterable[str], there: Iterable[str]) -> None:
 
 
 def new(args: argparse.Namespace) -> int:
-    """Handle `edge fleet new`: 0 where all of it was reached, 1 where a part failed.
+    """Handle `edge mission new --fleet`: 0 where all of it was reached, 1 where a part failed.
 
     Raises:
         UserError: the mission is not understood, or a robot that was named is not there.
     """
-    zenoh, limits = where(args.where)
+    zenoh, limits = where(args.config)
     text = {"formula" if args.formula else "instruction": args.text}
     brief = prepare(limits, **text)
     named = [] if args.to in (None, [ANY]) else list(dict.fromkeys(args.to))
@@ -183,7 +183,7 @@ def new(args: argparse.Namespace) -> int:
         _say(f"mission {mission.id}: {brief.translation.understood}")
         if mission.why_whole:
             _say(f"not split: {mission.why_whole}; one robot gets all of it")
-        dispatcher = Dispatcher(roster, mission, _say, args.patience)
+        dispatcher = Dispatcher(roster, mission, _say, args.patience or PATIENCE_S)
         try:
             outcomes = dispatcher.run()
         except KeyboardInterrupt:

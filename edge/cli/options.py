@@ -14,6 +14,11 @@ from edge.errors import UnavailableError, UsageError
 Handler = Callable[[argparse.Namespace], int]
 
 CONFIG = "YAML file, or the name of a ready configuration"
+WHERE = (
+    "a configuration of one of the robots, or your own: its section zenoh counts; or an endpoint "
+    "such as tcp/10.0.0.1:7447, where the robots' prefixes are robots/NAME"
+)
+"""The argument that says at which router the robots of a fleet meet."""
 
 
 LAB_PACKAGES = ("matplotlib", "networkx", "scipy")

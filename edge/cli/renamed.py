@@ -9,6 +9,11 @@ RENAMED = {
     "recover": "replay --recover",
     "trace": "replay --trace",
     "fleet watch": "fleet list --watch",
+    "fleet new": "mission new --fleet",
+    "fleet status": "mission status --fleet",
+    "fleet pause": "mission pause --fleet",
+    "fleet resume": "mission resume --fleet",
+    "fleet cancel": "mission cancel --fleet",
 }
 """New words by old ones. What followed the old words follows the new ones."""
 

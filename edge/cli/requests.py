@@ -1,4 +1,4 @@
-"""`edge mission`: give the running service a new mission, pause it, ask how it stands.
+"""`edge mission`: give a running service, or a fleet, a new mission; pause it, ask how it stands.
 
 Light to import, so that the command line can take its arguments from here.
 """
@@ -10,11 +10,16 @@ import json
 from collections.abc import Callable
 
 from edge.bus import client
+from edge.cli.options import CONFIG, WHERE, lazy, positive, switched
 from edge.text import one_line
 
 ANSWER_S = 5.0
 _ROW_CHARS = 1000
 NEW_S = 120.0  # a language model may be asked twice, and the mission compiled
+
+PATIENCE_S = 10.0
+_TEXT = {"help": "an instruction for mission.translator of the configuration"}
+_ROBOTS = {"nargs": "*", "metavar": "ROBOT", "help": "names, with --fleet; default: all there"}
 
 _VERBS = {
     "new": "replace the mission that runs",
@@ -26,24 +31,49 @@ _VERBS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-def]
-    """A subcommand for each verb; returns the subcommands, for others to add to."""
+    """Add a subcommand for each verb; return the subcommands, for others to add to."""
     actions = parser.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
     for verb, text in _VERBS.items():
+        is_new = verb == "new"
         action = actions.add_parser(verb, help=text)
-        action.add_argument("config", help="YAML file, or the name of a ready configuration")
-        if verb == "new":
-            action.add_argument("text", help="an instruction for mission.translator")
-            kind = action.add_mutually_exclusive_group()
-            kind.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
-            kind.add_argument("--task", action="store_true", help="TEXT is a way to drive")
-            add_reading(kind)
-        action.add_argument(
-            "--timeout", type=_seconds, metavar="S", default=NEW_S if verb == "new" else ANSWER_S,
-            help="how long to wait for the answer; default: %(default)g",
+        option = action.add_argument
+        option("config", help=f"{CONFIG}; with --fleet {WHERE}")
+        option("text" if is_new else "robots", **_TEXT if is_new else _ROBOTS)
+        option(
+            "--timeout", type=_seconds, metavar="S",
+            help=f"how long to wait for the answer; default: {NEW_S if is_new else ANSWER_S:g}",
         )  # fmt: skip
-        action.add_argument("--json", action="store_true", help="print the answer as it came")
-        action.set_defaults(handler=run)
+        option("--json", action="store_true", help="print the answer as it came")
+        option("--fleet", action="store_true", help="to the robots at a router, not to one")
+        alone, of_fleet = ((), ("robots",)) if not is_new else _add_new(action)
+        function = lazy("edge.cli.fleet", "new" if is_new else "ask")
+        action.set_defaults(handler=switched("--fleet", function, of_fleet, run, alone))
     return actions
+
+
+def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Add what a new mission takes; return the options without `--fleet`, and those with it."""
+    kind = action.add_mutually_exclusive_group()
+    kind.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
+    kind.add_argument("--task", action="store_true", help="TEXT is a way to drive")
+    add_reading(kind)
+    fleet = action.add_argument_group("with --fleet")
+    whom = fleet.add_mutually_exclusive_group()
+    whom.add_argument(
+        "--to", nargs="+", metavar="ROBOT", help="all of it to each of these; `any`, the default: "
+        "to the one free robot that knows most of what is asked for, and is nearest to it",
+    )  # fmt: skip
+    whom.add_argument(
+        "--share", action="store_true", help="parts that do not depend on each other to several"
+    )
+    fleet.add_argument(
+        "--anew", action="store_true", help="do not take up such a mission that is not over"
+    )
+    fleet.add_argument(
+        "--patience", type=positive, metavar="S", help="how long a robot that is gone is waited "
+        f"for before another gets its part (default: {PATIENCE_S:g})",
+    )  # fmt: skip
+    return ("--task", "--reading", "--timeout"), ("--to", "--share", "--anew", "--patience")
 
 
 def add_reading(parser) -> None:  # type: ignore[no-untyped-def]
@@ -72,8 +102,9 @@ def run(args: argparse.Namespace) -> int:
         if args.reading is not None:
             request["reading"] = args.reading
     key = settings.key(topics.MISSION_REQUEST)
-    with client.connect(settings, args.timeout, "mission") as session:
-        answer = client.ask(session, key, request, args.timeout, "mission")
+    timeout_s = args.timeout or (NEW_S if args.do == "new" else ANSWER_S)
+    with client.connect(settings, timeout_s, "mission") as session:
+        answer = client.ask(session, key, request, timeout_s, "mission")
     print(json.dumps(answer, indent=2) if args.json else as_text(answer))
     return 0
 

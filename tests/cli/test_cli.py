@@ -431,6 +431,9 @@ def test_an_old_name_of_a_command_is_taken_with_a_warning(old, monkeypatch):
     ("words", "told"),
     [
         ("replay x.mcap --trace --detect", "--detect: not with --trace or --recover"),
+        ("mission pause demo anna", "robots: only with --fleet"),
+        ("mission new demo bed --share", "--share: only with --fleet"),
+        ("mission new demo bed --task --fleet", "--task: not with --fleet"),
         ("replay x.mcap --out y", "--out: only with --trace or --recover"),
     ],
 )

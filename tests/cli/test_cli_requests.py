@@ -6,7 +6,7 @@ import argparse
 
 import pytest
 
-from edge.cli.requests import ANSWER_S, NEW_S, add_arguments, as_text
+from edge.cli.requests import add_arguments, as_text
 
 
 @pytest.mark.parametrize(
@@ -111,13 +111,14 @@ def parser() -> argparse.ArgumentParser:
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        (["new", "demo", "words"], {"do": "new", "formula": False, "timeout": NEW_S}),
+        (["new", "demo", "words"], {"do": "new", "formula": False, "timeout": None}),
         (["new", "demo", "F a", "--formula", "--json"], {"formula": True, "json": True}),
         (["new", "demo", "words", "--reading", "2"], {"formula": False, "reading": 2}),
-        (["status", "demo"], {"do": "status", "timeout": ANSWER_S, "json": False}),
+        (["status", "demo"], {"do": "status", "timeout": None, "fleet": False}),
         (["pause", "demo", "--timeout", "0.5"], {"do": "pause", "timeout": 0.5}),
         (["resume", "demo"], {"do": "resume"}),
-        (["cancel", "demo"], {"do": "cancel"}),
+        (["cancel", "demo"], {"do": "cancel", "robots": []}),
+        (["pause", "demo", "a", "b", "--fleet"], {"robots": ["a", "b"], "fleet": True}),
     ],
 )
 def test_a_command_line(parser, line, expected):
@@ -127,7 +128,7 @@ def test_a_command_line(parser, line, expected):
 @pytest.mark.parametrize(
     "line",
     [
-        [], ["new", "demo"], ["pause"], ["pause", "demo", "text"], ["stop", "demo"],
+        [], ["new", "demo"], ["pause"], ["stop", "demo"],
         ["status", "demo", "--timeout", "0"], ["status", "demo", "--timeout", "nan"],
         ["status", "demo", "--timeout", "soon"], ["status", "demo", "--timeout", "inf"],
     ],

@@ -112,7 +112,7 @@ def targets(*robots: FakeRobot) -> set[str]:
 def test_nobody_is_there(port, capsys):
     assert main(["fleet", "list", f"tcp/127.0.0.1:{port}"]) == 0
     assert capsys.readouterr().out == "no robot is there (robots/*)\n"
-    assert main(["fleet", "pause", f"tcp/127.0.0.1:{port}"]) == 69
+    assert main(["mission", "pause", "--fleet", f"tcp/127.0.0.1:{port}"]) == 69
 
 
 def test_robots_are_stopped_and_asked_by_command(port, robots, capsys):
@@ -120,7 +120,8 @@ def test_robots_are_stopped_and_asked_by_command(port, robots, capsys):
     where = f"tcp/127.0.0.1:{port}"
 
     def fleet(*words: str) -> tuple[int, str]:
-        code = main(["fleet", words[0], where, *words[1:]])
+        verb = ["fleet", "list"] if words[0] == "list" else ["mission", words[0], "--fleet"]
+        code = main([*verb, where, *words[1:]])
         said = capsys.readouterr()
         return code, said.out + said.err
 
@@ -237,7 +238,7 @@ def test_a_stop_stays_a_stop(port, robots, capsys):
     anna, bob = robots("anna"), robots("bob")
     sharing = Sharing(port, "go to the bed, the sofa and the tv")
     eventually(lambda: not (anna.mission.done or bob.mission.done))
-    assert main(["fleet", "cancel", f"tcp/127.0.0.1:{port}"]) == 0
+    assert main(["mission", "cancel", "--fleet", f"tcp/127.0.0.1:{port}"]) == 0
     assert [phase for phase, _ in sharing.ended().values()] == ["failed", "failed"]
     assert (anna.service.begun, bob.service.begun) == (1, 1)
 
@@ -446,7 +447,7 @@ def carl(port) -> Iterator[subprocess.Popen]:
 
 def test_one_of_three_is_killed_in_the_middle(port, robots, carl, tmp_path):
     both = [robots(name) for name in ("anna", "bob")]
-    command = Edge("fleet", "new", f"tcp/127.0.0.1:{port}", THREE, "--share", "--json",
+    command = Edge("mission", "new", "--fleet", f"tcp/127.0.0.1:{port}", THREE, "--share", "--json",
                    "--patience", "0.5", cwd=tmp_path)  # fmt: skip
     try:
         command.says("carl gets: ")

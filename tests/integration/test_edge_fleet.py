@@ -31,7 +31,9 @@ def test_three_robots_share_a_mission_and_one_is_killed_in_the_middle(edge, endp
     assert "zenoh.prefix: another service is robots/anna" in twin.lines[-1]
     services["anna"].says("another service wants to be robots/anna: it was refused")
 
-    sharing = edge("fleet", "new", endpoint, WORDS, "--share", "--json", "--patience", "3")
+    sharing = edge(
+        "mission", "new", "--fleet", endpoint, WORDS, "--share", "--json", "--patience", "3"
+    )
     for name in NAMES:
         services[name].says("target: ")
     sharing.says("carl gets: ")  # else its answer dies with it, and nobody knows that it began
