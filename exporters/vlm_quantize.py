@@ -1,6 +1,6 @@
 """Variants of a vision-language model that is here in FP32, as it was pulled or exported.
 
-    edge models quantize NAME-fp32 --precision q4 int8 --calibration PICTURES
+    edge models export NAME-fp32 --quantize --precision q4 int8 --calibration PICTURES
 
 writes the files to `quantized/` in the model's folder, where no published one lies, and a card for
 each precision. It needs no PyTorch: a variant is compared with the FP32 files.

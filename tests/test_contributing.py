@@ -45,7 +45,7 @@ def card(tmp_path, monkeypatch) -> dict:
 
 
 def test_a_model_is_a_card_and_a_file(card, capsys):
-    assert main(["models", "check", card["name"]]) == 0
+    assert main(["models", "list", "--check", card["name"]]) == 0
     assert card["name"] in capsys.readouterr().out
     assert card["name"] in re.search(r"EDGE__PERCEPTION__DETECTOR__MODEL=\S+", PAGE)[0]
     detector = {"kind": "onnx", "model": card["name"], "background": ["sofa", "bed"]}

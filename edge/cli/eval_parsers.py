@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from edge.cli.options import CONFIG, cores, count, lazy, seed, shares
+from edge.cli.options import CONFIG, cores, count, lazy, seed, shares, switched
 
 
 def add(commands) -> None:  # type: ignore[no-untyped-def]
@@ -15,14 +15,13 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
     _planning(kinds)
     _translate(kinds)
     _trajectories(kinds)
-    _compare(kinds)
 
 
 def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     episodes = kinds.add_parser(
         "episodes", help="find-the-object episodes in simulated time: policies side by side"
     )
-    episodes.add_argument("config", help=CONFIG)
+    episodes.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
     option = episodes.add_argument_group("what to do").add_argument
     option(
         "--episodes", type=Path, metavar="FILE",
@@ -80,7 +79,19 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         "--processes", action="store_true",
         help="robot, controller and service as processes over Zenoh",
     )  # fmt: skip
-    episodes.set_defaults(handler=lazy("edge.lab.eval.runs", "run", lab=True))
+    option = episodes.add_argument_group("what came of it").add_argument
+    option(
+        "--compare", type=Path, metavar="DIR",
+        help="run nothing: tables, plots and every trail on its map, of what --out filled",
+    )  # fmt: skip
+    option(
+        "--baseline", metavar="NAME",
+        help="the column that the others are held against (default: the first)",
+    )  # fmt: skip
+    compare = lazy("edge.lab.eval.comparison.run", "run", lab=True)
+    runs = lazy("edge.lab.eval.runs", "run", lab=True)
+    of_runs = ("--episodes", "--plan", "--worlds", "--column", "--columns", "--out", "--report")
+    episodes.set_defaults(handler=switched("--compare", compare, ("--baseline",), runs, of_runs))
 
 
 _P_OBS = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0"
@@ -186,16 +197,3 @@ def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
         "(default: ./%(default)s)",
     )  # fmt: skip
     trajectories.set_defaults(handler=lazy("edge.lab.eval.trajectories.run", "run", lab=True))
-
-
-def _compare(kinds) -> None:  # type: ignore[no-untyped-def]
-    compare = kinds.add_parser(
-        "compare", help="columns of episodes side by side: tables, plots, every trail on its map"
-    )
-    option = compare.add_argument
-    option("out", type=Path, metavar="DIR", help="what `edge eval episodes --out` filled")
-    option(
-        "--baseline", metavar="NAME",
-        help="the column that the others are held against (default: the first)",
-    )  # fmt: skip
-    compare.set_defaults(handler=lazy("edge.lab.eval.comparison.run", "run", lab=True))

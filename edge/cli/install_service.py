@@ -1,4 +1,4 @@
-"""`edge install-service`: a systemd unit with the paths, user and groups of this installation.
+"""`edge run --install`: a systemd unit with the paths, user and groups of this installation.
 
 The unit is hardened as far as numba (which compiles), Zenoh's shared memory, cameras and GPUs
 allow: no `MemoryDenyWriteExecute`, no `PrivateIPC`, no `PrivateDevices`. Neither is `PrivateUsers`
@@ -28,6 +28,7 @@ from edge.loop.vitals import HANGS_S
 
 UNITS = Path("/etc/systemd/system")
 STATE = Path("/var/lib")
+_NAME = "edge"
 OF_SYSTEMD = "of systemd's making"
 _GROUPS = ("video", "render")
 _HOMES = ("/home", "/root", "/run/user")
@@ -46,7 +47,7 @@ _DEVICES = (
 )  # fmt: skip
 
 _UNIT = """\
-# Written by `edge install-service`; write it again after a move, or change it by `systemctl edit`.
+# Written by `edge run --install`; write it again after a move, or change it by `systemctl edit`.
 [Unit]
 Description=edge: vision-language navigation ({name})
 Wants=network-online.target
@@ -107,7 +108,7 @@ WantedBy=multi-user.target
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge install-service CONFIG`.
+    """Handle `edge run --install CONFIG`.
 
     Raises:
         ConfigError: the configuration cannot be used.
@@ -116,17 +117,18 @@ def run(args: argparse.Namespace) -> int:
     """
     config = load(args.config)
     config = config.model_copy(update={"path": str(Path(config.path).resolve())})
-    text = unit(config, args.name, args.user)
+    name = args.name or _NAME
+    text = unit(config, name, args.user)
     if args.out == "-":
         print(text, end="")
         return 0
-    out = Path(args.out) if args.out else UNITS / f"{args.name}.service"
+    out = Path(args.out) if args.out else UNITS / f"{name}.service"
     save(out, text.encode())
     print(f"{out}: written; then:")
     if isinstance(detector := config.perception.detector, DetectorOnnx):
-        cache = f"EDGE_CACHE_DIR=/var/cache/{args.name}"
-        print(f"  sudo {cache} {_edge()} models check {detector.model}")
-    print(f"  sudo systemctl daemon-reload\n  sudo systemctl enable --now {args.name}")
+        cache = f"EDGE_CACHE_DIR=/var/cache/{name}"
+        print(f"  sudo {cache} {_edge()} models list --check {detector.model}")
+    print(f"  sudo systemctl daemon-reload\n  sudo systemctl enable --now {name}")
     return 0
 
 

@@ -15,6 +15,7 @@ import signal
 import sys
 from functools import partial
 
+from edge.cli.options import lazy, switched
 from edge.cli.parsers import make_parser
 from edge.cli.renamed import renew
 from edge.errors import Stopped, UserError
@@ -37,12 +38,15 @@ log = logging.getLogger("edge")
 def main(argv: list[str] | None = None) -> int:
     """Entry point of the `edge` command; returns the exit code."""
     handlers = {
-        "run": _run,
+        "run": switched(
+            "--install", lazy("edge.cli.install_service", "run"), ("--name", "--user", "--out"),
+            _run, ("--target", "--mission", "--formula", "--task", "--once", "--report"),
+        ),
         "demo": _demo,
         "sim": _sim,
         "config": _config,
         "play": _play,
-    }
+    }  # fmt: skip
     argv, renamed = renew(sys.argv[1:] if argv is None else argv)
     args = make_parser(__doc__.splitlines()[0], handlers).parse_args(argv)
     setup(args.log_level, args.log_json)

@@ -1,28 +1,39 @@
-"""What `edge models …` takes, and which function does it."""
+"""The arguments of `edge models`, and which function does what."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from edge.cli.options import CONFIG, count, lazy, positive
+from edge.cli.options import CONFIG, lazy, positive, switched
 
 _CARD = "a card's name, as `edge models list` shows it"
-_NO_GATE = "keep a model that misses its parity's limits"
 
 
 def add(commands) -> None:  # type: ignore[no-untyped-def]
-    """`edge models`, with a subcommand for everything that can be done with models."""
-    models = commands.add_parser("models", help="list, fetch, make, check and change models")
+    """Add `edge models` and its actions."""
+    models = commands.add_parser("models", help="list, check, fetch, make and change models")
     actions = models.add_subparsers(required=True, metavar="ACTION", title="actions")
-    for name, (text, add_to, module, function) in _ACTIONS.items():
-        action = actions.add_parser(name, help=text, description=text)
-        add_to(action)
-        action.set_defaults(handler=lazy(f"edge.{module}", function))
+    for name, (text, add_to) in _ACTIONS.items():
+        add_to(actions.add_parser(name, help=text, description=text))
 
 
 def _list(action: argparse.ArgumentParser) -> None:
-    action.add_argument("--json", action="store_true", help="print the cards as JSON")
+    option = action.add_argument
+    option(
+        "name", nargs="?",
+        help="a card's name; default: all, with --check all whose file is there",
+    )  # fmt: skip
+    option("--json", action="store_true", help="print the cards as JSON")
+    option("--check", action="store_true", help="hash, interface and one inference of each")
+    option("--file", type=Path, help="with --check: hold this file against the card")
+    option(
+        "--timeout", type=positive, default=120.0, metavar="S",
+        help="with --check: how long each model may take before it is killed; default: %(default)g",
+    )  # fmt: skip
+    check, show = lazy("edge.models.check", "run"), lazy("edge.models.listing", "run")
+    handler = switched("--check", check, ("--file",), show, ("--json",))
+    action.set_defaults(handler=handler)
 
 
 def _pull(action: argparse.ArgumentParser) -> None:
@@ -32,6 +43,7 @@ def _pull(action: argparse.ArgumentParser) -> None:
         help="a file, a folder or a URL to try before the card's sources; may be repeated",
     )  # fmt: skip
     action.add_argument("--offline", action="store_true", help="use no network")
+    action.set_defaults(handler=lazy("edge.models.pull", "run"))
 
 
 def _export(action: argparse.ArgumentParser) -> None:
@@ -41,42 +53,25 @@ def _export(action: argparse.ArgumentParser) -> None:
         "--weights", type=Path, metavar="FILE",
         help="the .pt file, or a model's folder of Hugging Face; default: as pulled",
     )  # fmt: skip
-    option("--precision", nargs="+", metavar="P", help="of CLIP or SigLIP (default: fp32)")
+    option(
+        "--quantize", action="store_true",
+        help="make it from its FP32 file, which is here (extra `quantize`)",
+    )  # fmt: skip
+    option(
+        "--precision", nargs="+", metavar="P", help="of CLIP or SigLIP (default: fp32), or of a "
+        "vision-language model that is quantized (default: q4)",
+    )  # fmt: skip
     option("--family", help="of a folder: its cards' family; default: NAME")
     option("--license", help="of a folder: default: what its README.md says")
     option("--calibration", type=Path, metavar="DIR", help="folder of pictures (all but fp32)")
-    option("--vocabulary", type=Path, help="text embeddings (.npz)")
-    option("--no-gate", action="store_true", help=_NO_GATE)
-
-
-def _quantize(action: argparse.ArgumentParser) -> None:
-    option = action.add_argument
-    option("name", help=_CARD)
-    option("--calibration", type=Path, required=True, metavar="DIR", help="folder of pictures")
-    option("--precision", nargs="+", metavar="P", help="of a vision-language model's FP32 (q4)")
-    option("--vocabulary", type=Path, help="text embeddings (.npz); default: as `edge run` has")
-    option("--no-gate", action="store_true", help=_NO_GATE)
-
-
-def _check(action: argparse.ArgumentParser) -> None:
-    action.add_argument("name", nargs="?", help=f"{_CARD}; default: all whose file is there")
-    action.add_argument("--file", type=Path, help="hold this file against the card")
-    action.add_argument(
-        "--timeout", type=positive, default=120.0, metavar="S",
-        help="how long each model may take before it is killed; default: %(default)g",
+    option(
+        "--vocabulary", type=Path, help="text embeddings (.npz); with --quantize by default as "
+        "`edge run` has them",
     )  # fmt: skip
-
-
-def _bench(action: argparse.ArgumentParser) -> None:
-    option = action.add_argument
-    option("family", nargs="?", help="a family of cards; default: the configured detector's")
-    option("--config", default="cpu", help=f"{CONFIG} (default: %(default)s)")
-    option("--images", type=Path, metavar="DIR", help="pictures; default: frames of a house")
-    option("--frames", type=count, default=50, metavar="N", help="default: %(default)s")
-    option("--providers", metavar="LIST", help="comma-separated; default: all that are here")
-    option("--threads", type=count, metavar="N", help="default: as configured")
-    option("--json", type=Path, metavar="FILE", help="write the figures there too")
-    option("--update-cards", action="store_true", help="write the figures into the cards")
+    option("--no-gate", action="store_true", help="keep a model that misses its parity's limits")
+    export, quantize = lazy("edge.models.make", "export"), lazy("edge.models.make", "quantize")
+    of_weights = ("--weights", "--family", "--license")
+    action.set_defaults(handler=switched("--quantize", quantize, (), export, of_weights))
 
 
 def _use(action: argparse.ArgumentParser) -> None:
@@ -87,19 +82,12 @@ def _use(action: argparse.ArgumentParser) -> None:
         "--timeout", type=positive, default=600.0, metavar="S",
         help="how long to wait for the change; default: %(default)g",
     )  # fmt: skip
+    action.set_defaults(handler=lazy("edge.models.use", "run"))
 
 
 _ACTIONS = {
-    "list": ("every model card, and whether its file is there", _list, "models.listing", "run"),
-    "pull": ("fetch a model, or the weights it is made from", _pull, "models.pull", "run"),
-    "export": ("make a model file from weights (extra `export`)", _export, "models.make", "export"),
-    "quantize": ("make a variant from the FP32 file", _quantize, "models.make", "quantize"),
-    "check": ("hash, interface and one inference", _check, "models.check", "run"),
-    "bench": (
-        "compare the variants of a family on this machine",
-        _bench,
-        "lab.bench.compare",
-        "run",
-    ),
-    "use": ("change the model of a running service", _use, "models.use", "run"),
+    "list": ("every model card, and whether its file is there or sound", _list),
+    "pull": ("fetch a model, or the weights it is made from", _pull),
+    "export": ("make a model file from weights (extra `export`), or a variant of one", _export),
+    "use": ("change the model of a running service", _use),
 }

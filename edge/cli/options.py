@@ -51,7 +51,7 @@ def switched(
     """
 
     def given(args: argparse.Namespace, name: str) -> bool:
-        return bool(getattr(args, name.lstrip("-").replace("-", "_")))
+        return getattr(args, name.lstrip("-").replace("-", "_")) not in (None, False, [])
 
     def handler(args: argparse.Namespace) -> int:
         is_on = any(given(args, name) for name in option.split(" or "))

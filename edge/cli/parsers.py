@@ -16,6 +16,7 @@ from edge.cli import eval_parsers, fleet_parsers, model_parsers, requests
 from edge.cli.options import (
     CONFIG,
     Handler,
+    count,
     lazy,
     port,
     positive,
@@ -56,7 +57,6 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
         _bench,
         eval_parsers.add,
         _soak,
-        _install_service,
         _doctor,
     ):
         add(commands)
@@ -83,6 +83,17 @@ def _run(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     run.add_argument("--report", metavar="DIR", help="write a picture and a page there at the end")
     _trust(run)
     _with_parent(run)
+    install = run.add_argument_group("write a systemd unit that runs it at boot")
+    install.add_argument("--install", action="store_true", help="write it, and run nothing now")
+    install.add_argument("--name", type=unit_name, help="of the unit (default: edge)")
+    install.add_argument(
+        "--user", help="run as this user; default: one that systemd makes up, and who can read "
+        "no one's home folder"
+    )  # fmt: skip
+    install.add_argument(
+        "--out", metavar="FILE", help="write it there; `-` prints it (default: "
+        "/etc/systemd/system/NAME.service, which takes root)"
+    )  # fmt: skip
     return run
 
 
@@ -268,26 +279,40 @@ def _trajectory(commands) -> None:  # type: ignore[no-untyped-def]
 def _bench(commands) -> None:  # type: ignore[no-untyped-def]
     bench = commands.add_parser("bench", help="play a recorded run, print the latency table")
     bench.add_argument("config", nargs="?", default="cpu", help=f"{CONFIG} (default: cpu)")
-    bench.add_argument(
+    bench.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
+    service = bench.add_argument_group("the service")
+    service.add_argument(
         "--seconds", type=positive, default=60.0, metavar="N", help="default: %(default)g"
     )
-    bench.add_argument(
+    service.add_argument(
         "--enforce", action="store_true", help="exit with 1 when a figure is over its budget"
     )
-    bench.add_argument(
+    service.add_argument(
         "--calibrate", action="store_true", help="only measure this computer, once, so that it is "
         "held to budgets of its own"
     )  # fmt: skip
-    bench.add_argument("--json", metavar="FILE", help="write the figures there too")
-    bench.add_argument(
+    service.add_argument(
         "--recording", metavar="FILE", help="an MCAP file of your own; default: one that the "
         "seeded simulator makes on first use"
     )  # fmt: skip
-    bench.add_argument(
+    service.add_argument(
         "--swap", metavar="NAME", help="change to this model halfway: what that costs the loop"
     )
     _trust(bench)
-    bench.set_defaults(handler=lazy("edge.lab.bench.service", "run"))
+    models = bench.add_argument_group("models, on the same frames").add_argument
+    models(
+        "--models", nargs="?", const="", metavar="FAMILY",
+        help="compare the variants of a family; default: the configured detector's",
+    )  # fmt: skip
+    models("--images", type=Path, metavar="DIR", help="pictures; default: frames of a house")
+    models("--frames", type=count, default=50, metavar="N", help="default: %(default)s")
+    models("--providers", metavar="LIST", help="comma-separated; default: all that are here")
+    models("--threads", type=count, metavar="N", help="default: as configured")
+    models("--update-cards", action="store_true", help="write the figures into the cards")
+    of_models = ("--images", "--providers", "--threads", "--update-cards")
+    of_service = ("--enforce", "--calibrate", "--recording", "--swap", "--trust-cache")
+    compare, service_ = lazy("edge.lab.bench.compare", "run"), lazy("edge.lab.bench.service", "run")
+    bench.set_defaults(handler=switched("--models", compare, of_models, service_, of_service))
 
 
 def _soak(commands) -> None:  # type: ignore[no-untyped-def]
@@ -309,25 +334,6 @@ def _soak(commands) -> None:  # type: ignore[no-untyped-def]
         help="for the record, the logs and the page (default: ./%(default)s)",
     )  # fmt: skip
     soak.set_defaults(handler=lazy("edge.lab.eval.soak.run", "run", lab=True))
-
-
-def _install_service(commands) -> None:  # type: ignore[no-untyped-def]
-    install = commands.add_parser(
-        "install-service", help="write a systemd unit that runs the service with a configuration"
-    )
-    install.add_argument("config", help=CONFIG)
-    install.add_argument(
-        "--name", type=unit_name, default="edge", help="of the unit (default: %(default)s)"
-    )
-    install.add_argument(
-        "--user", help="run as this user; default: one that systemd makes up, and who can read "
-        "no one's home folder"
-    )  # fmt: skip
-    install.add_argument(
-        "--out", metavar="FILE", help="write it there; `-` prints it (default: "
-        "/etc/systemd/system/NAME.service, which takes root)"
-    )  # fmt: skip
-    install.set_defaults(handler=lazy("edge.cli.install_service", "run"))
 
 
 def _doctor(commands) -> None:  # type: ignore[no-untyped-def]

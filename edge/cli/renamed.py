@@ -14,6 +14,11 @@ RENAMED = {
     "fleet pause": "mission pause --fleet",
     "fleet resume": "mission resume --fleet",
     "fleet cancel": "mission cancel --fleet",
+    "install-service": "run --install",
+    "models check": "models list --check",
+    "models quantize": "models export --quantize",
+    "models bench": "bench --models",
+    "eval compare": "eval episodes --compare",
 }
 """New words by old ones. What followed the old words follows the new ones."""
 

@@ -1,7 +1,7 @@
 """Files with secrets, and the copies of them that a service manager hands over.
 
 `LoadCredential=NAME:FILE` (systemd.exec(5)) gives a service a copy of a file that root alone can
-read, whoever its user is: one that is made up at each start, too. `edge install-service` writes
+read, whoever its user is: one that is made up at each start, too. `edge run --install` writes
 such lines.
 """
 

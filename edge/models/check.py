@@ -1,4 +1,4 @@
-"""`edge models check`: is a model's file whole, what its card says, and of sound answers?
+"""`edge models list --check`: is a model's file whole, what its card says, and of sound answers?
 
 A model that runs here is loaded and run in a process of its own, this module's program: one that
 never ends, or that ends its process, costs one line.
@@ -55,14 +55,14 @@ _VIEW_HWC = (480, 640, 3)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge models check`; 1 when a model is not sound.
+    """Handle `edge models list --check`; 1 when a model is not sound.
 
     Raises:
         ModelError: no such card, or a card that has no file was named with one.
     """
     if args.file is not None:
         if args.name is None:
-            raise ModelError("models check: --file needs the NAME of the card it is held against")
+            raise ModelError("--file needs the NAME of the card it is held against")
         return _report([(with_file(args.name), args.file)], args.timeout)
     if args.name is not None:
         return _report([(card, None) for card in cards_of(args.name)], args.timeout)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 from edge.perception.runtime.card_types import ChoiceCard, EmbeddingParity, FileCard
-from edge.perception.runtime.cards import Card, all_cards, made_parity
+from edge.perception.runtime.cards import Card, all_cards, load_card, made_parity
 from edge.text import aligned, one_line, without_secrets
 
 _HEADINGS = ("name", "task", "input", "precision", "licence", "file", "parity")
@@ -15,23 +16,24 @@ _HEADINGS = ("name", "task", "input", "precision", "licence", "file", "parity")
 
 def run(args: argparse.Namespace) -> int:
     """Handle `edge models list`."""
-    print(as_json() if args.json else as_table())
+    cards = all_cards() if args.name is None else [load_card(args.name)]
+    print(as_json(cards) if args.json else as_table(cards))
     return 0
 
 
-def as_json() -> str:
+def as_json(cards: Iterable[Card]) -> str:
     """Every card with where its file, or the first of them, is (null: they are not all here, or
     the card has none)."""
     rows = []
-    for card in all_cards():
+    for card in cards:
         path = _path(card)
         rows.append({**card.model_dump(), "path": None if path is None else str(path)})
     return json.dumps(without_secrets(rows), indent=2)
 
 
-def as_table() -> str:
-    """A table of all cards, ready to print."""
-    rows = [_HEADINGS, *(_row(card) for card in all_cards())]
+def as_table(cards: Iterable[Card]) -> str:
+    """A table of cards, ready to print."""
+    rows = [_HEADINGS, *map(_row, cards)]
     if len(rows) == 1:
         return "no model cards"
     return aligned(rows)

@@ -1,4 +1,4 @@
-"""`edge models export` and `quantize`: make a model file, in a process of its own."""
+"""`edge models export`: make a model file, in a process of its own."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def export(args: argparse.Namespace) -> int:
 
 
 def quantize(args: argparse.Namespace) -> int:
-    """Handle `edge models quantize`, which needs no torch; the exit code is the exporter's.
+    """Handle `edge models export --quantize`, without torch; the exit code is the exporter's.
 
     Of a card that is derived from another; or of a vision-language model's FP32, whose variants
     get cards.
@@ -84,16 +84,19 @@ def quantize(args: argparse.Namespace) -> int:
         args.precision = args.precision or [_CHOICE_PRECISION]
         return _run_exporters(named.name, args, cards=_folder_of(named))
     if args.precision:
-        raise ModelError(f"models quantize: {args.name}: its card names its precision already")
+        raise ModelError(
+            f"models export --quantize: {args.name}: its card names its precision already"
+        )
     card = with_file(args.name)
     if card.derived_from is None:
         raise ModelError(
-            f"models quantize: {card.name} is not derived from another model; {how_to_make(card)}"
+            f"models export --quantize: {card.name} is not derived from another model; "
+            f"{how_to_make(card)}"
         )
     if not isinstance(card, DetectCard):
         raise ModelError(
-            f"models quantize: {card.name} is no detector; make it from its model's folder: `edge "
-            f"models export NAME --weights FOLDER --precision {card.precision}`"
+            f"models export --quantize: {card.name} is no detector; make it from its model's "
+            f"folder: `edge models export NAME --weights FOLDER --precision {card.precision}`"
         )
     verify_model(load_card(card.derived_from))
     need_modules("quantize", _QUANTIZE_NEEDS)
@@ -159,11 +162,11 @@ def _run_exporters(name: str, args: argparse.Namespace, **files: Path | None) ->
         "vocabulary": files.get("vocabulary"),
         "cache": resources.models_dir(),
         "cards": files.get("cards"),
-        "family": getattr(args, "family", None),
-        "license": getattr(args, "license", None),
+        "family": args.family,
+        "license": args.license,
     }
     given = [(f"--{key}", str(value)) for key, value in options.items() if value is not None]
-    precision = ["--precision", *args.precision] if getattr(args, "precision", None) else []
+    precision = ["--precision", *args.precision] if args.precision else []
     gate = ["--no-gate"] if args.no_gate else []
     command = [*python_module("exporters"), name, *sum(given, ()), *precision, *gate]
     return subprocess.run(command, check=False).returncode

@@ -50,7 +50,7 @@ def children() -> int:
 @pytest.mark.parametrize("how", [ENDLESS["always"], *LYING.values()], ids=str)
 def test_models_check_refuses_it_in_one_line(put, capsys, how):
     put("hostile", **how)
-    assert main(["models", "check", "hostile", "--timeout", "5"]) == 1
+    assert main(["models", "list", "--check", "hostile", "--timeout", "5"]) == 1
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert children() == 0
@@ -59,7 +59,15 @@ def test_models_check_refuses_it_in_one_line(put, capsys, how):
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_models_check_of_an_endless_model_ends_when_told_to(put, number):
     put("hostile", **ENDLESS["always"])
-    command = [*python_module("edge.cli"), "models", "check", "hostile", "--timeout", "1e6"]
+    command = [
+        *python_module("edge.cli"),
+        "models",
+        "list",
+        "--check",
+        "hostile",
+        "--timeout",
+        "1e6",
+    ]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as checking:
         try:
             (child,) = eventually(lambda: descendants(checking.pid))

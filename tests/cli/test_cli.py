@@ -107,7 +107,7 @@ def fails(capsys, *words: str, code: int) -> str:
         "play nowhere.mcap demo --report report",
         "mission explain bed --draw bed.svg",
         "eval episodes demo",
-        "eval compare nowhere",
+        "eval episodes --compare nowhere",
         "trajectory nowhere straight",
         "soak",
     ],

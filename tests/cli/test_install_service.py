@@ -257,11 +257,11 @@ def test_a_checkpoint_must_lie_where_the_service_can_write(checkpoint, is_taken,
 
 def test_the_command_writes_it_and_says_what_comes_next(private, tmp_path, capsys):
     me, out = pwd.getpwuid(os.getuid()).pw_name, tmp_path / "edge.service"
-    words = ["install-service", str(private), "--user", me, "--out"]
+    words = ["run", "--install", str(private), "--user", me, "--out"]
     assert main([*words, str(out)]) == 0
     said = capsys.readouterr().out
     assert "systemctl enable --now edge" in said
-    assert "models check" not in said, "the simulator's detector is no model"
+    assert "models list" not in said, "the simulator's detector is no model"
     assert main([*words, "-"]) == 0
     assert capsys.readouterr().out == out.read_text()
     assert str(private) in out.read_text()
@@ -270,5 +270,5 @@ def test_the_command_writes_it_and_says_what_comes_next(private, tmp_path, capsy
 @pytest.mark.parametrize("name", ["", "../x", "a b", "-x", "a%i"])
 def test_a_name_that_no_unit_may_have_is_refused(name, capsys):
     with pytest.raises(SystemExit) as caught:
-        main(["install-service", "demo", f"--name={name}"])
+        main(["run", "--install", "demo", f"--name={name}"])
     assert caught.value.code == os.EX_USAGE

@@ -68,21 +68,23 @@ def test_from_a_published_folder_to_the_running_service(
     desk, robot = tmp_path / "desk" / "models", tmp_path / "robot" / "models"
     robot.mkdir(parents=True)
 
-    def says(where, *words, code=os.EX_OK):
-        process = edge("models", *words, EDGE_CACHE_DIR=str(where.parent))
+    def says(where, *words, code=os.EX_OK, of="models"):
+        process = edge(of, *words, EDGE_CACHE_DIR=str(where.parent))
         assert process.wait() == code, process.output
         return process.output
 
     says(desk, "export", "my-vlm", "--weights", published)
     shutil.copy(desk / "my-vlm-fp32.yaml", robot)
-    assert "run `edge models pull" in says(robot, "check", "my-vlm-fp32", code=1)
+    assert "run `edge models pull" in says(robot, "list", "--check", "my-vlm-fp32", code=1)
     pulled = says(robot, "pull", "my-vlm-fp32", "--from", serve(desk / "my-vlm"))
     card = yaml.safe_load((robot / "my-vlm-fp32.yaml").read_text())
     assert pulled.count("from now on") == 3 + len(card["others"])
-    assert "my-vlm-fp32: ok (hashes of " in says(robot, "check", "my-vlm-fp32")
+    assert "my-vlm-fp32: ok (hashes of " in says(robot, "list", "--check", "my-vlm-fp32")
 
     how = ["--calibration", pictures, "--no-gate"]
-    told = says(robot, "quantize", "my-vlm-fp32", "--precision", "q4", "int8", "q4f16", *how)
+    told = says(
+        robot, "export", "--quantize", "my-vlm-fp32", "--precision", "q4", "int8", "q4f16", *how
+    )
     assert "my-vlm-q4 against my-vlm-fp32:" in told
     made = yaml.safe_load((robot / "my-vlm-q4.yaml").read_text())
     assert made["derived_from"] == "my-vlm-fp32"
@@ -93,13 +95,13 @@ def test_from_a_published_folder_to_the_running_service(
     assert figures["share_error"] < 0.3
     whole, small = (robot / "my-vlm" / some["decoder"]["file"] for some in (card, made))
     assert small.stat().st_size < 0.7 * whole.stat().st_size
-    assert "my-vlm-q4: ok (hashes of " in says(robot, "check", "my-vlm-q4")
+    assert "my-vlm-q4: ok (hashes of " in says(robot, "list", "--check", "my-vlm-q4")
     for precision in ("int8", "q4f16"):
         name = f"my-vlm-{precision}"
-        assert f"{name}: ok (hashes of " in says(robot, "check", name)
+        assert f"{name}: ok (hashes of " in says(robot, "list", "--check", name)
 
     bench = ["--images", pictures, "--frames", "2", "--threads", "1", "--providers", "cpu"]
-    table = says(robot, "bench", "my-vlm", *bench)
+    table = says(robot, "--models", "my-vlm", *bench, of="bench")
     for name in ("my-vlm-fp32", "my-vlm-q4", "my-vlm-int8", "my-vlm-q4f16"):
         assert re.search(rf"^{name} +cpu +\d", table, re.MULTILINE), table
 
@@ -134,7 +136,7 @@ def test_what_cannot_be_quantized_is_one_line(edge, pictures, tmp_path):
         ("my-vlm-fp16", "q4", "my-vlm-fp16: is fp16; variants are made of an FP32 model"),
         ("blind-fp32", "q4", "blind-fp32: has no eyes; variants are made of an FP32 model"),
     ]:
-        words = ("quantize", name, "--precision", precision, "--calibration", pictures)
+        words = ("export", "--quantize", name, "--precision", precision, "--calibration", pictures)
         process = edge("models", *words, **own)
         assert process.wait() == 1, process.output
         assert process.lines[-1].startswith(f"error: {why}"), process.output

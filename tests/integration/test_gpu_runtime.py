@@ -3,7 +3,7 @@
     pip install edge-vln[gpu,tensorrt] && pytest tests/integration/test_gpu_runtime.py -m ''
 
 The network is made here, of convolutions with a text input like a detector's, so that no weights
-are needed; int8 and the real weights are `edge models bench`'s part.
+are needed; int8 and the real weights are `edge bench --models`'s part.
 """
 
 from __future__ import annotations

@@ -215,7 +215,7 @@ def test_a_real_server_finds_what_is_found_here_and_may_come_and_go(server, caps
                 np.testing.assert_allclose(answer.score, wanted.score, atol=1e-4)
                 np.testing.assert_allclose(answer.xyxy_px, wanted.xyxy_px, atol=0.05)
                 assert there.health() == ("ok", "")
-                assert main(["models", "check", "far"]) == 0
+                assert main(["models", "list", "--check", "far"]) == 0
                 assert f"tensors go as {'bytes' if binary else 'JSON'}" in capsys.readouterr().out
             there._next_s = 0.0
             assert found() is None

@@ -1,4 +1,4 @@
-"""`edge models check` on small models written as ONNX's text, sound and unsound."""
+"""`edge models list --check` on small models written as ONNX's text, sound and unsound."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def put(put_card):
 
 def check(capsys, *words):
     """(exit code, lines of stdout, lines of stderr)."""
-    code = main(["models", "check", *map(str, words)])
+    code = main(["models", "list", "--check", *map(str, words)])
     out, err = capsys.readouterr()
     return code, out.splitlines(), err.splitlines()
 
@@ -107,7 +107,7 @@ def test_a_scorer_is_checked_by_its_parts(put, put_card, capsys):
     put_card(scorer | {"image_encoder": "image", "text_encoder": "text"})
     code, out, _ = check(capsys, "clip")
     assert (code, len(out)) == (0, 2)
-    assert main(["models", "check", "clip", "--file", "x.onnx"]) == os.EX_UNAVAILABLE
+    assert main(["models", "list", "--check", "clip", "--file", "x.onnx"]) == os.EX_UNAVAILABLE
     assert "has no file of its own, it uses image and text" in capsys.readouterr().err
 
 
@@ -139,7 +139,10 @@ def test_an_unsound_model_is_one_line(put, capsys, task, change, message):
 def test_what_onnxruntime_says_in_no_known_letters_is_one_line(put, capfd):
     path = put("detect")
     path.write_bytes(path.read_bytes().replace(b"Sigmoid", b"Sig\xd3oid"))
-    assert main(["models", "check", "detect", "--file", str(path.rename(f"{path}.bad"))]) == 1
+    assert (
+        main(["models", "list", "--check", "detect", "--file", str(path.rename(f"{path}.bad"))])
+        == 1
+    )
     out, err = capfd.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert "onnxruntime cannot load it" in err

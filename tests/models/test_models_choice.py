@@ -47,20 +47,22 @@ def change_card(**changes):
 
 
 def says(capsys, *args, code=0):
-    assert main(["models", *args]) == code
+    assert main([*([] if args[0] == "bench" else ["models"]), *args]) == code
     out, err = capsys.readouterr()
     return out + err
 
 
 def test_from_a_folder_to_a_sound_model(published, capsys):
     assert "missing" in next(line for line in says(capsys, "list").splitlines() if "tiny" in line)
-    assert "run `edge models pull tiny --from FOLDER`" in says(capsys, "check", "tiny", code=1)
+    assert "run `edge models pull tiny --from FOLDER`" in says(
+        capsys, "list", "--check", "tiny", code=1
+    )
     lines = says(capsys, "pull", "tiny", "--from", str(published)).splitlines()
     card = load_card("tiny")
     assert len(lines) == len(card.parts) == 9
     assert all("from now on" in line for line in lines)
     assert card.is_here()
-    checked = says(capsys, "check", "tiny")
+    checked = says(capsys, "list", "--check", "tiny")
     assert "tiny: ok (hashes of 9 files, interface, template, tokens; of noise: A 0." in checked
     assert " MB" in next(line for line in says(capsys, "list").splitlines() if "tiny" in line)
     (row,) = (row for row in json.loads(says(capsys, "list", "--json")) if row["name"] == "tiny")
@@ -74,7 +76,7 @@ def test_the_hash_of_the_first_pull_counts_from_then_on(published, capsys):
     kept = load_card("tiny").path / DECODER
     sound = kept.read_bytes()
     kept.write_bytes(sound[:-1] + b"?")
-    assert "damaged or another model" in says(capsys, "check", "tiny", code=1)
+    assert "damaged or another model" in says(capsys, "list", "--check", "tiny", code=1)
     (published / DECODER).write_bytes(sound[:-1] + b"!")  # the publisher has another one now
     refused = says(capsys, "pull", "tiny", "--from", str(published), code=69)
     assert "sha256 is" in refused
@@ -128,11 +130,11 @@ def test_a_page_in_the_place_of_a_file_is_refused(published, capsys):
 )
 def test_a_card_that_cannot_be(published, capsys, change, says_so):
     change_card(**change)
-    assert says_so in says(capsys, "check", "tiny", code=69)
+    assert says_so in says(capsys, "list", "--check", "tiny", code=69)
 
 
 def test_it_has_no_single_file(published, capsys):
-    said = says(capsys, "check", "tiny", "--file", str(published / DECODER), code=69)
+    said = says(capsys, "list", "--check", "tiny", "--file", str(published / DECODER), code=69)
     assert "tiny': has several files" in said
 
 
@@ -162,7 +164,7 @@ def test_variants_are_compared_on_the_same_views(tmp_path, monkeypatch, capsys):
         picture = np.random.default_rng(k).integers(0, 255, (120, 160, 3), np.uint8)
         cv2.imwrite(str(pictures / f"{k}.png"), picture)
     told = says(
-        capsys, "bench", "smolvlm", "--images", str(pictures), "--threads", "1",
+        capsys, "bench", "--models", "smolvlm", "--images", str(pictures), "--threads", "1",
         "--providers", "cpu", "--json", str(tmp_path / "out.json"),
     )  # fmt: skip
     reference, half, missing = json.loads((tmp_path / "out.json").read_text())
@@ -176,7 +178,7 @@ def test_variants_are_compared_on_the_same_views(tmp_path, monkeypatch, capsys):
 
 
 def test_cards_of_models_that_choose_keep_no_figures(published, capsys):
-    said = says(capsys, "bench", "smolvlm", "--update-cards", code=os.EX_DATAERR)
+    said = says(capsys, "bench", "--models", "smolvlm", "--update-cards", code=os.EX_DATAERR)
     assert "--update-cards: cards keep figures of detectors only" in said
 
 
@@ -226,7 +228,7 @@ def test_the_small_scorer_is_listed_beside_the_detectors_of_its_family(
 ):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     told = says(
-        capsys, "bench", "mini-house", "--config", "demo", "--frames", "4", "--providers", "cpu",
+        capsys, "bench", "--models", "mini-house", "demo", "--frames", "4", "--providers", "cpu",
         "--threads", "1", "--json", str(tmp_path / "out.json"),
     )  # fmt: skip
     kept = json.loads((tmp_path / "out.json").read_text())

@@ -35,6 +35,7 @@ CHOICE = {
     "folder": "vlm", "decoder": {"file": "onnx/decoder.onnx"}, "others": [],
 }  # fmt: skip
 SCORER = {"name": "s", "family": "f", "task": "similarity", "license": "MIT", "detector": "big"}
+QUANTIZE = ["export", "--quantize"]
 
 
 @pytest.fixture
@@ -78,7 +79,7 @@ def test_weights_that_were_pulled_are_exported(started):
 def test_a_variant_is_made_of_the_original_that_is_here(started, tmp_path, monkeypatch):
     monkeypatch.setattr(make, "verify_model", lambda card: None)
     words = ["--calibration", "pictures", "--vocabulary", "words.npz"]
-    assert main(["models", "quantize", "small", *words]) == 0
+    assert main(["models", "export", "--quantize", "small", *words]) == 0
     (line,) = started
     assert line[4:-4] == ["exporters", "small", *words]
 
@@ -89,7 +90,7 @@ def test_a_variant_is_made_of_the_original_that_is_here(started, tmp_path, monke
 )
 def test_variants_of_a_language_model_are_made_of_its_fp32(started, monkeypatch, given, told):
     monkeypatch.setattr(make, "verify_parts", lambda card: None)
-    words = ["quantize", "vlm-fp32", "--calibration", "pictures"]
+    words = ["export", "--quantize", "vlm-fp32", "--calibration", "pictures"]
     assert main(["models", *words, *given]) == 0
     cards = ["--cards", str(resources.data_dir("models"))]
     assert started[0][5:9] == ["vlm-fp32", "--calibration", "pictures", "--cache"]
@@ -98,7 +99,7 @@ def test_variants_of_a_language_model_are_made_of_its_fp32(started, monkeypatch,
 
 def test_a_card_that_names_its_precision_is_not_told_another(started, capsys):
     words = ["--calibration", "p", "--precision", "int8"]
-    assert main(["models", "quantize", "small", *words]) == os.EX_UNAVAILABLE
+    assert main(["models", "export", "--quantize", "small", *words]) == os.EX_UNAVAILABLE
     assert "small: its card names its precision already" in capsys.readouterr().err
     assert started == []
 
@@ -110,7 +111,7 @@ def test_a_models_folder_needs_no_card(started, tmp_path):
     assert started[0][5:] == ["new", *folders, *words[3:], *words[:3]]
 
 
-@pytest.mark.parametrize("words", [["export", "--weights", "w.pt"], ["quantize"]])
+@pytest.mark.parametrize("words", [["export", "--weights", "w.pt"], ["export", "--quantize"]])
 @pytest.mark.parametrize("gate", [[], ["--no-gate"]])
 def test_a_model_below_its_limits_is_kept_on_request(started, monkeypatch, words, gate):
     monkeypatch.setattr(make, "verify_model", lambda card: None)
@@ -164,7 +165,10 @@ def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys,
     ],
 )
 def test_what_cannot_be_quantized(started, capsys, name, message):
-    assert main(["models", "quantize", name, "--calibration", "pictures"]) == os.EX_UNAVAILABLE
+    assert (
+        main(["models", "export", "--quantize", name, "--calibration", "pictures"])
+        == os.EX_UNAVAILABLE
+    )
     assert message in capsys.readouterr().err
     assert started == []
 
@@ -178,9 +182,9 @@ def test_what_cannot_be_quantized(started, capsys, name, message):
             "'edge-vln.export.', then pip install --no-deps ultralytics$",
         ),
         ("onnxruntime", ["export", "--weights", "w.pt"], "onnxruntime .*'edge-vln.cpu,export.'"),
-        ("onnxruntime", ["quantize"], "onnxruntime not installed here: .*'edge-vln.cpu,quantize.'"),
-        ("onnx", ["quantize"], "onnx not installed here: pip install 'edge-vln.quantize.'"),
-        ("torch", ["quantize"], None),
+        ("onnxruntime", QUANTIZE, "onnxruntime not installed here: .*'edge-vln.cpu,quantize.'"),
+        ("onnx", QUANTIZE, "onnx not installed here: pip install 'edge-vln.quantize.'"),
+        ("torch", QUANTIZE, None),
     ],
 )  # fmt: skip
 def test_what_is_not_installed_is_named(started, monkeypatch, capsys, lacking, words, said):

@@ -38,7 +38,7 @@ def far(tmp_path, monkeypatch):
 def test_check_asks_the_server(far, capsys, binary, how):
     with serving(KServe(model, binary)) as server:
         far(server.url)
-        assert main(["models", "check", "far"]) == 0
+        assert main(["models", "list", "--check", "far"]) == 0
     said = f"far: ok (on {server.url}, interface, 9 boxes, finite; tensors go as {how})\n"
     assert capsys.readouterr().out.startswith(said)
 
@@ -57,7 +57,7 @@ def test_check_asks_the_server(far, capsys, binary, how):
 def test_check_tells_of_a_model_that_is_none(far, capsys, run, why):
     with serving(KServe(run)) as server:
         far(server.url)
-        assert main(["models", "check", "far"]) == 1
+        assert main(["models", "list", "--check", "far"]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert server.url in line
     assert why in line

@@ -250,7 +250,9 @@ def test_a_trusted_cache_is_believed_until_the_file_is_written(place, hashed, mo
     flip_a_byte(card.path)
     load()
     assert len(hashed) == 1
-    with pytest.raises(cards.ModelError, match="damaged"):  # `models check` and the doctor look
+    with pytest.raises(
+        cards.ModelError, match="damaged"
+    ):  # `models list --check` and the doctor look
         cards.verify_model(card)
     os.utime(card.path, ns=(1, 1))
     with pytest.raises(cards.ModelError, match="damaged"):

@@ -132,7 +132,7 @@ def test_a_card_of_another_task(put):
 @pytest.mark.parametrize("layout", tiny_sam.LAYOUTS)
 def test_both_files_are_checked(put, capsys, layout):
     put(layout)
-    assert main(["models", "check", layout]) == 0
+    assert main(["models", "list", "--check", layout]) == 0
     features, masks = capsys.readouterr().out.splitlines()
     assert features.startswith(f"{layout}: ok (hash, interface, features (1, ")
     assert masks.startswith(f"{layout}: ok (hash, interface, masks (1, ")
@@ -142,7 +142,7 @@ def test_a_damaged_decoder_is_told(put, capsys):
     card = put("nano-sam")
     path = resources.models_dir() / card["decoder"]["file"]
     path.write_bytes(path.read_bytes() + b"\0")
-    assert main(["models", "check", "nano-sam"]) == 1
+    assert main(["models", "list", "--check", "nano-sam"]) == 1
     told = capsys.readouterr().err
     assert str(path) in told
     assert "damaged or another model" in told

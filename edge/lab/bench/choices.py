@@ -83,16 +83,16 @@ def families() -> list[str]:
     return sorted({card.family for card in all_cards() if isinstance(card, DirectionsCard)})
 
 
-def run(args: argparse.Namespace, pictures: Frames) -> int:
+def run(family: str, args: argparse.Namespace, pictures: Frames) -> int:
     """Compare the models of a family that has no other, print, keep; 1 when nothing could run.
 
     Raises:
         UserError: an option cannot be used.
     """
-    rows = compare(args.family, args, pictures)
+    rows = compare(family, args, pictures)
     print(machine.summary(machine.describe()))
-    print(as_text(args.family, rows, pictures))
-    path = _keep(args.family, rows)
+    print(as_text(family, rows, pictures))
+    path = _keep(family, rows)
     if args.json is not None:
         save(args.json, json.dumps(rows, indent=1).encode())
     print(f"kept in {path}")

@@ -37,18 +37,18 @@ _LIMIT = f"{LOAD_TIMEOUT_S:g} s and a bit for each frame"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge models bench`: compare, print, keep; 1 when nothing could run.
+    """Handle `edge bench --models`: compare, print, keep; 1 when nothing could run.
 
     Raises:
         UserError: an option, the configuration or the world cannot be used.
     """
     config = load(args.config)
-    family = _family(args.family, config)
+    family = _family(args.models, config)
     chooses = family in choices.families()
     if chooses and family not in families():
         if args.update_cards:
-            raise UserError("models bench: --update-cards: cards keep figures of detectors only")
-        return choices.run(args, _pictures(args, config))
+            raise UserError("bench --models: --update-cards: cards keep figures of detectors only")
+        return choices.run(family, args, _pictures(args, config))
     todo = variants(family, providers_here(args.providers))
     sizes = [(v.card.input.height, v.card.input.width) for v in todo if v.card.is_here()]
     pictures = _pictures(args, config, sizes)
@@ -74,9 +74,9 @@ def _pictures(
     return frames.from_world(config, args.frames, inputs_hw)
 
 
-def _family(asked: str | None, config: Config) -> str:
+def _family(asked: str, config: Config) -> str:
     """The family that was asked for, else that of the configured model."""
-    if asked is not None:
+    if asked:
         return asked
     detector = config.perception.detector
     if isinstance(detector, DetectorOnnx):
@@ -129,7 +129,7 @@ def compare(
     resolve = make_text_encoder(todo[0].card, settings.vocabulary).resolve
     prompts, unknown = frames.prompts_for(pictures.labels, resolve)
     if not prompts:
-        raise UserError("models bench: the text encoder knows nothing of what is in the frames")
+        raise UserError("bench --models: the text encoder knows nothing of what is in the frames")
     # The configured model's background may be foreign to another family's encoder.
     background = tuple(frames.words_for(settings.background, resolve))
     settings = settings.model_copy(update={"background": background})

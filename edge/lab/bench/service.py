@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         verdict = "ok  " if value <= limit else "OVER"
         print(f"{verdict}  {name:24} {value:9.2f} {unit}   (budget {limit:.3g} {unit})")
     if args.json:
-        Path(args.json).write_text(json.dumps(figures, indent=1), encoding="utf-8")
+        args.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")
     over = any(value > limit for value, _, limit in figures["verdicts"].values())
     return 1 if over and args.enforce else 0
 

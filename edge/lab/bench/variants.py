@@ -51,7 +51,7 @@ def variants(family: str, ons: Sequence[str]) -> list[Variant]:
     cards = [c for c in all_cards() if isinstance(c, DetectCard) and c.family == family]
     if not cards:
         choices = ", ".join(families()) or "none"
-        raise UserError(f"models bench: no detector of family {family!r} (choices: {choices})")
+        raise UserError(f"bench --models: no detector of family {family!r} (choices: {choices})")
     cards.sort(key=lambda c: (c.input.height * c.input.width, _PRECISIONS.index(c.precision)))
     return [
         Variant(card, on) for on in PROVIDERS if on in ons for card in cards if runs_on(card, on)
@@ -79,7 +79,7 @@ def providers_here(asked: str | None) -> list[str]:
     for word in wanted:
         if word not in here:
             raise UserError(
-                f"models bench: --providers: {word!r} is not here (choices: {', '.join(here)})"
+                f"bench --models: --providers: {word!r} is not here (choices: {', '.join(here)})"
             )
     return wanted
 

@@ -1,4 +1,4 @@
-"""`edge models bench`: the statistics, the ground truth, and the command with tiny models."""
+"""`edge bench --models`: the statistics, the ground truth, and the command with tiny models."""
 
 from __future__ import annotations
 
@@ -326,7 +326,7 @@ def place(tmp_path, monkeypatch):
 
 
 def bench(*words):
-    return cli.main(["models", "bench", *words, "--frames", "2"])
+    return cli.main(["bench", "--models", *words, "--frames", "2"])
 
 
 def test_without_cards_it_says_which_families_there_are(place, capsys, tmp_path):
@@ -335,9 +335,10 @@ def test_without_cards_it_says_which_families_there_are(place, capsys, tmp_path)
     assert bench("tiny") == os.EX_DATAERR
     assert "'tiny' (choices: none)" in capsys.readouterr().err
     place("tiny-fp32", None)
-    assert bench("other", "--config", "demo") == os.EX_DATAERR
+    assert bench("other", "demo") == os.EX_DATAERR
     assert "'other' (choices: tiny)" in capsys.readouterr().err
-    assert bench("--config", str(simulated)) == os.EX_DATAERR  # its detector is no model
+    words = ["bench", str(simulated), "--models"]
+    assert cli.main(words) == os.EX_DATAERR  # its detector is no model
     assert "name a family (choices: tiny)" in capsys.readouterr().err
     assert bench("tiny", "--providers", "cpu,tpu") == os.EX_DATAERR
     assert "'tpu' is not here (choices: cpu" in capsys.readouterr().err
@@ -346,7 +347,7 @@ def test_without_cards_it_says_which_families_there_are(place, capsys, tmp_path)
 def test_where_nothing_can_run_every_row_says_why_and_the_exit_code_is_1(place, capsys):
     place("tiny-fp32", None)
     place("tiny-fp16", b"no model", "fp16")
-    assert bench("tiny", "--providers", "CPUExecutionProvider", "--config", "demo") == 1
+    assert bench("tiny", "--providers", "CPUExecutionProvider", "demo") == 1
     out = capsys.readouterr().out
     assert "not here: run `edge models export tiny-fp32`" in out
     assert "failed: " in out
@@ -360,7 +361,7 @@ def test_every_variant_is_a_row_of_its_own_kept_and_written_to_its_card(place, t
     place("tiny-int8-cpu", model_bytes(-1.5), "int8-cpu")
     place("tiny-int8-trt", None, "int8-trt")
     kept = tmp_path / "out" / "figures.json"
-    options = ("--config", "demo", "--json", str(kept), "--update-cards", "--threads", "1")
+    options = ("demo", "--json", str(kept), "--update-cards", "--threads", "1")
     assert bench("tiny", *options, "--providers", "cpu") == 0
     kept_report = json.loads(kept.read_text())
     fp32, crashed, int8, missing = kept_report["rows"]

@@ -1,4 +1,4 @@
-"""`edge eval compare`: what lies in a folder of outcomes, as tables, plots and one page."""
+"""`edge eval episodes --compare`: a folder of outcomes as tables, plots and one page."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ CSV_NAME, JSON_NAME, PAGE_NAME = "results.csv", "results.json", "comparison.html
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge eval compare`.
+    """Handle `edge eval episodes --compare`.
 
     Raises:
         UserError: there are no outcomes, or no such column; a file cannot be read or written.
     """
-    comparison, drawings = compare_folder(args.out, args.baseline)
+    comparison, drawings = compare_folder(args.compare, args.baseline)
     print(text(comparison))
     content = {
         CSV_NAME: tables.to_csv(comparison),
         JSON_NAME: tables.to_json(comparison),
-        PAGE_NAME: page.html(comparison, drawings, args.out.resolve().name, machine()).encode(),
+        PAGE_NAME: page.html(comparison, drawings, args.compare.resolve().name, machine()).encode(),
     }
     try:
         for name, data in content.items():
-            write_atomically(args.out / name, data)
-        paths = plots.write(comparison, args.out, ("svg", "png"))
+            write_atomically(args.compare / name, data)
+        paths = plots.write(comparison, args.compare, ("svg", "png"))
     except OSError as error:
-        raise FileError(f"{args.out}: {error.strerror or error}") from None
-    print("\n".join(map(str, ["", *(args.out / name for name in content), *paths])))
+        raise FileError(f"{args.compare}: {error.strerror or error}") from None
+    print("\n".join(map(str, ["", *(args.compare / name for name in content), *paths])))
     return 0
 
 

@@ -1,4 +1,4 @@
-"""`edge eval compare` on a folder, from its files to its page."""
+"""`edge eval episodes --compare` on a folder, from its files to its page."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def write(folder, lines) -> None:
 
 
 def test_a_folder_is_compared(folder, capsys):
-    assert main(["eval", "compare", str(folder), "--baseline", "slow"]) == 0
+    assert main(["eval", "episodes", "--compare", str(folder), "--baseline", "slow"]) == 0
     printed = capsys.readouterr().out
     for words in ("Against slow, paired", "Where the rest of the SPL goes", "By target",
                   str(folder / "comparison.html")):  # fmt: skip
@@ -77,7 +77,7 @@ def test_the_worlds_tell_their_rooms(folder):
 )
 def test_what_cannot_be_compared_is_told_in_a_line(folder, capsys, spoil, options, code, words):
     spoil(folder)
-    assert main(["eval", "compare", str(folder), *options]) == code
+    assert main(["eval", "episodes", "--compare", str(folder), *options]) == code
     said = [line for line in capsys.readouterr().err.splitlines() if "worlds" not in line]
     assert len(said) == 1
     assert words in said[0]
