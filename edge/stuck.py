@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from edge.geometry import SE2, wrap_angle
 
+STUCK_M = 0.05
 # Turning on the spot is moving too: this much of it counts like `stuck_m`.
 TURN_RAD = 0.2
 
@@ -15,7 +16,7 @@ class StuckDetector:
     afresh: a robot that is held up may be given one goal after another, with pauses between.
     """
 
-    def __init__(self, stuck_s: float, stuck_m: float) -> None:
+    def __init__(self, stuck_s: float, stuck_m: float = STUCK_M) -> None:
         self._wait_ns = int(stuck_s * 1e9)
         self._stuck_m = stuck_m
         self.reset()

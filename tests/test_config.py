@@ -13,6 +13,8 @@ from simulated import simulated
 
 from edge import config
 from edge.config import Config, ConfigError, Mapping, Robot, load, parse
+from edge.config.explain import models_in
+from edge.config.removed import REMOVED
 from edge.config.yaml_text import parse_yaml
 from edge.geometry import MIN_FOCAL
 from edge.host import resources
@@ -191,6 +193,30 @@ FAULTS = [
     ),
     ({1: 2}, "f.yaml: 1: keys should be strings"),
 ]
+
+
+GONE = ": this key is gone, its value is not used"
+
+
+def test_a_file_with_a_key_that_was_removed_is_read_with_a_warning(write, caplog):
+    data = {**SIM, "mapping": {"clear_after": 3, "range_m": 4.0}, "report": {"frames": 3}}
+    path = write(yaml.safe_dump(data))
+    assert load(path, {"EDGE__MOTION__STUCK_M": "0.1"}).mapping.range_m == 4.0
+    assert [record.message for record in caplog.records] == [
+        f"{path}: mapping.clear_after{GONE}",
+        f"{path}: report.frames{GONE}",
+        f"environment EDGE__MOTION__STUCK_M: motion.stuck_m{GONE}",
+    ]
+
+
+@pytest.mark.parametrize("key", sorted(REMOVED))
+def test_a_key_that_was_removed_is_no_key_of_its_section(key):
+    *sections, leaf = key.split(".")
+    models = [Config]
+    for name in sections:
+        models = models_in(models[0].model_fields[name].annotation)
+    assert models
+    assert all(leaf not in model.model_fields for model in models)
 
 
 SERVER = {"kind": "text", "url": "http://localhost:1", "model": "m"}

@@ -130,10 +130,8 @@ class Loop(Section):
 
 
 class Report(Section):
-    """`frames`: how many images a run's report shows; `status_hz` and `map_hz`: how often the
-    sink `zenoh` publishes these two."""
+    """`status_hz` and `map_hz`: how often the sink `zenoh` publishes these two."""
 
-    frames: Annotated[int, Field(ge=0, le=100)] = 8
     status_hz: Positive = 1.0
     map_hz: Positive = 2.0
 

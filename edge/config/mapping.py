@@ -30,14 +30,7 @@ class Mapping(Section):
     inflation_m: NonNegative = 0.2
     obstacle_min_m: Positive = 0.10
     obstacle_max_m: Positive = 1.0
-    ground_slope: NonNegative = 0.3
-    clear_after: Annotated[int, Field(ge=1, le=100)] = 2
     bump_memory_s: Positive = 600.0
-    frontier_min_cells: Annotated[int, Field(ge=1)] = 6
-    frontier_large_cells: Annotated[int, Field(ge=2)] = 40
-    frontier_spacing_m: Positive = 1.0
-    max_frontiers: Annotated[int, Field(ge=8, le=4096)] = 256
-    reach_cells_per_tick: Annotated[int, Field(ge=100)] = 8000
 
     @model_validator(mode="after")
     def _fits(self) -> Mapping:

@@ -9,7 +9,6 @@ from pydantic import Discriminator, Field, Tag, field_validator
 from edge.config.section import (
     MODULE_CLASS,
     Name,
-    NonNegative,
     OwnKind,
     Positive,
     Section,
@@ -70,17 +69,12 @@ class PlannerVitl(Section):
     """ViTL eq. 1 and 2: the shortest path under constant weights, or under driving distances.
 
     With `weights: distance` a known object weighs the metres to it, an unknown one
-    `explore_m`, and the plan is also made anew when it gets better by `replan_margin_m`.
-    `w_fail` is what a failed object counts in the costs that status shows: whatever it is, no plan
-    needs one while another can do without.
+    `explore_m`, and the plan also changes when another is clearly shorter.
     """
 
     kind: Literal["vitl"] = "vitl"
     weights: Literal["constant", "distance"] = "constant"
-    w_det: Annotated[float, Field(gt=0, lt=1)] = 0.01
-    w_fail: Annotated[float, Field(gt=1)] = 1000.0
     explore_m: Positive = 10.0
-    replan_margin_m: NonNegative = 1.0
 
 
 class PlannerInOrder(Section):

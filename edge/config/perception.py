@@ -23,7 +23,6 @@ class DetectorOnnx(Section):
     threads: Annotated[int, Field(ge=1, le=64)] = 2
     vocabulary: str | None = None
     background: tuple[str, ...] = ()
-    max_detections: Annotated[int, Field(ge=1, le=1000)] = 64
     tau_vl: Fraction = 0.05
     device_id: Annotated[int, Field(ge=0)] = 0
     engine_cache: str | None = None
@@ -225,7 +224,6 @@ class Perception(Section):
     lift_max_range_m: Positive = 8.0
     voxel_m: Positive = 0.1
     merge_m: Positive = 0.6
-    max_instances: Annotated[int, Field(ge=1, le=4096)] = 128
     min_hits: Annotated[int, Field(ge=1)] = 2
     confirm_score: Fraction = 0.35
     confirm_range_m: Positive = 3.0

@@ -112,16 +112,10 @@ class Sensors(Section):
 class Motion(Section):
     """The reference motion controller: A* on the published map, pure pursuit.
 
-    `clearance_m` is kept from occupied cells on top of the map's own inflation; cells within
-    `near_m` of obstacles cost more. A robot that was told to drive and did not come `stuck_m` far
-    pushes against something; within `stuck_s` it is stuck, whatever it was told.
+    `clearance_m` is kept from occupied cells on top of the map's own inflation. A robot that does
+    not move for `stuck_s` is stuck, whatever it was told.
     """
 
     rate_hz: Positive = 20.0
-    goal_tolerance_m: Positive = 0.12
-    yaw_tolerance_rad: Positive = 0.15
     stuck_s: Positive = 4.0
-    stuck_m: Positive = 0.05
-    unknown_cost: Positive = 3.0
     clearance_m: NonNegative = 0.0
-    near_m: Positive = 0.4

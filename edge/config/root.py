@@ -16,6 +16,7 @@ from edge.config.mapping import Mapping
 from edge.config.mission import Mission
 from edge.config.perception import Perception
 from edge.config.policy import Policy, PolicyAdaptive, PolicyHvl, PolicyOwn
+from edge.config.removed import without_removed
 from edge.config.robot import Motion, Robot, Sensors
 from edge.config.ros2 import Ros2
 from edge.config.section import Section
@@ -194,6 +195,7 @@ def parse(data: dict[str, Any], path: str = "<defaults>", origins: Origins | Non
         origins: what set the keys that the file at `path` did not set.
     """
     origins = Origins() if origins is None else origins
+    data = without_removed(data, path, origins)
     try:
         # An empty section, so that its fault is the key that it lacks.
         config = Config.model_validate({"perception": {}, **data, "path": path})

@@ -41,7 +41,7 @@ class GoalClient:
         self.heard = config.goals_unanswered
         self._expects_answers = not config.goals_unanswered
         arrived_s = max(ARRIVED_S, 3.0 / config.observed_hz)
-        self._arrival = StuckDetector(arrived_s, config.motion.stuck_m)
+        self._arrival = StuckDetector(arrived_s)
         self._unheard_at: SE2 | None = None  # where the robot was when nobody began to answer
         self._moved = False  # since then
         self._transmit = transmit

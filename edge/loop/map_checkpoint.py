@@ -33,7 +33,7 @@ from edge.host.machine import boot_id
 from edge.loop.candidates import CandidatePool
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
-from edge.mapping.grid import RollingMap
+from edge.mapping.grid import MAX_FRONTIERS, RollingMap
 from edge.mapping.tiles import MOST_PER_STEP, Batch, Copier, PackedTiles
 from edge.perception.tracking.instances import InstanceTracker
 from edge.perception.tracking.sightings import SightingTracker
@@ -139,7 +139,7 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
     size = grid.tile_bytes + 4 * state.value_side**2 * len(state.value_targets)
     sightings = SightingTracker(perception)
     tracker = InstanceTracker(perception, sightings)
-    pool = CandidatePool(mapping.max_frontiers, config.policy.r_assoc_m)
+    pool = CandidatePool(MAX_FRONTIERS, config.policy.r_assoc_m)
     goals = GoalTracker(config, pool, tracker, lambda goal: None, lambda text, now_ns: None)
     for name, owner, *others in (
         ("map", grid, part("tiles"), size, same), ("gain", grid.gain), ("bumps", grid.bumps, 0),

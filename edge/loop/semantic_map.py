@@ -15,10 +15,10 @@ from edge.host.checkpoint import Arrays
 from edge.loop.candidates import CandidatePool
 from edge.loop.prior import make_prior
 from edge.loop.result import VALUE_LAYER
-from edge.mapping.grid import RollingMap
+from edge.mapping.grid import MAX_FRONTIERS, RollingMap
 from edge.mapping.results import MapUpdate
 from edge.mapping.view import MapView
-from edge.perception.tracking.instances import InstanceTracker
+from edge.perception.tracking.instances import MAX_INSTANCES, InstanceTracker
 from edge.perception.tracking.lift import Lifter
 from edge.perception.tracking.sightings import SightingTracker
 from edge.types import Detections, Instance, Observation
@@ -45,9 +45,7 @@ class SemanticMap:
         self.config, self._targets = config, targets
         self.sightings = SightingTracker(perception)
         self.tracker = InstanceTracker(perception, self.sightings)
-        self.pool = CandidatePool(
-            config.mapping.max_frontiers + perception.max_instances, config.policy.r_assoc_m
-        )
+        self.pool = CandidatePool(MAX_FRONTIERS + MAX_INSTANCES, config.policy.r_assoc_m)
         self.prior = make_prior(config)
         self.epoch = 0
         self._lifter = Lifter(perception)

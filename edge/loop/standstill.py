@@ -29,9 +29,7 @@ class Standstill:
 
     def __init__(self, config: Config, event: Callable[[str, int], None]) -> None:
         self._radius_m, self._event = config.robot.radius_m, event
-        self._any, self._far = (
-            StuckDetector(config.mission.stuck_s, config.motion.stuck_m) for _ in range(2)
-        )
+        self._any, self._far = (StuckDetector(config.mission.stuck_s) for _ in range(2))
         self._explained: deque[tuple[float, float, int]] = deque(maxlen=_REMEMBERED)
 
     def reset(self) -> None:

@@ -34,6 +34,14 @@ _OFF_CENTRE_CELLS = 0.7
 _FLOOR_GAIN = 0.2
 # Poses farther apart are not joined to one trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
+FRONTIER_MIN_CELLS, FRONTIER_LARGE_CELLS, FRONTIER_SPACING_M = 6, 40, 1.0
+"""A smaller cluster is no frontier; a large one has several targets, so far apart."""
+MAX_FRONTIERS = 256
+REACH_CELLS_PER_TICK = 8000
+"""Cells by which the field of driving distances grows in a tick: more takes longer, fewer lag."""
+CLEAR_AFTER = 2
+"""Updates in a row that must see through an obstacle to clear it."""
+GROUND_SLOPE = 0.3
 _ROBOT = config.Robot()
 _VALUE_CELL_M = 0.2  # of value maps, rounded to a power of two of the map's cells
 _VALUE_BETA = 0.5  # ViTL's edge attenuation factor (IV-B2)
@@ -95,12 +103,12 @@ class RollingMap:
         self._camera: CameraModel | None = None
         self.frontiers = Frontiers(
             0,
-            np.zeros((c.max_frontiers, 2), np.float32),
-            np.zeros(c.max_frontiers, np.int32),
-            np.zeros(c.max_frontiers, np.int32),
+            np.zeros((MAX_FRONTIERS, 2), np.float32),
+            np.zeros(MAX_FRONTIERS, np.int32),
+            np.zeros(MAX_FRONTIERS, np.int32),
         )
         self.reach = ReachField(
-            self._layers, self.window, self._inflation_cells, self._body, c.reach_cells_per_tick
+            self._layers, self.window, self._inflation_cells, self._body, REACH_CELLS_PER_TICK
         )
         self.coverage = Coverage(self._layers, self.window)
         self.gain = Gain(self._layers, self.window, c.range_m)
@@ -414,7 +422,7 @@ class RollingMap:
         corner = (cell[0] - self._half - origin[0], cell[1] - self._half - origin[1])
         update.apply_scan(
             layers, *shift, *corner, scan, polar, self._lost, sensor_z, c.obstacle_min_m,
-            c.obstacle_max_m, coded_m, c.clear_after, self._disc, self._changed, self._explored,
+            c.obstacle_max_m, coded_m, CLEAR_AFTER, self._disc, self._changed, self._explored,
             self._flipped,
         )  # fmt: skip
         robot_cell = self.window.cell_of(base_x, base_y)
@@ -450,7 +458,7 @@ class RollingMap:
                 floor_z = next(z for z in guesses if math.isfinite(z))
         floor[0], floor[1], floor[2] = floor_z, 0.0, 0.0
         sweep = (
-            scan, polar, floor, sensor_z, c.ground_slope, step_m, c.range_m,
+            scan, polar, floor, sensor_z, GROUND_SLOPE, step_m, c.range_m,
             1.0 / self.resolution_m,
         )  # fmt: skip
         total, count = points.sweep_ground(*sweep)
@@ -502,7 +510,7 @@ class RollingMap:
 
     def _refresh_frontiers(self, rolled: bool) -> tuple[int, int, int, int]:
         """Test what changed again and list the target points; returns the changed world cells."""
-        layers, window, c = self._layers, self.window, self.config
+        layers, window = self._layers, self.window
         x0, y0, x1, y1 = (int(v) for v in self._changed)
         world = (0, 0, 0, 0)
         if x1 > x0:
@@ -513,13 +521,13 @@ class RollingMap:
         res = self.resolution_m
         moved = cl.regroup(
             layers, *window.shift, self._clusters, self._n_pending,
-            c.frontier_large_cells, c.frontier_spacing_m / res,
+            FRONTIER_LARGE_CELLS, FRONTIER_SPACING_M / res,
         )  # fmt: skip
         self._n_pending = 0
         if moved or rolled:
             f = self.frontiers
             f.n = cl.list_targets(
-                window.n, *window.shift, *window.origin, res, self._clusters, c.frontier_min_cells,
+                window.n, *window.shift, *window.origin, res, self._clusters, FRONTIER_MIN_CELLS,
                 f.xy_m, f.cells, f.cluster,
             )  # fmt: skip
         return world

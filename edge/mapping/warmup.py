@@ -56,7 +56,7 @@ def warm_values(mapping: config.Mapping) -> None:
 
 def _small(mapping: config.Mapping) -> tuple[RollingMap, CameraModel, np.ndarray]:
     """Return a small map, a camera, and the camera's pose in the robot."""
-    grid = RollingMap(mapping.model_copy(update={"extent_m": 1.0, "max_frontiers": 8}))
+    grid = RollingMap(mapping.model_copy(update={"extent_m": 1.0}))
     T = np.eye(4)
     T[:3, :3] = ((0, 0, 1), (-1, 0, 0), (0, -1, 0))
     T[2, 3] = 0.5

@@ -31,13 +31,18 @@ from edge.types import Goal, GoalStatus
 POLICIES = ("nearest_frontier", "search", "hvl")
 
 
+@pytest.fixture(autouse=True)
+def whole_field(monkeypatch):
+    """Grow the reach field within one tick: else two services grow theirs from other poses."""
+    monkeypatch.setattr("edge.mapping.grid.REACH_CELLS_PER_TICK", 1_000_000)
+
+
 def config(policy: str = "search", **sections: dict) -> Config:
     data = {
         "loop": {"lockstep": True},
         "sim": {"lockstep": True, "step_s": 0.2},
         "mission": {"instruction": "F toilet", "translator": {"kind": "ltl"}},
-        # A field that is whole after one tick: else two services grow theirs from other poses.
-        "mapping": {"reach_cells_per_tick": 1_000_000, "extent_m": 25.0},
+        "mapping": {"extent_m": 25.0},
         "policy": {"kind": policy},
         "perception": {"prior": "none"},
     }

@@ -125,7 +125,7 @@ def test_a_policy_whose_settings_are_the_same_is_not_made_anew(bench):
         ({"zenoh": {"prefix": "other"}}, "zenoh.prefix: restart the service to change it"),
         ({"mapping": {"range_m": 4.0}}, "mapping.range_m: restart"),
         ({"mission": {"target": "sofa"}}, "mission.target: give the running service another"),
-        ({"perception": {"max_instances": 9}}, "perception.max_instances: restart"),
+        ({"perception": {"prior": "none"}}, "perception.prior: restart"),
         ({"perception": {"detector": {"kind": "sim", "seed": 9}}}, "perception.detector.seed: re"),
         ({"policy": {"kind": "search"}, "robot": {"name": "b"}}, "robot.name: restart"),
         ({"policy": {"kind": "nowhere.at:All"}}, "policy.kind: 'nowhere.at:All'"),
@@ -226,7 +226,7 @@ def test_a_real_detector_is_made_anew_beside_the_one_at_work():
     first["perception"]["swap"] = {"probation": 4, "budget_ms": 1e6}
     bench = Bench(parse(first))
     before = bench.service.swapper._worker.detector
-    first["perception"]["detector"]["max_detections"] = 9
+    first["perception"]["detector"]["tau_vl"] = 0.5
     new = parse(first)
     bench.reads = lambda: new
     bench.asked.set()
@@ -237,10 +237,10 @@ def test_a_real_detector_is_made_anew_beside_the_one_at_work():
         bench.reloader.step(0)
         return bench.reloader.outcome
 
-    assert eventually(over) == "switched: perception.detector.max_detections"
+    assert eventually(over) == "switched: perception.detector.tau_vl"
     after = bench.service.swapper._worker.detector
     assert after is not before
-    assert (after.name, after.config.max_detections) == (before.name, 9)
+    assert (after.name, after.config.tau_vl) == (before.name, 0.5)
     bench.service.close()
 
 

@@ -24,7 +24,6 @@ def closed_loop(
     folder: Path,
     way_round: bool,
     policy: str = "hvl",
-    reach_cells_per_tick: int = 8000,
     width_m: float = 1.0,
 ) -> ClosedLoop:
     """A robot in one of two rooms, a bed in the other; the door between them has the sill.
@@ -53,7 +52,6 @@ def closed_loop(
                 "loop": {"lockstep": True},
                 "sim": {"lockstep": True, "step_s": 0.2, "world": world},
                 "policy": {"kind": policy},
-                "mapping": {"reach_cells_per_tick": reach_cells_per_tick},
                 "mission": {"target": "bed"},
             }
         ),
@@ -93,12 +91,13 @@ def test_where_no_other_way_leads_it_tries_twice_more_and_says_why_it_ends(tmp_p
 
 
 @pytest.mark.parametrize("reach_cells_per_tick", [8000, 500])
-def test_what_held_it_up_may_go(tmp_path, reach_cells_per_tick):
+def test_what_held_it_up_may_go(tmp_path, monkeypatch, reach_cells_per_tick):
     """As a person does who stood in the only doorway, or a door that is opened.
 
     All was looked at, so that no other view gives the reach field time to lead there.
     """
-    loop = closed_loop(tmp_path, False, reach_cells_per_tick=reach_cells_per_tick)
+    monkeypatch.setattr("edge.mapping.grid.REACH_CELLS_PER_TICK", reach_cells_per_tick)
+    loop = closed_loop(tmp_path, False)
     while not held_up(loop):
         loop.step()
     loop.service.map.grid.coverage.looks[:] = 255

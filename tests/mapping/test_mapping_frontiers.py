@@ -15,6 +15,7 @@ from mapping_twins import SMALL, look, room
 from edge import config
 from edge.geometry import SE2
 from edge.mapping import clusters as cl
+from edge.mapping import grid as grid_module
 from edge.mapping.grid import RollingMap
 
 
@@ -58,19 +59,19 @@ def check(grid: RollingMap, cut: bool = False) -> None:
 
 
 def check_targets(grid: RollingMap, expected: np.ndarray, label: np.ndarray) -> None:
-    f, c = grid.frontiers, grid.config
+    f = grid.frontiers
     cells = np.floor(f.xy_m[: f.n] / grid.resolution_m).astype(int) - grid.window.origin
     assert all(expected[y, x] for x, y in cells), "targets are frontier cells"
     np.testing.assert_array_equal([label[y, x] for x, y in cells], f.cluster[: f.n])
     size = grid._clusters.size
-    assert set(f.cluster[: f.n]) == set(np.flatnonzero(size >= c.frontier_min_cells))
+    assert set(f.cluster[: f.n]) == set(np.flatnonzero(size >= grid_module.FRONTIER_MIN_CELLS))
     for k in set(f.cluster[: f.n]):
         own = f.xy_m[: f.n][f.cluster[: f.n] == k]
-        if size[k] < c.frontier_large_cells:
+        if size[k] < grid_module.FRONTIER_LARGE_CELLS:
             assert len(own) == 1
         apart = np.hypot(*(own[:, None] - own[None]).transpose(2, 0, 1))
         apart[np.eye(len(own), dtype=bool)] = np.inf
-        assert (apart >= c.frontier_spacing_m - 1e-3).all()
+        assert (apart >= grid_module.FRONTIER_SPACING_M - 1e-3).all()
 
 
 @settings(max_examples=15)
@@ -131,23 +132,27 @@ def test_an_open_door_is_a_frontier():
     assert (np.abs(points[:, 1]) < 0.5).all()
 
 
-def test_a_large_cluster_has_several_targets_and_a_small_one_its_centre():
-    open_field = RollingMap(config.Mapping(frontier_spacing_m=0.8))
+def test_a_large_cluster_has_several_targets_and_a_small_one_its_centre(monkeypatch):
+    monkeypatch.setattr(grid_module, "FRONTIER_SPACING_M", 0.8)
+    open_field = RollingMap(config.Mapping())
     look(open_field, SE2(0, 0, 0), [])
     assert open_field.frontiers.n >= 4
     check(open_field)
-    one = RollingMap(config.Mapping(frontier_large_cells=5000))
+    monkeypatch.setattr(grid_module, "FRONTIER_LARGE_CELLS", 5000)
+    one = RollingMap(config.Mapping())
     look(one, SE2(0, 0, 0), [])
     assert one.frontiers.n == len(set(one.frontiers.cluster[: one.frontiers.n]))
     check(one)
 
 
-def test_more_targets_than_fit_leave_out_small_clusters():
-    grid = RollingMap(SMALL.model_copy(update={"max_frontiers": 8, "frontier_spacing_m": 0.1}))
+def test_more_targets_than_fit_leave_out_small_clusters(monkeypatch):
+    monkeypatch.setattr(grid_module, "FRONTIER_SPACING_M", 0.1)
+    everything = RollingMap(SMALL)
+    monkeypatch.setattr(grid_module, "MAX_FRONTIERS", 8)
+    grid = RollingMap(SMALL)
     look(grid, SE2(0, 0, 0), [(1.0, 0.0, 0.0, 1.1, 0.1, 0.5)])
     f = grid.frontiers
     assert 0 < f.n <= 8
-    everything = RollingMap(SMALL.model_copy(update={"frontier_spacing_m": 0.1}))
     look(everything, SE2(0, 0, 0), [(1.0, 0.0, 0.0, 1.1, 0.1, 0.5)])
     assert everything.frontiers.n > 8
     assert f.cells[: f.n].max() == everything.frontiers.cells[: everything.frontiers.n].max()

@@ -15,7 +15,7 @@ from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, look, render, room
 from edge import config
 from edge.geometry import SE2, CameraModel
 from edge.mapping import clusters, layers, points, reach_kernels, unknown, update, values
-from edge.mapping.grid import RollingMap
+from edge.mapping.grid import CLEAR_AFTER, RollingMap
 from edge.mapping.warmup import warm_values, warmup
 from edge.types import Observation
 
@@ -75,7 +75,7 @@ def test_a_walking_person_leaves_no_ghost():
     for step in range(30):
         y = -0.8 + 0.05 * step
         look(grid, ORIGIN, [*room(2.5), (1.5, y - 0.15, 0.0, 1.7, y + 0.15, 1.7)])
-    for _ in range(grid.config.clear_after):
+    for _ in range(CLEAR_AFTER):
         look(grid, ORIGIN, room(2.5))
     occupied = np.argwhere(twins.window(grid, "raw") >= 2)
     x_m = (occupied[:, 1] + grid.window.origin[0]) * grid.resolution_m

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from edge import config
 from edge.geometry import SE2, CameraModel, se3
 from edge.mapping import points
-from edge.mapping.grid import RollingMap
+from edge.mapping.grid import CLEAR_AFTER, RollingMap
 from edge.mapping.layers import OCCUPIED
 
 F = np.float32
@@ -351,6 +351,6 @@ def test_what_a_planar_lidar_saw_is_cleared_by_beams_at_that_very_height(z_m, be
     grid = RollingMap(config.Mapping(input="cloud", range_m=4.0, inflation_m=0.0))
     sweep(grid, np.where(np.cos(angles) > 0.9, 1.52, behind_m))
     assert [grid.state_at(x, 0.0) for x in (1.0, 1.54, -2.0)] == [0, 100, 0]
-    for _ in range(grid.config.clear_after):
+    for _ in range(CLEAR_AFTER):
         sweep(grid, np.full(360, behind_m))
     assert [grid.state_at(x, 0.0) for x in (1.0, 1.54, -2.0)] == [0, 0, 0]

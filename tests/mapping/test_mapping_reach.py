@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from unittest.mock import patch
 
 import mapping_twins as twins
 import numpy as np
@@ -24,9 +25,9 @@ def explored(seed: int, per_tick: int = 12000) -> tuple[RollingMap, SE2]:
         bx, by = x + rng.uniform(-2, 2), y + rng.uniform(-2, 2)
         if math.hypot(bx - x, by - y) > 0.9:
             boxes.append((bx, by, 0.0, bx + 0.3, by + 0.3, 1.0))
-    settings = SMALL.model_copy(update={"reach_cells_per_tick": per_tick})
     pose = SE2(x, y, 0.0)
-    return seen_around(boxes, pose, settings), pose
+    with patch("edge.mapping.grid.REACH_CELLS_PER_TICK", per_tick):
+        return seen_around(boxes, pose, SMALL), pose
 
 
 @settings(max_examples=10)

@@ -25,6 +25,7 @@ from mission_plan_twins import (
 from edge.config import PlannerOwn, PlannerVitl
 from edge.errors import ConfigError
 from edge.mission.planning import planner as planners
+from edge.mission.planning import vitl
 from edge.mission.planning.planner import Knowledge, Plan, make_planner
 from edge.mission.planning.vitl import working_order
 
@@ -95,12 +96,13 @@ def test_ties(text, knowledge, current, target):
     assert planned(text, knowing(**knowledge), current).target == target
 
 
-def test_fewest_steps_come_before_the_current_target():
+def test_fewest_steps_come_before_the_current_target(monkeypatch):
     """From state 1, a and a again costs as much as b at once; any object leads there from 0."""
     automaton = table_automaton(
         [[1, 1, 0], [2, 3, 1], [3, 2, 2], [3, 3, 3]], [False, False, False, True]
     )
-    planner = make_planner(PlannerVitl(w_det=0.5), automaton)
+    monkeypatch.setattr(vitl, "W_DET", 0.5)
+    planner = make_planner(PlannerVitl(), automaton)
     plan = planner.plan(1, knowing(detected=["a"]), "a")
     assert plan.options == (("b", 1.0), ("a", 1.0))
     assert plan.steps == ("b",)
@@ -126,9 +128,10 @@ def test_failed_objects(text, failed, feasible, blocked_by, target):
     assert math.isinf(plan.cost) == (not feasible)
 
 
-def test_a_small_w_fail_does_not_make_long_plans_infeasible():
+def test_a_small_w_fail_does_not_make_long_plans_infeasible(monkeypatch):
     """Eq. 2's bound would call three attempts infeasible at w_fail = 2, or take the failed one."""
-    plan = planned("F d | F(a & F(b & F c))", knowing(failed="d"), config=PlannerVitl(w_fail=2.0))
+    monkeypatch.setattr(vitl, "W_FAIL", 2.0)
+    plan = planned("F d | F(a & F(b & F c))", knowing(failed="d"))
     assert plan.feasible
     assert plan.steps == ("a", "b", "c")
     assert dict(plan.options)["d"] == 2.0
@@ -181,7 +184,7 @@ def test_the_only_choice_is_called_so():
 
 # --- distances ---
 
-METRES = PlannerVitl(weights="distance", explore_m=10.0, replan_margin_m=1.0)
+METRES = PlannerVitl(weights="distance", explore_m=10.0)
 INF = math.inf
 
 
@@ -247,9 +250,9 @@ def test_the_margin_never_keeps_a_failed_target_or_one_that_changes_nothing():
     assert reached.target == "b"
 
 
-def test_constant_weights_switch_at_once():
-    close = PlannerVitl(w_det=0.99, replan_margin_m=5.0)
-    assert planned("F(a | b)", knowing("b"), "a", close).target == "b"
+def test_constant_weights_switch_at_once(monkeypatch):
+    monkeypatch.setattr(vitl, "W_DET", 0.99)
+    assert planned("F(a | b)", knowing("b"), "a").target == "b"
 
 
 def test_a_matrix_of_another_shape_is_refused():
@@ -263,11 +266,11 @@ def test_a_matrix_of_another_shape_is_refused():
 @given(data=st.data(), automaton=automata(), known_reached=st.booleans())
 def test_constant_plans_are_shortest_paths(data, automaton, known_reached):
     knowledge = data.draw(knowledge_of(automaton.letters))
-    planner = make_planner(PlannerVitl(w_det=0.25), automaton, known_reached=known_reached)
+    planner = make_planner(PlannerVitl(), automaton, known_reached=known_reached)
     for state in range(automaton.n_states):
         plan = planner.plan(state, knowledge)
         cost, steps = shortest(
-            automaton, state, lambda _, x: eq_1(x, knowledge, 0.25, known_reached)
+            automaton, state, lambda _, x: eq_1(x, knowledge, vitl.W_DET, known_reached)
         )
         assert plan.cost == pytest.approx(cost, abs=1e-9)
         assert len(plan.steps) == steps

@@ -190,7 +190,7 @@ def test_it_goes_on_where_another_run_of_it_stopped():
 
 
 def test_with_distances_the_nearer_branch_wins_by_the_margin():
-    planner = PlannerVitl(weights="distance", replan_margin_m=1.0)
+    planner = PlannerVitl(weights="distance")
     mission = begun("F (chair | sofa)", planner=planner)
     mission.see({"chair": 1, "sofa": 2}, S)
     assert mission.target == "chair"

@@ -292,8 +292,9 @@ def test_reached_ones_stay(scene):
     assert s.tracker.confirmed(chair)
 
 
-def test_the_weakest_give_way_but_never_a_protected_one(scene):
-    s = scene(max_instances=2)
+def test_the_weakest_give_way_but_never_a_protected_one(scene, monkeypatch):
+    monkeypatch.setattr("edge.perception.tracking.instances.MAX_INSTANCES", 2)
+    s = scene()
     s.see(("chair", 2, 0, 0.4))
     s.tracker.refute(1)
     s.see(("chair", 2, 4, 0.5), ("chair", 2, -4, 0.9), ("chair", 5, 0, 0.6))

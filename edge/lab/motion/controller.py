@@ -16,7 +16,7 @@ from edge import config
 from edge.geometry import SE2, Grid, wrap_angle
 from edge.lab.motion.progress import Contact, Progress
 from edge.lab.motion.recovery import Recovery, Trail
-from edge.stuck import StuckDetector
+from edge.stuck import STUCK_M, StuckDetector
 from edge.trajectory import astar, costmap, smoothing
 from edge.trajectory.pursuit import (
     STOP,
@@ -33,6 +33,8 @@ from edge.types import GoalStatus
 
 log = logging.getLogger("edge.lab.motion")
 
+GOAL_TOLERANCE_M, YAW_TOLERANCE_RAD = 0.12, 0.15
+NEAR_M = 0.4  # cells so near to an obstacle cost more
 LOOKAHEAD_M = 0.45
 REPLAN_S = 0.5
 GIVE_UP_NS = 3_000_000_000  # so long a goal may stay without a path
@@ -68,8 +70,8 @@ class Controller:
         self._limits = MotionLimits.of(settings.robot)
         self._workspace = astar.Workspace()
         self._map: costmap.CostMap | None = None
-        self._stuck = StuckDetector(settings.motion.stuck_s, settings.motion.stuck_m)
-        self._contact = Contact(CONTACT_M, settings.motion.stuck_m)
+        self._stuck = StuckDetector(settings.motion.stuck_s)
+        self._contact = Contact(CONTACT_M, STUCK_M)
         self._progress = Progress(6 * settings.motion.stuck_s)
         self._radius_m = settings.robot.radius_m
         self._trail = Trail()
@@ -122,13 +124,8 @@ class Controller:
                 f"map resolution has to be {MIN_CELL_M:g} to {MAX_CELL_M:g} m, "
                 f"got {grid.resolution_m:g}"
             )
-        m = self._motion
-        self._map = costmap.from_occupancy(
-            grid,
-            clearance_m=m.clearance_m,
-            near_m=m.near_m,
-            unknown_cost=m.unknown_cost,
-        )
+        clearance_m = self._motion.clearance_m
+        self._map = costmap.from_occupancy(grid, clearance_m=clearance_m, near_m=NEAR_M)
         if len(self._path) and not self._path_is_open():
             self._planned_ns = None
 
@@ -221,20 +218,18 @@ class Controller:
 
     def _has_arrived(self, pose: SE2) -> bool:
         """Near the goal, with hysteresis, so that turning does not begin driving again."""
-        tolerance = self._motion.goal_tolerance_m * (1.0 if self._arrived else ARRIVE)
+        tolerance = GOAL_TOLERANCE_M * (1.0 if self._arrived else ARRIVE)
         self._arrived = pose.distance_to(*self._target) <= tolerance
         return self._arrived
 
     def _align(self, goal: SE2, pose: SE2, still: bool) -> Command:
         error = abs(wrap_angle(goal.yaw_rad - pose.yaw_rad))
-        if still and error <= self._motion.yaw_tolerance_rad:
+        if still and error <= YAW_TOLERANCE_RAD:
             self._finish("reached")
             return STOP
         # Stop a little inside the tolerance, so that coasting does not lead out of it.
         return (
-            STOP
-            if error <= 0.5 * self._motion.yaw_tolerance_rad
-            else turn_to(pose, goal.yaw_rad, self._limits)
+            STOP if error <= 0.5 * YAW_TOLERANCE_RAD else turn_to(pose, goal.yaw_rad, self._limits)
         )
 
     def _travel(self, pose: SE2, now_ns: int) -> Command:

@@ -10,6 +10,7 @@ from edge import names
 from edge.lab.report.record import Keyframe
 from edge.types import Detections
 
+FRAMES = 8
 FRAME_NS = 1_000_000_000
 BETTER_SCORE = 0.05
 MAX_FRAME_PX = 640

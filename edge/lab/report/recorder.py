@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 
 from edge.config import Config
 from edge.host.machine import this_cpu
-from edge.lab.report.album import Album
+from edge.lab.report.album import FRAMES, Album
 from edge.lab.report.choices import Choices
 from edge.lab.report.record import RunRecord
 from edge.live.trail import Trail
@@ -55,11 +55,11 @@ class Ends(Generic[T]):
 class Recorder:
     """A sink that keeps what the report of a run needs; every call is cheap."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, frames: int = FRAMES) -> None:
         self._config = config
         self._trail = Trail()
-        self._album = Album(config.report.frames)
-        self._choices = Choices(config.report.frames)
+        self._album = Album(frames)
+        self._choices = Choices(frames)
         self._goals: Ends[Goal] = Ends()
         self._events: Ends[Event] = Ends()
         self._driven: Ends[TaskFacts] = Ends(20, 80)

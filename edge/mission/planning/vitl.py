@@ -19,6 +19,9 @@ from edge.mission.planning.plan import (
     explain_kept,
 )
 
+W_DET, W_FAIL = 0.01, 1000.0
+"""Weight of an object that was seen, and what a failed one counts in the costs that are shown."""
+REPLAN_MARGIN_M = 1.0
 W_NOTHING = 1e-6
 """Weight of a step that reaches nothing: free, but never idle."""
 
@@ -26,7 +29,7 @@ W_NOTHING = 1e-6
 class VitlPlanner:
     """Shortest path (eq. 2) under eq. 1's constant weights, or under driving distances.
 
-    A letter weighs `w_det` if its object was seen and 1 if it has to be found; one that failed
+    A letter weighs `W_DET` if its object was seen and 1 if it has to be found; one that failed
     is dearer than any path without it, so that a plan with a failed edge exists only where every
     path has one (the paper's "sum >= w_fail", for paths of any length). Weights are multiples
     of 1e-6.
@@ -35,7 +38,7 @@ class VitlPlanner:
     `explore_m`; from here none is farther than by way of others. From an object whose place is
     not known yet, the way to a known one is the hypotenuse of `explore_m` and the way from here.
     The current target is then kept unless another way is better by more than
-    `replan_margin_m`; constant weights switch at once.
+    `REPLAN_MARGIN_M`; constant weights switch at once.
 
     Letters that leave the state as it is are never planned. The buffers are the planner's own:
     one thread at a time.
@@ -49,11 +52,11 @@ class VitlPlanner:
             known_reached: an object that was reached weighs what one that was seen weighs: its
                 place is known. False is eq. 1 to the letter, where it weighs 1.
         """
-        self.config = config
         self.automaton = automaton
         self.known_reached = known_reached
         k, n = len(automaton.letters), automaton.n_states
         self._by_distance = config.weights == "distance"
+        self._explore_m = config.explore_m
         places = k + 1 if self._by_distance else 1
         self._here = places - 1
         self._order = working_order(automaton)
@@ -100,7 +103,7 @@ class VitlPlanner:
             reason = explain(path[0], options, knowledge, self._text)
         else:
             gain = self._text(self._float(cost[first] - cost[best]))
-            margin = self._text(self.config.replan_margin_m)
+            margin = self._text(REPLAN_MARGIN_M)
             reason = explain_kept(path[0], names[best], gain, margin)
         return Plan(path[0] or None, path, self._float(cost[first]), True, (), reason, options)
 
@@ -114,7 +117,7 @@ class VitlPlanner:
 
     def _kept(self, ranked: list[int], cost: list[int], current: str | None) -> int:
         """The first letter under the margin: the current target's where that is near enough."""
-        limit = cost[ranked[0]] + round(self.config.replan_margin_m * kernels.SCALE)
+        limit = cost[ranked[0]] + round(REPLAN_MARGIN_M * kernels.SCALE)
         letters = self.automaton.letters
         if current in letters:
             c = letters.index(current)
@@ -132,25 +135,25 @@ class VitlPlanner:
         return tuple(names[c] for c in self._path[:length].tolist())
 
     def _float(self, cost: int) -> float:
-        """Integer cost as eq. 2's sum, `w_fail` for each failed edge."""
+        """Integer cost as eq. 2's sum, `W_FAIL` for each failed edge."""
         failed, rest = divmod(cost, int(kernels.FAILED))
-        return failed * self.config.w_fail + rest / kernels.SCALE
+        return failed * W_FAIL + rest / kernels.SCALE
 
     def _text(self, cost: float) -> str:
         return f"{cost:.1f} m" if self._by_distance else f"{cost:.2f}"
 
     def _weigh(self, knowledge: Knowledge) -> None:
         """Eq. 1, or metres, into `_weight`."""
-        letters, c, weight = self.automaton.letters, self.config, self._weight
+        letters, weight = self.automaton.letters, self._weight
         known = knowledge.detected
         if self.known_reached:
             known = known | knowledge.reached
         if self._by_distance:
-            metres = _metres(knowledge.distance_m, [x in known for x in letters], c.explore_m)
+            metres = _metres(knowledge.distance_m, [x in known for x in letters], self._explore_m)
             weight[:-1] = np.minimum(np.rint(metres.T * kernels.SCALE), self._heaviest)
         else:
             near, far = (min(max(round(w * kernels.SCALE), 1), self._heaviest)
-                         for w in (c.w_det, 1.0))  # fmt: skip
+                         for w in (W_DET, 1.0))  # fmt: skip
             weight[:-1, 0] = [near if x in known else far for x in letters]
         for i, letter in enumerate(letters):
             if letter in knowledge.failed:

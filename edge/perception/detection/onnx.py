@@ -41,6 +41,7 @@ log = logging.getLogger(__name__)
 INPUTS = ("images", "txt_feats")
 OUTPUTS = ("boxes", "scores")
 NMS_IOU = 0.5
+MAX_DETECTIONS = 64
 USUAL_COLUMNS, MAX_COLUMNS = 16, 256
 """Prompts, background counted in, that a TensorRT engine is tuned for and can take."""
 
@@ -157,8 +158,8 @@ class OnnxDetector:
         )
         self._anchors = self._count_anchors()
         self._top = np.empty(self._anchors, np.float32)
-        self._against = np.empty(detector.max_detections, np.float32)
-        self._mine, self._around = (_Kept.of(detector.max_detections) for _ in range(2))
+        self._against = np.empty(MAX_DETECTIONS, np.float32)
+        self._mine, self._around = (_Kept.of(MAX_DETECTIONS) for _ in range(2))
         self.set_prompts(prompts)
 
     @property

@@ -20,6 +20,7 @@ from edge.perception.tracking.sightings import SightingTracker
 from edge.types import Instance, InstanceState, Observation
 
 MAX_POINTS = 64
+MAX_INSTANCES = 128
 RISE, FALL = 0.5, 0.15
 """Weights of a new score that is above, or below, the running one: a good view counts more than
 a bad one, since most views are from afar or from the side."""
@@ -529,8 +530,8 @@ class InstanceTracker:
         self._grow(old, b.points_m)
 
     def _limit(self) -> None:
-        """Over `max_instances`, the weakest go, the longest unseen of equals first."""
-        excess = len(self._tracks) - self.config.max_instances
+        """Over `MAX_INSTANCES`, the weakest go, the longest unseen of equals first."""
+        excess = len(self._tracks) - MAX_INSTANCES
         if excess <= 0:
             return
         free = [t.instance for t in self._tracks.values() if t.instance.state not in _PROTECTED]

@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 from simulated import simulated
 
 from edge.geometry import SE2, Grid, wrap_angle
-from edge.lab.motion.controller import GIVE_UP_NS, REPLACED, SNAP_M, Controller
+from edge.lab.motion.controller import (
+    GIVE_UP_NS,
+    GOAL_TOLERANCE_M,
+    REPLACED,
+    SNAP_M,
+    YAW_TOLERANCE_RAD,
+    Controller,
+)
 from edge.trajectory.pursuit import length_m
 from edge.types import GoalStatus
 
@@ -113,8 +120,8 @@ class Walk:
 
 
 def assert_at(pose: SE2, goal: SE2) -> None:
-    assert pose.distance_to(goal.x_m, goal.y_m) <= CONFIG.motion.goal_tolerance_m
-    assert abs(wrap_angle(pose.yaw_rad - goal.yaw_rad)) <= CONFIG.motion.yaw_tolerance_rad
+    assert pose.distance_to(goal.x_m, goal.y_m) <= GOAL_TOLERANCE_M
+    assert abs(wrap_angle(pose.yaw_rad - goal.yaw_rad)) <= YAW_TOLERANCE_RAD
 
 
 DOORWAY = wall(room(8.0, 4.0), 4.0, (1.6, 2.4))
@@ -236,7 +243,7 @@ def test_a_goal_that_a_new_map_closes_is_moved_a_little():
     walk.goal(1, goal)
     walk.run(30)
     assert walk.states[-1] == (1, "reached")
-    assert walk.pose.distance_to(goal.x_m, goal.y_m) <= SNAP_M + CONFIG.motion.goal_tolerance_m
+    assert walk.pose.distance_to(goal.x_m, goal.y_m) <= SNAP_M + GOAL_TOLERANCE_M
     walk.assert_kept_off(cells)
 
 

@@ -27,7 +27,7 @@ MS = 1_000_000
 
 
 def make(frames: int = 8) -> Recorder:
-    return Recorder(simulated({"report": {"frames": frames}}))
+    return Recorder(simulated(), frames)
 
 
 def finish(recorder: Recorder, target: str = "chair", **more: object) -> RunRecord:

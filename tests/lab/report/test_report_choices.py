@@ -46,7 +46,7 @@ def answered(stamp_ns: int, *xy_m: tuple[float, float]):
 
 
 def record_of(*ticks, frames: int = 4, **end):
-    recorder = Recorder(simulated({"report": {"frames": frames}}))
+    recorder = Recorder(simulated(), frames)
     for tick in ticks:
         recorder.tick(tick)
     return recorder.record(result(**end), {})
