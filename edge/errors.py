@@ -34,12 +34,6 @@ class UserError(Exception):
     details: Mapping[str, object] = {}
 
 
-class UsageError(UserError):
-    """Options that do not go together."""
-
-    exit_code = os.EX_USAGE
-
-
 class ConfigError(UserError):
     """A configuration that cannot be used; the message names file, key and choices."""
 

@@ -144,7 +144,7 @@ def open_service(
         masker = unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
         progress("loading the detector")
         detector = _load(config, brief.targets, make_truth(config, session), stop, progress)
-        worker = DetectorWorker(detector, lockstep, config.loop.detect_every, masker)
+        worker = DetectorWorker(detector, lockstep, masker)
         stack.callback(worker.close)
         progress("loading the scorers")
         scorers = unless_stopped(partial(make_scorers, config, brief.targets), stop)

@@ -91,7 +91,7 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     compare = lazy("edge.lab.eval.comparison.run", "run", lab=True)
     runs = lazy("edge.lab.eval.runs", "run", lab=True)
     of_runs = ("--episodes", "--plan", "--worlds", "--column", "--columns", "--out", "--report")
-    episodes.set_defaults(handler=switched("--compare", compare, ("--baseline",), runs, of_runs))
+    switched(episodes, "--compare", compare, ("--baseline",), runs, of_runs)
 
 
 _P_OBS = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0"

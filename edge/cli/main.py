@@ -15,7 +15,6 @@ import signal
 import sys
 from functools import partial
 
-from edge.cli.options import lazy, switched
 from edge.cli.parsers import make_parser
 from edge.cli.renamed import renew
 from edge.errors import Stopped, UserError
@@ -37,18 +36,8 @@ log = logging.getLogger("edge")
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point of the `edge` command; returns the exit code."""
-    handlers = {
-        "run": switched(
-            "--install", lazy("edge.cli.install_service", "run"), ("--name", "--user", "--out"),
-            _run, ("--target", "--mission", "--formula", "--task", "--once", "--report"),
-        ),
-        "demo": _demo,
-        "sim": _sim,
-        "config": _config,
-        "play": _play,
-    }  # fmt: skip
     argv, renamed = renew(sys.argv[1:] if argv is None else argv)
-    args = make_parser(__doc__.splitlines()[0], handlers).parse_args(argv)
+    args = make_parser().parse_args(argv)
     setup(args.log_level, args.log_json)
     if renamed:
         log.warning("%s; the next release drops the old name", renamed)
@@ -137,7 +126,8 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
     return load(args.config, environ, options)
 
 
-def _run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge run`."""
     claim()
     # First of all: it takes seconds to import what follows.
     stop = stop_on_signals(args.with_parent)
@@ -152,7 +142,8 @@ def _run(args: argparse.Namespace) -> int:
         return run_service(config, stop, args.once, args.report, *what, reload)
 
 
-def _demo(args: argparse.Namespace) -> int:
+def demo(args: argparse.Namespace) -> int:
+    """Handle `edge demo`."""
     claim()
     stop = stop_on_signals()
     from edge.cli.commands import run_demo
@@ -161,7 +152,7 @@ def _demo(args: argparse.Namespace) -> int:
     return run_demo(config, stop, args.report, asked, args.formula, args.task, args.live)
 
 
-def _play(args: argparse.Namespace) -> int:
+def play(args: argparse.Namespace) -> int:
     """Handle `edge play`."""
     stop = stop_on_signals()
     from edge.cli.commands import run_play
@@ -172,7 +163,8 @@ def _play(args: argparse.Namespace) -> int:
     return run_play(config, args.file, stop, rate, args.report, args.live, *what)
 
 
-def _sim(args: argparse.Namespace) -> int:
+def sim(args: argparse.Namespace) -> int:
+    """Handle `edge sim`."""
     claim()
     stop = stop_on_signals(args.with_parent)
     if args.motion_only:
@@ -184,7 +176,8 @@ def _sim(args: argparse.Namespace) -> int:
     return run_simulator(load_config(args), stop, motion=not args.no_motion)
 
 
-def _config(args: argparse.Namespace) -> int:
+def config(args: argparse.Namespace) -> int:
+    """Handle `edge config`."""
     from edge.config import Config
 
     if args.schema:

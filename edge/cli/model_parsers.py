@@ -32,8 +32,7 @@ def _list(action: argparse.ArgumentParser) -> None:
         help="with --check: how long each model may take before it is killed; default: %(default)g",
     )  # fmt: skip
     check, show = lazy("edge.models.check", "run"), lazy("edge.models.listing", "run")
-    handler = switched("--check", check, ("--file",), show, ("--json",))
-    action.set_defaults(handler=handler)
+    switched(action, "--check", check, ("--file",), show, ("--json",))
 
 
 def _pull(action: argparse.ArgumentParser) -> None:
@@ -71,7 +70,7 @@ def _export(action: argparse.ArgumentParser) -> None:
     option("--no-gate", action="store_true", help="keep a model that misses its parity's limits")
     export, quantize = lazy("edge.models.make", "export"), lazy("edge.models.make", "quantize")
     of_weights = ("--weights", "--family", "--license")
-    action.set_defaults(handler=switched("--quantize", quantize, (), export, of_weights))
+    switched(action, "--quantize", quantize, (), export, of_weights)
 
 
 def _use(action: argparse.ArgumentParser) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
 
-from edge.errors import UnavailableError, UsageError
+from edge.errors import UnavailableError
 
 Handler = Callable[[argparse.Namespace], int]
 
@@ -41,25 +41,25 @@ def lazy(module: str, function: str, lab: bool = False) -> Handler:
 
 
 def switched(
-    option: str, on: Handler, on_only: tuple[str, ...], off: Handler, off_only: tuple[str, ...]
-) -> Handler:
-    """Return a handler that is `on` if an option is given, else `off`.
+    parser: argparse.ArgumentParser,
+    option: str, on: Handler, on_only: tuple[str, ...], off: Handler, off_only: tuple[str, ...],
+) -> Handler:  # fmt: skip
+    """Let a command be handled by `on` if an option is given, else by `off`.
 
     Args:
         option: or several: "--trace or --recover".
         on_only, off_only: options, or names of arguments, that only one of the two takes.
     """
 
-    def given(args: argparse.Namespace, name: str) -> bool:
-        return getattr(args, name.lstrip("-").replace("-", "_")) not in (None, False, [])
-
     def handler(args: argparse.Namespace) -> int:
-        is_on = any(given(args, name) for name in option.split(" or "))
-        for name in off_only if is_on else on_only:
-            if given(args, name):
-                raise UsageError(f"{name}: {'not' if is_on else 'only'} with {option}")
+        given = {f"--{name.replace('_', '-')}" for name, value in vars(args).items()
+                 if value not in (None, False, [])}  # fmt: skip
+        is_on = not given.isdisjoint(option.split(" or "))
+        if wrong := given.intersection(off_only if is_on else on_only):
+            parser.error(f"{min(wrong)}: {'not' if is_on else 'only'} with {option}")
         return (on if is_on else off)(args)
 
+    parser.set_defaults(handler=handler)
     return handler
 
 

@@ -15,7 +15,6 @@ from edge import __version__
 from edge.cli import eval_parsers, fleet_parsers, model_parsers, requests
 from edge.cli.options import (
     CONFIG,
-    Handler,
     count,
     lazy,
     port,
@@ -30,23 +29,22 @@ from edge.logs import add_arguments
 _TARGET = "what to find, in place of mission.target"
 
 
-def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.ArgumentParser:
-    """The parser of `edge`.
-
-    Args:
-        handlers: by command, for the commands that have no module of their own.
-    """
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of `edge`."""
     parser = _Parser(
-        prog="edge", description=description, epilog=_exit_codes(),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        prog="edge", epilog=_exit_codes(), formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="run the service, simulate a robot for it, look after models, measure",
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"edge {__version__}")
     parser.set_defaults(trust_cache=False)
     add_arguments(parser)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for name, add in _OWN.items():
-        add(commands).set_defaults(handler=handlers.get(name))
     for add in (
+        _run,
+        _demo,
+        _sim,
+        _config,
+        _play,
         _mission,
         fleet_parsers.add,
         model_parsers.add,
@@ -75,7 +73,7 @@ def _exit_codes() -> str:
     return "\n".join(["exit codes:", *lines, "  128+N broken off by signal N"])
 
 
-def _run(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
+def _run(commands) -> None:  # type: ignore[no-untyped-def]
     run = commands.add_parser("run", help="run the service on a robot's (or simulator's) sensors")
     run.add_argument("config", help=CONFIG)
     _what(run)
@@ -94,10 +92,12 @@ def _run(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
         "--out", metavar="FILE", help="write it there; `-` prints it (default: "
         "/etc/systemd/system/NAME.service, which takes root)"
     )  # fmt: skip
-    return run
+    of_run = ("--target", "--mission", "--formula", "--task", "--once", "--report")
+    at_boot, now = lazy("edge.cli.install_service", "run"), lazy("edge.cli.main", "run")
+    switched(run, "--install", at_boot, ("--name", "--user", "--out"), now, of_run)
 
 
-def _demo(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
+def _demo(commands) -> None:  # type: ignore[no-untyped-def]
     text = "simulator, controller and service in the built-in house"
     demo = commands.add_parser("demo", help=text)
     demo.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
@@ -111,7 +111,7 @@ def _demo(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     )
     demo.add_argument("--live", metavar="PORT", nargs="?", type=port, const=0, help=text)
     _trust(demo)
-    return demo
+    demo.set_defaults(handler=lazy("edge.cli.main", "demo"))
 
 
 def _what(command: argparse.ArgumentParser) -> None:
@@ -130,14 +130,14 @@ def _trust(command: argparse.ArgumentParser) -> None:
     command.add_argument("--trust-cache", action="store_true", help=text)
 
 
-def _sim(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
+def _sim(commands) -> None:  # type: ignore[no-untyped-def]
     sim = commands.add_parser("sim", help="run the simulated robot (and the reference controller)")
     sim.add_argument("config", help=CONFIG)
     which = sim.add_mutually_exclusive_group()
     which.add_argument("--no-motion", action="store_true", help="bring another motion controller")
     which.add_argument("--motion-only", action="store_true", help="run the controller alone")
     _with_parent(sim)
-    return sim
+    sim.set_defaults(handler=lazy("edge.cli.main", "sim"))
 
 
 def _with_parent(command: argparse.ArgumentParser) -> None:
@@ -145,11 +145,11 @@ def _with_parent(command: argparse.ArgumentParser) -> None:
     command.add_argument("--with-parent", type=int, metavar="PID", help=argparse.SUPPRESS)
 
 
-def _config(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
+def _config(commands) -> None:  # type: ignore[no-untyped-def]
     config = commands.add_parser("config", help="check a configuration; print it or its schema")
     config.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
     config.add_argument("--schema", action="store_true", help="print the JSON Schema")
-    return config
+    config.set_defaults(handler=lazy("edge.cli.main", "config"))
 
 
 def _mission(commands) -> None:  # type: ignore[no-untyped-def]
@@ -175,7 +175,7 @@ def _record(commands) -> None:  # type: ignore[no-untyped-def]
     record.set_defaults(handler=lazy("edge.sources.recording", "run"))
 
 
-def _play(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
+def _play(commands) -> None:  # type: ignore[no-untyped-def]
     text = "play a recording of any robot (MCAP, rosbag2) into the service; what comes of it"
     play = commands.add_parser("play", help=text)
     play.add_argument("file", type=Path, metavar="FILE", help="an MCAP file, a .db3, or the folder "
@@ -195,7 +195,7 @@ def _play(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     text = "show a page of what happens until Ctrl-C, on this port (default: as of edge demo)"
     play.add_argument("--live", metavar="PORT", nargs="?", type=port, const=0, help=text)
     _trust(play)
-    return play
+    play.set_defaults(handler=lazy("edge.cli.main", "play"))
 
 
 def _replay(commands) -> None:  # type: ignore[no-untyped-def]
@@ -230,9 +230,8 @@ def _replay(commands) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     mine = ("--config", "--detect", "--trust")
     of = {name: lazy("edge.recording.commands", name) for name in ("replay", "recover", "trace")}
-    write = switched("--trace", of["trace"], (), of["recover"], ())
-    handler = switched("--trace or --recover", write, ("--out",), of["replay"], mine)
-    replay.set_defaults(handler=handler)
+    write = switched(replay, "--trace", of["trace"], (), of["recover"], ())
+    switched(replay, "--trace or --recover", write, ("--out",), of["replay"], mine)
 
 
 def _ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]
@@ -312,7 +311,7 @@ def _bench(commands) -> None:  # type: ignore[no-untyped-def]
     of_models = ("--images", "--providers", "--threads", "--update-cards")
     of_service = ("--enforce", "--calibrate", "--recording", "--swap", "--trust-cache")
     compare, service_ = lazy("edge.lab.bench.compare", "run"), lazy("edge.lab.bench.service", "run")
-    bench.set_defaults(handler=switched("--models", compare, of_models, service_, of_service))
+    switched(bench, "--models", compare, of_models, service_, of_service)
 
 
 def _soak(commands) -> None:  # type: ignore[no-untyped-def]
@@ -351,12 +350,3 @@ def _doctor(commands) -> None:  # type: ignore[no-untyped-def]
         help="listen for so long (default: %(default)g)",
     )  # fmt: skip
     doctor.set_defaults(handler=lazy("edge.cli.doctor", "run"))
-
-
-_OWN = {
-    "run": _run,
-    "demo": _demo,
-    "sim": _sim,
-    "config": _config,
-    "play": _play,
-}

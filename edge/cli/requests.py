@@ -45,9 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-d
         )  # fmt: skip
         option("--json", action="store_true", help="print the answer as it came")
         option("--fleet", action="store_true", help="to the robots at a router, not to one")
-        alone, of_fleet = ((), ("robots",)) if not is_new else _add_new(action)
+        alone, of_fleet = ((), ("--robots",)) if not is_new else _add_new(action)
         function = lazy("edge.cli.fleet", "new" if is_new else "ask")
-        action.set_defaults(handler=switched("--fleet", function, of_fleet, run, alone))
+        switched(action, "--fleet", function, of_fleet, run, alone)
     return actions
 
 

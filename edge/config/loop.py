@@ -120,13 +120,12 @@ class Loop(Section):
     these come less often, the robot stands (docs/robot.md, "When the data is wrong").
 
     `lockstep` waits for nothing in real time: every observation is one tick and the
-    detector runs inside it every `detect_every` ticks, so a run replays the same."""
+    detector runs inside it, so a run replays the same."""
 
     hz: Positive = 30.0
     blind_s: Positive = 0.8
     priority: Annotated[int, Field(ge=0, le=99)] = 0
     lockstep: bool = False
-    detect_every: Annotated[int, Field(ge=1)] = 1
 
 
 class Report(Section):

@@ -11,26 +11,16 @@ from edge.logs import once
 log = logging.getLogger("edge.config")
 
 REMOVED = {
-    "mapping.clear_after",
-    "mapping.frontier_large_cells",
-    "mapping.frontier_min_cells",
-    "mapping.frontier_spacing_m",
-    "mapping.ground_slope",
+    "loop.detect_every",
+    *(f"mapping.{k}" for k in ("clear_after", "ground_slope", "reach_cells_per_tick")),
+    *(f"mapping.frontier_{k}" for k in ("large_cells", "min_cells", "spacing_m")),
     "mapping.max_frontiers",
-    "mapping.reach_cells_per_tick",
-    "mission.planner.replan_margin_m",
-    "mission.planner.w_det",
-    "mission.planner.w_fail",
-    "motion.goal_tolerance_m",
-    "motion.near_m",
-    "motion.stuck_m",
-    "motion.unknown_cost",
-    "motion.yaw_tolerance_rad",
-    "perception.detector.max_detections",
-    "perception.max_instances",
+    *(f"mission.planner.{k}" for k in ("replan_margin_m", "w_det", "w_fail")),
+    *(f"motion.{k}" for k in ("goal_tolerance_m", "yaw_tolerance_rad", "stuck_m", "near_m")),
+    *("motion.unknown_cost", "perception.max_instances", "perception.detector.max_detections"),
     "report.frames",
 }
-"""Keys that became constants: for one release a file that has one is read, with a warning."""
+"""For one release a file that has one is read, with a warning."""
 
 
 def without_removed(

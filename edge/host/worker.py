@@ -62,7 +62,6 @@ class Worker(Generic[Item, Result]):
         what: it is, for the log.
         work: called with each item; what it returns can be polled, unless it is None.
         inline: no thread: `submit` does the work, so that a run replays the same.
-        every: inline, how many items are taken for one that is worked on.
         rest_s: how long it takes up nothing after work that went well.
         pause_s: how long after the first failure; twice as long after each that follows. Inline,
             where no time passes, 2, 4, 8 … items are dropped instead.
@@ -78,7 +77,6 @@ class Worker(Generic[Item, Result]):
         work: Callable[[Item], Result | None],
         *,
         inline: bool = False,
-        every: int = 1,
         rest_s: float = 0.0,
         pause_s: float = 0.0,
         drop: Callable[[Item], object] = lambda item: None,
@@ -87,7 +85,7 @@ class Worker(Generic[Item, Result]):
         beat: Callable[[], object] | None = None,
     ) -> None:
         self.stats = Stats()
-        self._what, self._work, self._every = what, work, every
+        self._what, self._work = what, work
         self._rest_s, self._pause_s = rest_s, pause_s
         self._drop, self._drop_result = drop, drop_result
         self._finishes, self._beat = finishes, beat
@@ -181,9 +179,7 @@ class Worker(Generic[Item, Result]):
             return
         self.stats.submitted += 1
         self._begun = self._round
-        if self._do(item) or not self._pause_s:
-            self._passes = self._every - 1
-        else:
+        if not self._do(item) and self._pause_s:
             self._passes = 2 ** min(self.stats.in_a_row, MAX_DOUBLINGS)
 
     def _run(self) -> None:

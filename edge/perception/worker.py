@@ -28,7 +28,7 @@ class DetectorWorker(Worker[Observation, Detections]):
     Whoever polls detections owns that hold: call `detections.observation.release()` when done.
 
     Args:
-        inline, every: see `Worker`.
+        inline: see `Worker`.
         masker: makes masks; None: there are none.
 
     Attributes:
@@ -41,7 +41,6 @@ class DetectorWorker(Worker[Observation, Detections]):
         self,
         detector: Detector,
         inline: bool = False,
-        every: int = 1,
         masker: Masker | None = None,
     ) -> None:
         self.detector, self.masker = detector, masker
@@ -50,7 +49,7 @@ class DetectorWorker(Worker[Observation, Detections]):
         self._using: Detector | None = None
         self._hand = threading.Lock()
         super().__init__(
-            "detector", self._detect, inline=inline, every=every, drop=Observation.release,
+            "detector", self._detect, inline=inline, drop=Observation.release,
             drop_result=lambda unread: unread.observation.release(),
         )  # fmt: skip
 

@@ -49,7 +49,7 @@ def ran(*providers: str, fault: str = "") -> Probed | None:
 
 
 def command(*words: str) -> argparse.Namespace:
-    return make_parser("", {}).parse_args(["doctor", *words])
+    return make_parser().parse_args(["doctor", *words])
 
 
 def test_no_findings():

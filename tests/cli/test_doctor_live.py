@@ -150,6 +150,6 @@ def test_whatever_needs_doing_gives_exit_code_1(monkeypatch, capsys, level, code
     monkeypatch.setattr(
         doctor, "listen", lambda config, seconds: [doctor.Finding(level, f"heard {seconds:g} s")]
     )
-    args = make_parser("", {}).parse_args(["doctor", "--live", "demo", "--seconds", "3"])
+    args = make_parser().parse_args(["doctor", "--live", "demo", "--seconds", "3"])
     assert args.handler(args) == code
     assert "heard 3 s" in capsys.readouterr().out

@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 
 def test_the_demo_reaches_its_target_by_the_small_scorer(monkeypatch):
     monkeypatch.delenv("EDGE__POLICY__KIND", raising=False)
-    asked = cli.load_config(cli.make_parser("", {}).parse_args(["demo", "--policy", "directional"]))
+    asked = cli.load_config(cli.make_parser().parse_args(["demo", "--policy", "directional"]))
     inline = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
     config = parse(merged(data_of(asked), inline), asked.path)
     recorder = Recorder(config)

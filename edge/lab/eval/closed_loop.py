@@ -86,7 +86,7 @@ class ClosedLoop:
         brief = prepared(config, self.task)
         masker = make_masker(config.perception, timed=False)
         detector = make_detector(config.perception, brief.targets, truth=self.truth)
-        self.worker = DetectorWorker(detector, True, config.loop.detect_every, masker)
+        self.worker = DetectorWorker(detector, True, masker)
         self.scorers = make_scorers(config, brief.targets)
         sinks = [self.notes, *self.sinks]
         truth = {"world": world, "robot_radius_m": config.robot.radius_m}

@@ -190,7 +190,7 @@ def test_sentences_of_ones_own(tmp_path: Path) -> None:
 
 
 def _run(*argv: str) -> int:
-    return translate.run(make_parser("", {}).parse_args(["eval", "translate", *argv]))
+    return translate.run(make_parser().parse_args(["eval", "translate", *argv]))
 
 
 def test_run_writes_counts_and_failures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

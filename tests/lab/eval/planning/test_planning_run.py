@@ -22,7 +22,7 @@ from edge.lab.eval.planning.templates import generate
 
 
 def parsed(*argv: str) -> argparse.Namespace:
-    return make_parser("", {}).parse_args(["eval", "planning", *argv])
+    return make_parser().parse_args(["eval", "planning", *argv])
 
 
 def test_defaults_are_the_papers_benchmark():
@@ -136,7 +136,7 @@ def test_interrupt_ends_it_with_its_processes(tmp_path):
             bars.Bar.reach = reach
             # Who was started in the background by a shell script ignores it.
             signal.signal(signal.SIGINT, signal.default_int_handler)
-            args = make_parser("", {}).parse_args(["eval", "planning", *sys.argv[1:]])
+            args = make_parser().parse_args(["eval", "planning", *sys.argv[1:]])
             try:
                 command.run(args)
             except KeyboardInterrupt:
