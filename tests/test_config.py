@@ -188,8 +188,7 @@ FAULTS = [
     ({"mapping": {"extent_m": 1e9}}, "f.yaml: mapping.extent_m: input should be less than or"),
     (
         {"mission": {"planner": {"kind": "expected", "p_obs": 0.3}}},
-        "f.yaml: mission.planner: kind expected was removed: its ways were no shorter than those "
-        "of kind: vitl with weights: distance; use that",
+        "f.yaml: mission.planner.kind: unknown 'expected' (choices: vitl, in_order, module:Class)",
     ),
     ({1: 2}, "f.yaml: 1: keys should be strings"),
 ]

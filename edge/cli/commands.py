@@ -40,6 +40,9 @@ log = logging.getLogger("edge")
 
 _NEVER_S = 1e6
 _MOST_OBJECTS = 20
+What = tuple[str | None, str | None, str | None]
+"""A mission as the command line gives it: in words, as a formula, as a task; see `open_service`."""
+NOTHING: What = (None, None, None)
 LIVE_PORT = 7480
 """Default port of the demo's live view: the same each time, so that a browser's tab can stay."""
 
@@ -72,9 +75,7 @@ def run_service(
     stop: threading.Event,
     once: bool,
     report: str | None,
-    asked: str | None = None,
-    formula: str | None = None,
-    task: str | None = None,
+    what: What = NOTHING,
     reload: Reload | None = None,
 ) -> int:
     """Run the service; the exit code, see `edge.errors`.
@@ -83,7 +84,7 @@ def run_service(
     `once` that is the outcome.
 
     Args:
-        asked, formula, task: the mission as given on the command line; see `open_service`.
+        what: the mission as given on the command line.
         reload: None: the configuration stays.
 
     Raises:
@@ -93,7 +94,7 @@ def run_service(
     """
     _prepare(config, report)
     recorded = report is not None
-    ended = _serve(config, stop, once, asked, formula, task, reload, recorded=recorded)
+    ended = _serve(config, stop, once, what, reload, recorded=recorded)
     code = _conclude(ended, report)
     return code if once else os.EX_OK
 
@@ -112,9 +113,7 @@ def _serve(
     config: Config,
     stop: threading.Event,
     once: bool,
-    asked: str | None,
-    formula: str | None,
-    task: str | None,
+    what: What,
     reload: Reload | None = None,
     stay: bool = False,
     playback: Playback | None = None,
@@ -137,9 +136,7 @@ def _serve(
         open_service(
             config,
             sinks,
-            asked,
-            formula,
-            task,
+            *what,
             stop,
             vitals.starting,
             vitals.amiss,
@@ -179,8 +176,8 @@ def _serve(
                 ended = None
             elif stay and ended is None:
                 ended = end()
-                what = running.service.status.phase if playback is None else "played"
-                log.info("%s; %s stays until Ctrl-C", what, url)
+                outcome = running.service.status.phase if playback is None else "played"
+                log.info("%s; %s stays until Ctrl-C", outcome, url)
             elif playback is not None and not stay:
                 stop.set()
 
@@ -235,9 +232,7 @@ def run_demo(
     config: Config,
     stop: threading.Event,
     report: str,
-    asked: str | None = None,
-    formula: str | None = None,
-    task: str | None = None,
+    what: What = NOTHING,
     live: int | None = None,
 ) -> int:
     """Run simulated robot, reference controller and service on this machine.
@@ -245,7 +240,6 @@ def run_demo(
     It ends with the mission; with a live view it goes on until `stop` is set.
 
     Args:
-        asked, formula, task: see `run_service`.
         live: port for the live view; 0: `http.port`, else `LIVE_PORT`, else a free one; None: only
             `http.port`.
     """
@@ -258,7 +252,7 @@ def run_demo(
         started = children(config, stop, ("sim", "--no-motion"), ("sim", "--motion-only"))
         with started, suppress(Stopped):  # `started` says it when a child that ended was the cause
             stay = live is not None
-            ended = _serve(config, stop, True, asked, formula, task, stay=stay, recorded=True)
+            ended = _serve(config, stop, True, what, stay=stay, recorded=True)
     finally:  # a child's failure must not cost the report
         code = 0 if ended is None else _conclude(ended, report)
     return code
@@ -271,9 +265,7 @@ def run_play(
     rate: float | None,
     report: str | None,
     live: int | None = None,
-    asked: str | None = None,
-    formula: str | None = None,
-    task: str | None = None,
+    what: What = NOTHING,
 ) -> int:
     """Play a recording of any robot into the service; print what is in it, and what came of it.
 
@@ -282,7 +274,6 @@ def run_play(
     Args:
         rate: see `edge.sources.played.PlayedSource`.
         live: see `run_demo`; None: no live view.
-        asked, formula, task: see `run_service`.
 
     Raises:
         UserError: see `run_service`; or the recording cannot be read, or nothing came of it.
@@ -296,8 +287,8 @@ def run_play(
             print(line, flush=True)
         playback.check()
         stay = live is not None
-        what, recorded = (asked, formula, task), report is not None
-        ended = _serve(config, stop, False, *what, stay=stay, playback=playback, recorded=recorded)
+        recorded = report is not None
+        ended = _serve(config, stop, False, what, stay=stay, playback=playback, recorded=recorded)
         lines = [*playback.outcome(), *_mapped(ended)]
     _conclude(ended, report)
     print("\n".join(lines))

@@ -28,7 +28,6 @@ from edge.loop.vitals import HANGS_S
 
 UNITS = Path("/etc/systemd/system")
 STATE = Path("/var/lib")
-_NAME = "edge"
 OF_SYSTEMD = "of systemd's making"
 _GROUPS = ("video", "render")
 _HOMES = ("/home", "/root", "/run/user")
@@ -117,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
     """
     config = load(args.config)
     config = config.model_copy(update={"path": str(Path(config.path).resolve())})
-    name = args.name or _NAME
+    name = args.name or "edge"
     text = unit(config, name, args.user)
     if args.out == "-":
         print(text, end="")

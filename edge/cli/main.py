@@ -136,10 +136,13 @@ def run(args: argparse.Namespace) -> int:
 
     with unwaited_stderr():  # the loop writes there, too
         setup(args.log_level, args.log_json)
-        config, asked = load_config(args), args.target or args.mission
         reload = Reload(partial(load_config, args), hung_up)
-        what = asked, args.formula, args.task
-        return run_service(config, stop, args.once, args.report, *what, reload)
+        return run_service(load_config(args), stop, args.once, args.report, _what(args), reload)
+
+
+def _what(args: argparse.Namespace) -> tuple[str | None, str | None, str | None]:
+    """Return the mission that the command line gives; see `edge.cli.commands.What`."""
+    return args.target or args.mission, args.formula, args.task
 
 
 def demo(args: argparse.Namespace) -> int:
@@ -148,8 +151,7 @@ def demo(args: argparse.Namespace) -> int:
     stop = stop_on_signals()
     from edge.cli.commands import run_demo
 
-    config, asked = load_config(args), args.target or args.mission
-    return run_demo(config, stop, args.report, asked, args.formula, args.task, args.live)
+    return run_demo(load_config(args), stop, args.report, _what(args), args.live)
 
 
 def play(args: argparse.Namespace) -> int:
@@ -157,10 +159,9 @@ def play(args: argparse.Namespace) -> int:
     stop = stop_on_signals()
     from edge.cli.commands import run_play
 
-    config, asked = load_config(args), args.target or args.mission
     rate = None if args.fast else args.rate
-    what = asked, args.formula, args.task
-    return run_play(config, args.file, stop, rate, args.report, args.live, *what)
+    config = load_config(args)
+    return run_play(config, args.file, stop, rate, args.report, args.live, _what(args))
 
 
 def sim(args: argparse.Namespace) -> int:

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import NoReturn
 
 from edge import __version__
-from edge.cli import eval_parsers, fleet_parsers, model_parsers, requests
+from edge.cli import eval_parsers, model_parsers, requests
 from edge.cli.options import (
     CONFIG,
+    WHERE,
     count,
     lazy,
     port,
@@ -46,7 +47,7 @@ def make_parser() -> argparse.ArgumentParser:
         _config,
         _play,
         _mission,
-        fleet_parsers.add,
+        _fleet,
         model_parsers.add,
         _record,
         _replay,
@@ -105,12 +106,7 @@ def _demo(commands) -> None:  # type: ignore[no-untyped-def]
     text = "policy.kind; the configuration demo brings along what it goes by"
     demo.add_argument("--policy", metavar="KIND", help=text)
     demo.add_argument("--report", metavar="DIR", default="report", help="default: ./report")
-    text = (
-        "show a page of what happens until Ctrl-C, on this port (default: http.port, else 7480, or "
-        "a free one where that is taken)"
-    )
-    demo.add_argument("--live", metavar="PORT", nargs="?", type=port, const=0, help=text)
-    _trust(demo)
+    _live(demo)
     demo.set_defaults(handler=lazy("edge.cli.main", "demo"))
 
 
@@ -123,6 +119,14 @@ def _what(command: argparse.ArgumentParser) -> None:
     text = "a way in words, as 'go around the left of the sofa, then stop at the desk'"
     what.add_argument("--task", metavar="TEXT", help=text)
     requests.add_reading(command)
+
+
+def _live(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--live", metavar="PORT", nargs="?", type=port, const=0, help="show a page of what happens "
+        "until Ctrl-C, on this port (default: http.port, else 7480, or a free one if it is taken)",
+    )  # fmt: skip
+    _trust(command)
 
 
 def _trust(command: argparse.ArgumentParser) -> None:
@@ -165,6 +169,22 @@ def _mission(commands) -> None:  # type: ignore[no-untyped-def]
     explain.set_defaults(handler=lazy("edge.cli.explain", "run"))
 
 
+def _fleet(commands) -> None:  # type: ignore[no-untyped-def]
+    fleet = commands.add_parser("fleet", help="several robots over one router")
+    actions = fleet.add_subparsers(required=True, metavar="ACTION", title="actions")
+    show = actions.add_parser("list", help="who is there, and how each stands")
+    show.add_argument("config", metavar="CONFIG|ENDPOINT", help=WHERE)
+    show.add_argument("--json", action="store_true", help="print JSON")
+    show.add_argument("--watch", action="store_true", help="go on, with a line for each change")
+    show.set_defaults(handler=lazy("edge.cli.fleet", "show"))
+    router = actions.add_parser("router", help="what the robots meet at, where no zenohd runs")
+    router.add_argument("endpoint", nargs="?", default="tcp/127.0.0.1:7447",
+                        help="to listen at (default: %(default)s)")  # fmt: skip
+    router.add_argument("--file", metavar="FILE", help="Zenoh's own configuration (JSON5), such as "
+                        "config/secure/fleet-router.json5")  # fmt: skip
+    router.set_defaults(handler=lazy("edge.cli.fleet", "route"))
+
+
 def _record(commands) -> None:  # type: ignore[no-untyped-def]
     record = commands.add_parser("record", help="write what the sensors send to an MCAP file")
     record.add_argument("config", help=CONFIG)
@@ -192,9 +212,7 @@ def _play(commands) -> None:  # type: ignore[no-untyped-def]
         "late"
     )  # fmt: skip
     play.add_argument("--report", metavar="DIR", help="write a picture and a page there at the end")
-    text = "show a page of what happens until Ctrl-C, on this port (default: as of edge demo)"
-    play.add_argument("--live", metavar="PORT", nargs="?", type=port, const=0, help=text)
-    _trust(play)
+    _live(play)
     play.set_defaults(handler=lazy("edge.cli.main", "play"))
 
 

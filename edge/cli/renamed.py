@@ -28,9 +28,8 @@ def renew(argv: Sequence[str]) -> tuple[list[str], str | None]:
     at = 0  # of the command, behind options of `edge` itself
     while at < len(argv) and argv[at].startswith("-"):
         at += 1 + (argv[at] == "--log-level")
-    for old, new in RENAMED.items():
-        words = old.split()
-        if list(argv[at : at + len(words)]) == words:
-            rest = argv[at + len(words) :]
-            return [*argv[:at], *new.split(), *rest], f"edge {old} is now: edge {new}"
+    for n in (1, 2):
+        if new := RENAMED.get(old := " ".join(argv[at : at + n])):
+            argv = [*argv[:at], *new.split(), *argv[at + n :]]
+            return argv, f"edge {old} is now: edge {new}"
     return list(argv), None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Union
 
-from pydantic import Discriminator, Field, Tag, field_validator
+from pydantic import Discriminator, Field, Tag
 
 from edge.config.section import (
     MODULE_CLASS,
@@ -128,13 +128,3 @@ class Mission(Section):
     verify_s: Positive = 2.0
     stuck_s: Positive = 12.0
     discard_s: Positive = 45.0
-
-    @field_validator("planner", mode="before")
-    @classmethod
-    def _names_no_removed_planner(cls, planner: Any) -> Any:
-        if kind_of(planner) == "expected":
-            raise ValueError(
-                "kind expected was removed: its ways were no shorter than those of kind: vitl with "
-                "weights: distance; use that"
-            )
-        return planner

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 DETECTOR = "detector"
 TASK = "task"
@@ -31,21 +31,6 @@ class Input(NamedTuple):
     n: int
     kind: str
     fields: dict[str, Any]
-
-
-class Beside(Protocol):
-    """What the loop knows of a worker beside it; see `edge.host.worker.Worker`."""
-
-    @property
-    def idle(self) -> bool: ...
-
-    def submit(self, item: Any) -> None: ...
-
-    def poll(self) -> Any: ...
-
-    def forget(self) -> None: ...
-
-    def close(self) -> object: ...
 
 
 class Journal:
