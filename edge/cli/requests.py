@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable
 
 from edge.bus import client
-from edge.cli.options import CONFIG, WHERE, lazy, positive, switched
+from edge.cli.options import CONFIG, WHERE, count, lazy, positive, switched
 from edge.text import one_line
 
 ANSWER_S = 5.0
@@ -79,7 +79,7 @@ def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[st
 def add_reading(parser) -> None:  # type: ignore[no-untyped-def]
     """The option that chooses among what an instruction may mean."""
     parser.add_argument(
-        "--reading", type=_count, metavar="N",
+        "--reading", type=count, metavar="N",
         help="which one is meant, of an instruction that can be read in several ways",
     )  # fmt: skip
 
@@ -224,12 +224,6 @@ _ROWS: dict[str, Callable[[dict], str]] = {
     "trajectory": _of_task(_trajectory),
     "notes": _of_task(_text("notes", "; ")),
 }
-
-
-def _count(text: str) -> int:
-    if not text.isascii() or not text.isdecimal() or not 0 < int(text[:9]) == int(text[:10]):
-        raise argparse.ArgumentTypeError(f"must be a number from 1 on, got {text}")
-    return int(text)
 
 
 def _seconds(text: str) -> float:
