@@ -99,14 +99,12 @@ RULES: tuple[Rule, ...] = (
     Rule("checkpoint", "the file is whole at every look", _unreadable),
     Rule(
         "map",
-        "so is the one beside it, of all that is bound to `map`, and without a fault it is no "
-        f"older than {OLD_S:g} s",
+        f"so is `….map`; without a fault it is no older than {OLD_S:g} s",
         _places_lost,
     ),
     Rule(
         "recordings",
-        "the `mcap` library reads each file once it is complete, all that its index "
-        "tells of; together they are no larger than `keep_mb`",
+        "the `mcap` library reads each complete file; together they are no larger than `keep_mb`",
         _recorded_badly,
     ),
     Rule("log", f"at most {LOG_A_MINUTE} lines a minute", _floods),
