@@ -202,7 +202,7 @@ def export(args: Any) -> dict[str, LetterReport]:
     if others := [p for p in args.precision if p != "fp32"]:
         raise ExportError(
             f"--precision: {others[0]!r:.60}: only fp32 is made of a folder; then `edge models "
-            f"quantize {name} --precision P --calibration PICTURES` makes the others"
+            f"export {name} --quantize --precision P --calibration PICTURES` makes the others"
         )
     _, validation = pictures(args.calibration, args.validation)
     model, networks = load_model(args.weights)

@@ -20,12 +20,9 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
 
 def _list(action: argparse.ArgumentParser) -> None:
     option = action.add_argument
-    option(
-        "name", nargs="?",
-        help="a card's name; default: all, with --check all whose file is there",
-    )  # fmt: skip
+    option("name", nargs="?", help=f"{_CARD}; default: all")
     option("--json", action="store_true", help="print the cards as JSON")
-    option("--check", action="store_true", help="hash, interface and one inference of each")
+    option("--check", action="store_true", help="hash, interface and one inference of each file")
     option("--file", type=Path, help="with --check: hold this file against the card")
     option(
         "--timeout", type=positive, default=120.0, metavar="S",

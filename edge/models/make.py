@@ -84,9 +84,7 @@ def quantize(args: argparse.Namespace) -> int:
         args.precision = args.precision or [_CHOICE_PRECISION]
         return _run_exporters(named.name, args, cards=_folder_of(named))
     if args.precision:
-        raise ModelError(
-            f"models export --quantize: {args.name}: its card names its precision already"
-        )
+        raise ModelError(f"models export: {args.name}: its card names its precision already")
     card = with_file(args.name)
     if card.derived_from is None:
         raise ModelError(
@@ -141,7 +139,7 @@ def need_modules(action: str, modules: tuple[str, ...]) -> None:
         alone = [m for m in missing if m in _WITHOUT_DEPENDENCIES]
         then = f", then pip install --no-deps {' '.join(alone)}" if alone else ""
         raise ModelError(
-            f"models {action}: {', '.join(missing)} not installed here: pip install "
+            f"models export: {', '.join(missing)} not installed here: pip install "
             f"'edge-vln[{extras}]'{then}"
         )
 
