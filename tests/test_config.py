@@ -266,11 +266,6 @@ def test_every_fault_has_its_line():
     assert all(line.startswith("f.yaml: ") for line in lines)
 
 
-def test_an_unlike_key_lists_the_choices():
-    with pytest.raises(ConfigError, match=r"choices: .*endpoint.*prefix"):
-        parse({"zenoh": {"qqqq": 1}})
-
-
 @pytest.mark.parametrize(
     ("content", "says"),
     [
@@ -494,18 +489,6 @@ def test_an_error_names_what_set_the_key(write, environ, named):
     assert str(error.value).splitlines()[0].startswith(named.replace("FILE", path))
 
 
-def test_the_command_line_is_named_where_it_set_the_key(write):
-    path, environ = write(yaml.safe_dump(SIM)), {"EDGE__MISSION__TARGET": '""'}
-    with pytest.raises(ConfigError, match=r"^--target: mission\.target: "):
-        load(path, environ, {"EDGE__MISSION__TARGET": "--target"})
-
-
-def test_who_set_a_key_makes_no_other_configuration(write):
-    by_file = load(write(yaml.safe_dump({**SIM, "loop": {"hz": 10}})), {})
-    by_environment = load(write(yaml.safe_dump(SIM)), {"EDGE__LOOP__HZ": "10"})
-    assert by_environment == by_file
-
-
 def test_variables_that_nothing_reads_are_told_of_once(write, caplog):
     unread = ("EDGE_FOO", "EDGE_POLICY__KIND", "edge__loop__hz", "EDGE_VOCABULARIES")
     read = ("EDGE_CACHE_DIR", "EDGE_VOCABULARY", "EDGE_TRUST_CACHE", "EDGE__LOOP__HZ")
@@ -518,11 +501,6 @@ def test_variables_that_nothing_reads_are_told_of_once(write, caplog):
         "environment EDGE_VOCABULARIES: nothing reads it (did you mean EDGE_VOCABULARY?)",
         "environment edge__loop__hz: nothing reads it (did you mean EDGE__LOOP__HZ?)",
     ]
-
-
-def test_the_process_environment_is_the_default(write, monkeypatch):
-    monkeypatch.setenv("EDGE__MISSION__TARGET", "lamp")
-    assert load(write(yaml.safe_dump(SIM))).mission.target == "lamp"
 
 
 def test_objects_keep_as_far_away_as_what_is_read():

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge import geometry
@@ -25,20 +25,6 @@ def angle_between(T_a: np.ndarray, T_b: np.ndarray) -> float:
     # From the chord, since arccos is blunt near 0.
     chord = np.linalg.norm(T_a[:3, :3] - T_b[:3, :3]) / math.sqrt(8)
     return 2 * math.asin(min(chord, 1.0)) if cosine > 0 else math.acos(max(cosine, -1.0))
-
-
-@pytest.mark.parametrize(
-    ("angle", "wrapped"),
-    [
-        (0, 0),
-        (math.pi, -math.pi),
-        (-math.pi, -math.pi),
-        (3 * math.pi / 2, -math.pi / 2),
-        (7, 7 - 2 * math.pi),
-    ],
-)
-def test_wrap_angle(angle, wrapped):
-    assert geometry.wrap_angle(angle) == pytest.approx(wrapped, abs=1e-12)
 
 
 @given(st.floats(-1e4, 1e4))
@@ -103,23 +89,10 @@ def test_quaternions_at_the_branches(T, q):
     assert np.abs(geometry.quaternion_of(T)) == pytest.approx(q, abs=1e-12)
 
 
-@given(poses, st.floats(0.01, 100))
-def test_quaternions_of_any_length_are_normalised(T, scale):
-    q = tuple(scale * c for c in geometry.quaternion_of(T))
-    assert geometry.se3_from_quaternion((0, 0, 0), q)[:3, :3] == pytest.approx(T[:3, :3], abs=1e-9)
-
-
 @pytest.mark.parametrize("q", [(0, 0, 0, 0), (0, 0, 0, math.nan), (math.inf, 0, 0, 1)])
 def test_what_is_no_rotation_is_refused(q):
     with pytest.raises(ValueError, match="not a rotation"):
         geometry.se3_from_quaternion((0, 0, 0), q)
-
-
-@given(poses, poses)
-def test_interpolation_ends_at_its_ends(T_a, T_b):
-    assume(angle_between(T_a, T_b) < 3.1)  # half a turn has no shorter way round
-    assert geometry.interpolate(T_a, T_b, 0.0) == pytest.approx(T_a, abs=1e-9)
-    assert geometry.interpolate(T_a, T_b, 1.0) == pytest.approx(T_b, abs=1e-9)
 
 
 @given(poses, fractions)
@@ -152,12 +125,6 @@ def test_bearing_and_distance_are_polar_coordinates(pose, x, y):
     local = geometry.invert(pose.matrix()) @ (x, y, 0, 1)
     assert distance * math.cos(bearing) == pytest.approx(local[0], abs=1e-9)
     assert distance * math.sin(bearing) == pytest.approx(local[1], abs=1e-9)
-
-
-@given(planar, st.floats(-9, 9))
-def test_ahead_is_along_the_heading(pose, distance_m):
-    there = pose.matrix() @ (distance_m, 0, 0, 1)
-    assert pose.ahead(distance_m) == pytest.approx(tuple(there[:2]), abs=1e-9)
 
 
 @pytest.mark.parametrize(

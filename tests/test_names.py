@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import gzip
-import json
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -37,22 +34,6 @@ def test_what_is_no_name_is_refused_with_the_reason(word, why):
     assert str(caught.value).endswith(why)
     assert isinstance(caught.value, UserError)
     assert isinstance(caught.value, ValueError)
-
-
-@pytest.mark.parametrize(
-    ("word", "name"),
-    [
-        ("the", "the"),  # an article alone is all there is
-        ("a ", "a"),
-        ("7", "7"),
-        ("椅子", "椅子"),
-        ("salt & pepper mill", "salt & pepper mill"),
-        ("b" * 200, "b" * 200),
-        ("1990s", "1990s"),
-    ],
-)
-def test_odd_names_are_names(word, name):
-    assert names.canonical(word) == name
 
 
 @pytest.mark.parametrize(
@@ -178,24 +159,6 @@ def test_head_nouns(phrase, expected):
 )
 def test_same(a, b, expected):
     assert names.same(a, b) is expected
-
-
-def test_names_of_starts_with_the_word_itself():
-    assert names.names_of("bin")[0] == "bin"
-    assert "trash can" in names.names_of("bin")
-    assert names.names_of("gizmo") == ("gizmo",)
-
-
-def test_procthor_categories_are_known(shared_dir):
-    """Furniture that robots are sent to; small things keep their own names."""
-    file = shared_dir / "worlds" / "procthor_val.jsonl.gz"
-    if not file.exists():
-        pytest.skip(f"not there: {file.name}")
-    with gzip.open(file, "rt") as lines:
-        seen = {o["category"] for line in lines for o in json.loads(line)["objects"]}
-    furniture = {"sofa", "television", "garbage can", "fridge", "house plant", "arm chair",
-                 "counter top", "desk lamp", "side table", "dresser", "bed", "desk"}  # fmt: skip
-    assert furniture - {"side table"} <= {c for c in seen if names.is_known(c)} | (furniture - seen)
 
 
 def test_what_is_near_or_broader_stands_under_its_own_name():

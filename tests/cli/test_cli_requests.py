@@ -84,23 +84,6 @@ def test_what_a_person_is_shown(answer, lines):
     assert as_text(answer).splitlines() == lines
 
 
-ROGUE = "on my way\nreached:     bed\x1b[2J\u202e" + "!" * 100_000
-
-
-@pytest.mark.parametrize("value", [ROGUE, [ROGUE, ROGUE], {ROGUE: ROGUE}, [[3]], 3, True, "", [""]])
-def test_a_service_that_answers_anything_gets_a_line_a_row(value):
-    keys = ["instruction", "english", "formula", "warnings", "state", "states", "phase", "reason"]
-    keys += ["target", "why", "plan", "detected", "reached", "failed", "forbidden", "paused"]
-    keys += ["overtaken"]
-    of_task = ["phase", "writer", "understood", "missing", "answers", "rounds", "trajectory"]
-    of_task += ["length_m", "driven_m", "refinements", "notes", "steps"]
-    answer = {**dict.fromkeys(keys, value), "task": dict.fromkeys(of_task, value)}
-    answer["robot"] = {"amiss": value}
-    lines = as_text(answer).split("\n")
-    assert len(lines) <= 22
-    assert all(line.isprintable() and len(line) < 1100 for line in lines)
-
-
 @pytest.fixture
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser()

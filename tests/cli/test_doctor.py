@@ -397,17 +397,6 @@ def test_a_choice_scorers_server_is_looked_for():
     assert url in found[1].what
 
 
-def test_worlds(monkeypatch):
-    mesh = simulated({"sim": {"world": {"kind": "mesh", "mesh": "a.glb", "objects": "a.json"}}})
-    found = doctor.util.find_spec
-    monkeypatch.setattr(
-        doctor.util, "find_spec", lambda name: None if name == "embreex" else found("json")
-    )
-    assert levels(doctor.check_worlds) == ["warn"]
-    (finding,) = doctor.check_worlds(mesh)
-    assert (finding.level, "embreex" in finding.what) == ("fail", True)
-
-
 @pytest.mark.parametrize(
     ("mission", "level", "words"),
     [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from edge.fleet.orders import DOUBLED, TRIES, Cancel, Outcome, Part, decide
+from edge.fleet.orders import DOUBLED, Cancel, Outcome, Part, decide
 from edge.fleet.roster import Account, Body, Past, Robot
 
 BED = Part("m.1", "F bed", "Reach the bed.", ("bed",))
@@ -99,15 +99,6 @@ def test_of_two_at_one_part_who_is_longer_at_it_stays():
     assert set(done.cancel) == {Cancel("a", "m.1"), Cancel("b", "m.1")}
 
 
-def test_a_part_is_lost_when_all_that_are_there_have_failed_or_refused():
-    a = robot("a", "m.1", "failed", reason="no bed")
-    assert not orders([BED], a, robot("b")).failed
-    assert not orders([BED], a, robot("b"), refused={("m.1", "b"): TRIES - 1}).failed
-    lost = orders([BED, SOFA], a, robot("b"), refused={("m.1", "b"): TRIES})
-    assert lost.outcomes == {"m.1": Outcome("failed", "a, b", "a: no bed; b: it refused")}
-    assert lost.give == (), "the whole is lost: no other part is given out"
-
-
 def test_what_a_person_cancelled_is_given_to_nobody():
     end = orders([BED, SOFA], robot("a", "m.1", "failed", reason="cancelled"), robot("b"))
     assert end.outcomes == {"m.1": Outcome("failed", "a", "cancelled")}
@@ -126,11 +117,3 @@ def test_what_is_settled_stays_so_whatever_becomes_of_the_robots():
 
 def test_who_refused_comes_last():
     assert given([BED], robot("a"), robot("b"), refused={("m.1", "a"): 1}) == {"m.1": "b"}
-
-
-def test_it_is_said_why_nobody_gets_a_part_and_why_somebody_does():
-    busy = robot("a", "x", "searching")
-    assert orders([BED], busy).waits == {"a": "searching: words"}
-    assert orders([BED], busy, robot("b")).waits == {}
-    (give,) = orders([BED], robot("b", bed=2.25)).give
-    assert give.why == "it is free and knows bed 2.2 m away"

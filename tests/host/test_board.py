@@ -184,8 +184,3 @@ WARM = replace(
 )  # fmt: skip
 def test_distress_is_what_slows_the_board_down_or_soon_will(board, before, margin_c, why):
     assert distress(board, before, margin_c) == why
-
-
-def test_this_computer_tells_its_memory():
-    memory = read_board().memory_bytes
-    assert 0 < memory["available"] <= memory["total"]

@@ -138,12 +138,6 @@ def test_what_could_not_be_loaded_is_not_saved(tmp_path, change, text):
     assert same(load(path, NOTE)[0], BEGUN)
 
 
-def test_the_files_of_the_table_below_are_taken_when_nothing_is_wrong_with_them():
-    taken = NOTE.decode(x_of(npy("'<i4'", (2,), bytes(8))))
-    assert taken.state == Note("a")
-    assert taken.arrays["x"].tolist() == [0, 0]
-
-
 DAMAGED = {
     "head": (BEGINS, "not a whole note"),
     "cut": (WHOLE[:-1], "checksum"),

@@ -39,12 +39,6 @@ def test_where_numba_finds_one_by_itself_nothing_is_changed(variable, places, mo
     assert not caplog.records
 
 
-def test_code_that_can_be_written_will_do_without_a_home(places, monkeypatch):
-    monkeypatch.setattr(resources, "PACKAGE", places / "free")
-    monkeypatch.setattr(resources, "user_cache", lambda: None)
-    assert chosen() is None
-
-
 @pytest.mark.parametrize("named", [None, "closed/kernels"])
 def test_else_it_is_in_our_own_cache(named, places, monkeypatch, caplog):
     if named is not None:

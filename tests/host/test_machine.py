@@ -95,19 +95,6 @@ def test_power_mode(status, conf, mode):
 
 
 @pytest.mark.parametrize(
-    ("cpuinfo", "name"),
-    [
-        ("", None),
-        ("model name\t: Intel(R)  Core(TM) i7\nmodel name\t: other", "Intel(R) Core(TM) i7"),
-        ("CPU part\t: 0xd0b\nCPU part\t: 0xd42\nCPU part\t: 0xd0b", "Cortex-A76 + Cortex-A78AE"),
-        ("CPU part\t: 0xfff", "0xfff"),
-    ],
-)
-def test_cpu_name(cpuinfo, name):
-    assert machine.cpu_name(cpuinfo) == name
-
-
-@pytest.mark.parametrize(
     ("script", "names", "memory_mb"),
     [
         ("exit 9", [], None),

@@ -156,14 +156,6 @@ def test_a_failure_is_one_bounded_line_told_once_a_kind_and_outlived(caplog):
     assert caplog.messages[2] == "test: say what (more of these are only counted)"
 
 
-def test_inline_one_of_so_many_items_is_worked_on():
-    got, dropped = [], []
-    worker = Worker("test", got.append, inline=True, every=3, drop=dropped.append)
-    for n in range(8):
-        worker.submit(n)
-    assert (got, dropped) == ([0, 3, 6], [1, 2, 4, 5, 7])
-
-
 def test_inline_items_go_by_after_a_failure(caplog):
     fails, got = [9], []
 

@@ -64,35 +64,6 @@ def test_identity(before, after, kept):
     assert len(set(ids(pool))) == pool.candidates.n
 
 
-def test_nothing_was_first_seen_in_the_future():
-    pool = CandidatePool(16, 0.5)
-    for stamp_ns, since_ns in [(10**18, 10**18), (50, 50), (60, 50)]:  # one wild stamp
-        pool.update(frontiers((1, 1)), [], stamp_ns, 0)
-        assert (pool.candidates.stamp_ns, pool.candidates.first_seen_ns[0]) == (stamp_ns, since_ns)
-
-
-def test_creeping_away_from_the_first_sight_is_a_new_frontier():
-    pool = CandidatePool(16, 0.5)
-    pool.update(frontiers((0, 0)), [], 0, 0)
-    first = ids(pool)
-    seen = [first]
-    for step in range(1, 5):
-        pool.update(frontiers((0.2 * step, 0)), [], step, step)
-        seen.append(ids(pool))
-    assert seen[1] == seen[2] == first
-    assert seen[3] != first
-
-
-def test_instances_carry_their_id_and_score():
-    pool = CandidatePool(16, 0.5)
-    pool.update(frontiers((5, 5)), [instance(42, 1, 2, 0.8)], 0, 0)
-    at = pool.candidates.index_of(INSTANCE, 42)
-    assert pool.candidates.confidence[:2].tolist() == pytest.approx([0.0, 0.8])
-    assert pool.candidates.xy_m[at].tolist() == [1, 2]
-    # An instance's id is no frontier's.
-    assert pool.candidates.index_of(FRONTIER, 42) == -1
-
-
 def test_capacity_keeps_instances():
     pool = CandidatePool(2, 0.5)
     pool.update(frontiers((0, 0), (2, 0), (4, 0)), [instance(9, 1, 1)], 0, 0)
@@ -107,28 +78,6 @@ def test_a_discarded_point_is_blocked_until_its_time():
     assert pool.candidates.blocked[:2].tolist() == [True, False]
     pool.update(frontiers((1.2, 1.0), (3, 3)), [], 150, 150)
     assert pool.candidates.blocked[:2].tolist() == [False, False]
-
-
-def test_discards_count_in_the_loops_time_and_first_sight_in_the_sensors():
-    pool = CandidatePool(16, 0.5)
-    pool.discard(FRONTIER, 1, (1.0, 1.0), until_ns=10_100)
-    pool.update(frontiers((1.0, 1.0)), [], stamp_ns=5, now_ns=10_050)
-    assert (pool.candidates.blocked[0], pool.candidates.first_seen_ns[0]) == (True, 5)
-    pool.update(frontiers((1.0, 1.0)), [], stamp_ns=20_000, now_ns=10_060)
-    assert pool.candidates.blocked[0]
-    pool.update(frontiers((1.0, 1.0)), [], stamp_ns=20, now_ns=10_100)
-    assert not pool.candidates.blocked[0]
-
-
-@pytest.mark.parametrize(
-    ("kind", "id", "blocked"),
-    [(FRONTIER, 1, [True, False, False]), (INSTANCE, 7, [False, True, False])],
-)
-def test_a_discard_blocks_only_its_own_kind_and_only_that_instance(kind, id, blocked):
-    pool = CandidatePool(16, 0.5)
-    pool.discard(kind, id, (1.0, 1.0), until_ns=100)
-    pool.update(frontiers((1.1, 1.0)), [instance(7, 1, 1), instance(8, 1.1, 1)], 0, 0)
-    assert pool.candidates.blocked[:3].tolist() == blocked
 
 
 def nearest_pairs_first(old: np.ndarray, new: np.ndarray, radius: float) -> list[int]:

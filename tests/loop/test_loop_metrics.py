@@ -79,19 +79,6 @@ def test_of_a_start_there_is_what_it_is_at_and_the_board():
     assert "edge_tick_duration_seconds_count" not in found
 
 
-def test_of_a_board_that_tells_nothing_there_is_nothing():
-    found = Watched(Board({}, {}, {}, {}, {}, {}, None)).scrape()
-    assert not [name for name in found if name.startswith("edge_board")]
-
-
-def test_before_the_first_tick_all_is_there_and_zero():
-    found = Watched().watch().scrape()
-    assert found["edge_tick_duration_seconds_count"] == {(): 0}
-    assert found["edge_faults_total"] == {(): 0}
-    assert found["edge_goal_state"]["none"] == 1
-    assert "edge_goal_age_seconds" not in found
-
-
 def test_after_some_ticks(watched):
     found, loop = watched.scrape(), watched.closed
     assert found["edge_tick_duration_seconds_count"] == {(): 10}

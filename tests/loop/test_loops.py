@@ -111,15 +111,6 @@ def test_once_waits_for_sensors_that_have_not_spoken_yet(lockstep):
     assert (status.phase, status.elapsed_s) == ("searching", 0.0)
 
 
-@pytest.mark.parametrize("lockstep", [False, True])
-def test_a_new_epoch_begins_before_its_first_frame_is_taken_in(lockstep, monkeypatch):
-    run, done, stop = running(lockstep, frames=4, jump_at=2), [], threading.Event()
-    monkeypatch.setattr(run.service, "forget_places", lambda now_ns: done.append("forget"))
-    monkeypatch.setattr(run.service, "tick", lambda o, now_ns: done.append(o.seq))
-    loop(run, stop, each=lambda: stop.set() if 3 in done else None)
-    assert done == [0, 1, "forget", 2, 3]
-
-
 def test_a_wall_clock_that_is_set_does_not_end_a_mission(monkeypatch):
     run, stop, ticks = running(False, time_limit_s=300.0), threading.Event(), []
     monkeypatch.setattr(runner.time, "time_ns", lambda: 10**18 + len(ticks) * 10**13)

@@ -82,26 +82,6 @@ def test_a_later_mission_finds_in_an_explored_house_what_was_never_looked_for(tm
     assert {goal.kind for goal in loop.notes.goals[-2:]} == {"instance"}
 
 
-def test_what_was_refuted_in_one_mission_is_found_in_the_next(tmp_path):
-    loop = ClosedLoop(room(tmp_path, "F armchair"), colour=False).run(2)
-    while not (found := loop.service.map.tracker.of("armchair")):
-        loop.step()
-    for instance in found:
-        loop.service.map.tracker.refute(instance.id)
-    begin(loop, "F armchair")
-    assert loop.service.status.phase == "reached", loop.service.status
-
-
-def test_a_thing_refuted_by_mistake_is_found_before_it_is_given_up(tmp_path):
-    loop = ClosedLoop(room(tmp_path, "F armchair"), colour=False).run(2)
-    while not (found := loop.service.map.tracker.of("armchair")):
-        loop.step()
-    for instance in found:
-        loop.service.map.tracker.refute(instance.id)
-    loop.run(200)
-    assert loop.service.status.phase == "reached", loop.service.status
-
-
 def test_a_mission_that_begins_or_a_pause_ends_looking_again(tmp_path):
     loop = ClosedLoop(room(tmp_path, "F surfboard"), colour=False)
     while loop.service.goals.views == 0:

@@ -19,7 +19,7 @@ from edge.host.service_manager import ServiceManager
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.faults import DEGRADED_AFTER
 from edge.loop.runner import Running
-from edge.loop.vitals import HANGS_S, PROBES, Vitals
+from edge.loop.vitals import HANGS_S, Vitals
 from edge.perception.runtime.health import Health
 from edge.perception.worker import DetectorWorker
 from edge.sources.synchronizer import TimeSynchronizer
@@ -69,20 +69,6 @@ def watched(tmp_path) -> Iterator[Watched]:
         listening.bind(str(tmp_path / "notify"))
         listening.setblocking(False)
         yield Watched(listening, str(tmp_path / "notify"))
-
-
-def test_every_page_is_a_probe(watched):
-    assert tuple(watched.vitals.pages()) == PROBES
-
-
-def test_a_start_is_alive_but_not_ready(watched):
-    watched.vitals.starting("preparing kernels 1/6: mapping")
-    assert watched.told()[1] == "STATUS=preparing kernels 1/6: mapping"
-    watched.now_s += 1e4  # a start has limits of its own, with the manager
-    assert watched.page("/healthz")[0] == 200
-    status, said = watched.page("/readyz")
-    assert status == 503
-    assert said["why"] == ["starting: preparing kernels 1/6: mapping"]
 
 
 def test_it_is_ready_once_it_sees(watched):
@@ -219,21 +205,6 @@ def test_a_detector_that_hangs_at_an_image_is_noticed(watched):
     worker.close()
     watched.beat(1.0)
     assert watched.vitals.amiss() == ("nothing to be seen",)
-
-
-def test_a_status_is_told_when_it_changes(watched):
-    watched.vitals.ready()
-    assert [line for line in watched.beat() if line.startswith("STATUS")]
-    assert not [line for line in watched.beat(1.5) if line.startswith("STATUS")]
-
-
-def test_a_stop_is_told(watched):
-    watched.vitals.ready()
-    watched.vitals.stopping()
-    assert watched.told() == ["READY=1", "STOPPING=1"]
-    assert watched.page("/readyz") == (503, {"ok": False, "state": "stopping", "why": ["stopping"]})
-    watched.now_s += 1e3
-    assert watched.page("/healthz")[0] == 200
 
 
 def test_that_no_file_can_be_opened_is_told_once_and_makes_it_not_ready(

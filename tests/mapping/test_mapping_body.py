@@ -11,7 +11,6 @@ from simulated import simulated
 from edge.geometry import SE2, se3
 from edge.mapping.grid import RollingMap
 from edge.mapping.layers import BUMPED, OCCUPIED
-from edge.mapping.points import TALL
 
 NOTHING = np.full((120, 160), np.nan, np.float32)
 
@@ -46,17 +45,6 @@ def test_the_robot_passes_under_what_is_higher_than_itself(height_m, thing, stat
     low_m, high_m = thing
     look(grid, ORIGIN, [(1.5, -0.6, low_m, 2.1, 0.6, high_m), *room(2.5)])
     assert grid.state_at(1.52, 0.0) == state
-
-
-@pytest.mark.parametrize("height_m", [0.3, 0.8])
-@pytest.mark.parametrize(("high_m", "tall"), [(0.3, False), (0.6, False), (2.0, True)])
-def test_a_low_robot_tells_walls_from_furniture_too(height_m, high_m, tall):
-    """Rooms are cut, and sight ends, at what is tall for people, not for the robot."""
-    grid = RollingMap(of_robot(height_m=height_m).mapping)
-    look(grid, ORIGIN, [(1.5, -0.6, 0.0, 2.1, 0.6, high_m)])
-    top = twins.window(grid, "top")[twins.window(grid, "raw") >= OCCUPIED]
-    assert top.size
-    assert (top.max() >= TALL) == tall
 
 
 def test_an_overhang_does_not_make_what_is_under_it_higher():

@@ -60,15 +60,6 @@ def test_the_blind_zone_before_the_first_visible_floor_is_free():
     assert all(grid.state_at(x, 0.0) == 0 for x in np.arange(0.0, 2.8, 0.05))
 
 
-def test_obstacles_are_inflated_by_a_disc():
-    grid = RollingMap(SMALL)
-    look(grid, ORIGIN, [(2.0, -0.05, 0.0, 2.1, 0.05, 0.8)])
-    assert grid.state_at(2.02, 0.0) == 100
-    assert grid.state_at(1.88, 0.0) == 100
-    assert grid.state_at(1.70, 0.0) == 0
-    np.testing.assert_array_equal(twins.states(grid) == 100, twins.window(grid, "near") > 0)
-
-
 def test_a_walking_person_leaves_no_ghost():
     """VL-Nav V.C: a moving obstacle is where it is and nowhere it was."""
     grid = RollingMap(SMALL)
@@ -203,14 +194,6 @@ def test_a_pose_that_is_not_finite_is_an_error_and_leaves_the_map_alone():
     with pytest.raises(ValueError, match="not finite"):
         grid.update_depth(np.ones((120, 160), np.float32), CAMERA, T, np.eye(4))
     np.testing.assert_array_equal(twins.states(grid), before)
-
-
-@pytest.mark.parametrize("cloud", [np.zeros((0, 3)), np.full((5, 3), np.inf)], ids=["no", "inf"])
-def test_a_cloud_without_returns_frees_the_footprint_alone(cloud):
-    grid = RollingMap(SMALL)
-    grid.update_cloud(cloud.astype(np.float32), *STILL)
-    assert set(np.unique(grid.layers.raw)) == {layers.UNSEEN, layers.FREE}
-    assert 0.2 < grid.known_m2 < 0.4  # a disc of 0.3 m
 
 
 @given(st.integers(0, 2**32 - 1))

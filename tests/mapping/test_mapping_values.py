@@ -72,23 +72,10 @@ def test_without_targets_nothing_is_written_or_read():
         values.best(0, np.zeros((1, 2), np.float32), 1, 0.5, np.zeros(1, np.float32))
 
 
-def test_where_nothing_was_said_the_best_is_no_number():
-    out = np.zeros(2, np.float32)
-    value_map().best(0, np.array([[0, 0], [99, 0]], np.float32), 2, 0.5, out)
-    assert np.isnan(out).all()
-
-
 def test_a_window_that_has_no_place_takes_nothing():
     values = value_map()
     values._window.placed = False
     values.write_view(sight(), ("bed",), np.ones(1, np.float32))
-    assert not values.weight.any()
-
-
-def test_a_view_of_nothing_says_nothing():
-    values = value_map()
-    values.write_view(sight(range_m=0.0), ("bed",), np.ones(1, np.float32))
-    values.write_directions(sight(range_m=0.0), "bed", np.zeros((0, 2)), np.zeros(0), 1.0)
     assert not values.weight.any()
 
 

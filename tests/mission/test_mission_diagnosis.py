@@ -35,11 +35,6 @@ def test_conflict(text, parts):
     assert conflict(text) == parts
 
 
-def test_circular_orders_may_all_be_broken():
-    """Weak until: nobody has to go anywhere."""
-    assert conflict("(!a W b) & (!b W a)") == []
-
-
 @pytest.mark.parametrize(
     "text", ["F a & F b & G !a & G !b & F c", "(!a U b) & (!b U a) & F a & F b & G !c & F c"]
 )

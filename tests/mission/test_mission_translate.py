@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from edge.config import TranslatorAuto, TranslatorGrammar, TranslatorLtl
-from edge.errors import UserError
-from edge.mission.logic.ltl import FormulaError, ap, eventually, parse
+from edge.mission.logic.ltl import ap, eventually, parse
 from edge.mission.translate import (
     AmbiguousError,
     Backend,
@@ -53,22 +52,6 @@ def test_an_ambiguous_instruction_is_asked_about() -> None:
     for number in (0, 3):
         with pytest.raises(TranslationError, match=f"there is no reading {number}"):
             grammar.translate(said, reading=number)
-
-
-def test_what_is_plain_has_one_reading() -> None:
-    grammar = make_translator(TranslatorGrammar())
-    for translation in (grammar.translate("go to the bed"), grammar.translate("bed", reading=1)):
-        assert (translation.reading, translation.readings, translation.implied) == (None, (), False)
-    with pytest.raises(TranslationError, match="in 1 way"):
-        grammar.translate("go to the bed", reading=2)
-
-
-def test_errors_are_the_users() -> None:
-    with pytest.raises(FormulaError, match="column"):
-        make_translator(TranslatorLtl()).translate("F (bed")
-    with pytest.raises(TranslationError, match=r"character 1: did not understand 'hum'"):
-        make_translator(TranslatorGrammar()).translate("hum")
-    assert issubclass(TranslationError, UserError)
 
 
 def test_a_formula_without_a_text_is_refused() -> None:

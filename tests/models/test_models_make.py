@@ -75,14 +75,6 @@ def test_weights_that_were_pulled_are_exported(started):
     ]  # fmt: skip
 
 
-def test_a_variant_is_made_of_the_original_that_is_here(started, tmp_path, monkeypatch):
-    monkeypatch.setattr(make, "verify_model", lambda card: None)
-    words = ["--calibration", "pictures", "--vocabulary", "words.npz"]
-    assert main(["models", "quantize", "small", *words]) == 0
-    (line,) = started
-    assert line[4:-4] == ["exporters", "small", *words]
-
-
 @pytest.mark.parametrize(
     ("given", "told"),
     [([], ["q4"]), (["--precision", "int8", "q4f16"], ["int8", "q4f16"])],

@@ -80,10 +80,6 @@ def test_small_counts_are_drawn_towards_one(both, lift):
     assert table.parse(data).lift(["bed", "vase"])[0, 1] == pytest.approx(lift)
 
 
-def test_rooms_with_both_of_nothing():
-    assert table.load().lift([]).shape == (0, 0)
-
-
 @pytest.mark.parametrize(
     ("target", "near", "lift"),
     [

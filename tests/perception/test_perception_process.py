@@ -9,7 +9,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -457,21 +456,6 @@ def test_the_worker_goes_on_over_a_process_that_ends(seen, once):
     eventually(lambda: worker.detector.health().state == "degraded")
     assert "damaged answer (boxes that are not finite)" in worker.detector.health().detail
     worker.close()
-
-
-def test_two_of_them_at_once(make, seen):
-    one, other = make(prompts=["chair"]), make(prompts=["sofa", "bed"])
-    results = {}
-
-    def look(name, detector):
-        results[name] = [len(detector.detect(seen(value=v))) for v in range(40)]
-
-    threads = [threading.Thread(target=look, args=pair) for pair in (("a", one), ("b", other))]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert results == {"a": [1] * 40, "b": [2] * 40}
 
 
 def compare(inside, perception, observations):

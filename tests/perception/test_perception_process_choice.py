@@ -89,12 +89,6 @@ def test_words_go_there_too_where_the_configuration_isolates(tmp_path, monkeypat
     asks.close()
 
 
-def test_what_keeps_it_from_loading_is_told_as_in_this_process(opened):
-    with pytest.raises(ModelError, match="is not there; run `edge models pull tiny") as raised:
-        opened("text", spoil=lambda card: card.path_of(card.decoder).unlink())
-    assert "process" not in str(raised.value)
-
-
 @pytest.mark.parametrize(
     ("header", "says"),
     [

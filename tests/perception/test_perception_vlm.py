@@ -9,7 +9,7 @@ import threading
 import numpy as np
 import pytest
 import tiny_vlm
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from onnx import TensorProto, helper, load, save
 from patience import PATIENCE_S, eventually
@@ -78,12 +78,6 @@ def test_eq_4_is_a_softmax_over_the_answers_as_servers_tell_it(logits, shift):
     np.testing.assert_allclose(p, told, atol=1e-4)
 
 
-def test_logits_that_are_no_numbers_give_none():
-    ids = spellings(["A", "B"], "AB")
-    assert not np.isfinite(shares(np.array([np.nan, 1.0], np.float32), ids)).all()
-    assert not np.isfinite(shares(np.array([-np.inf, -np.inf], np.float32), ids)).all()
-
-
 # -- reading once -----------------------------------------------------------------------------
 
 
@@ -120,18 +114,6 @@ def test_what_is_read_once_says_the_same(models_dir, family):
     assert not np.array_equal(found[0], other[0])
 
 
-def test_half_precision_says_nearly_the_same(models_dir):
-    whole, half = (
-        opened(publish(models_dir, "smolvlm", name, half=half))
-        for name, half in (("whole", False), ("half", True))
-    )
-    for seed in range(3):
-        view, asked = a_view(whole, seed), asked_of(3, "lamp")
-        told = (model.ask(SYSTEM, view, asked, PATIENCE_S) for model in (whole, half))
-        for a, b in zip(*told, strict=True):
-            np.testing.assert_allclose(a, b, atol=0.05)
-
-
 def count_read(model, monkeypatch):
     """Tokens of each run of the decoder."""
     read, run = [], model._decoder._run
@@ -161,20 +143,6 @@ def test_view_and_rules_are_read_once(models_dir, monkeypatch, family):
     again = a_view(model, 1)
     model.ask(SYSTEM, again, asked, PATIENCE_S)
     assert sum(read) <= (shared if model.sees else 0) + direction + scene
-
-
-@settings(max_examples=10)
-@given(words=st.lists(st.sampled_from(["bed", "a lamp", "ß", "A", "\n", "<s>"]), max_size=4))
-def test_the_same_for_any_words(words, tmp_path_factory):
-    if not hasattr(test_the_same_for_any_words, "model"):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setenv("EDGE_CACHE_DIR", str(tmp_path_factory.mktemp("words")))
-            resources.models_dir().mkdir(parents=True, exist_ok=True)
-            test_the_same_for_any_words.model = opened(publish(resources.models_dir(), "text"))
-    model, view = test_the_same_for_any_words.model, "The robot sees: " + " ".join(words)
-    asked = asked_of(1 + len(words), " ".join(words) or "bed")
-    for p, one in zip(model.ask(SYSTEM, view, asked, PATIENCE_S), asked, strict=True):
-        np.testing.assert_allclose(p, whole(model, view, one), atol=1e-5)
 
 
 # -- pictures ---------------------------------------------------------------------------------

@@ -40,11 +40,6 @@ def again(*inputs: Input) -> list[Input]:
     return decode_page(encode_page(inputs, result(), None, {})).entries
 
 
-def test_an_empty_page():
-    page = decode_page(encode_page([], result(), None, {}))
-    assert (page.entries, page.observation, page.said) == ([], None, None)
-
-
 def test_all_that_the_loop_notes_is_written_and_documented():
     noted = set()
     for path in (ROOT / "edge" / "loop").glob("*.py"):

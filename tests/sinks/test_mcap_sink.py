@@ -53,11 +53,6 @@ def make(tmp_path):
         one.close()
 
 
-def test_nothing_to_say_is_no_file(make, tmp_path):
-    make().close()
-    assert files_of(tmp_path) == []
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """A drive in two rooms, with a camera and a LiDAR."""
@@ -115,17 +110,6 @@ def test_a_trajectory_is_recorded_when_it_changes_and_every_five_seconds(make, t
     paths = [from_ros(m.payload, "nav_msgs/msg/Path") for m in told]
     n = len(written()[1].poses)
     assert [(p.header.stamp.sec, len(p.poses)) for p in paths] == [(2, n), (8, n), (9, 0)]
-
-
-def test_pictures_have_their_colours(make, tmp_path):
-    rgb = np.zeros((30, 40, 3), np.uint8)
-    rgb[..., 0], rgb[..., 2] = 200, 40
-    sink = make(rgb_hz=10.0)
-    sink.tick(tick(seen(1, rgb=rgb)))
-    sink.close()
-    (moment,) = Session(files_of(tmp_path)[0]).moments()
-    assert moment.picture
-    assert np.abs(moment.observation.rgb.astype(int) - rgb).max() <= 4
 
 
 @pytest.mark.parametrize(

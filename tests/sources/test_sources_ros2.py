@@ -219,16 +219,6 @@ def test_a_robot_on_dds(port, make, via):
         robot.node.close()
 
 
-def test_what_does_not_come_is_named_as_ros_calls_it(make):
-    source = make()
-    source.poll()
-    topics = ", ".join(f"{name} ({NAMES[name]})" for name in ("camera/rgb", "camera/depth"))
-    assert lacking(source.input_table()) == (
-        f"no message yet on {topics}, camera/info ({NAMES['camera/info']}), /odom, "
-        "/tf or /tf_static"
-    )
-
-
 def test_without_tf_nothing_is_where_it_is_thought_to_be(robot, make):
     source = make(map_frame="nowhere")
 

@@ -97,9 +97,3 @@ def test_a_large_picture_is_sent_smaller():
     contours = {k: [p * 8 for p in polygons] for k, polygons in scene.contours.items()}
     jpeg = picture(replace(scene, rgb=big, contours=contours))
     assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR).shape == (800, 1280, 3)
-
-
-def test_an_outline_at_the_edge_or_none_at_all_is_drawn():
-    scene = street(*STREET, picture=True)
-    scene.contours.update({6: [], 7: [np.array([(-50, -50), (0, -50), (0, 0)], np.int32)]})
-    assert picture(scene)

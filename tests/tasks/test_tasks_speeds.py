@@ -9,24 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.tasks.speeds import headings_rad, speeds_mps, times_s
+from edge.tasks.speeds import speeds_mps, times_s
 from edge.trajectory.pursuit import MotionLimits
 
 LIMITS = MotionLimits(speed_mps=1.0, turn_radps=1.0, accel_mps2=0.5, turn_accel_radps2=3.0)
 LINE = np.column_stack([np.arange(0.0, 10.01, 0.1), np.zeros(101)])
-
-
-@pytest.mark.parametrize(
-    ("path", "expected"),
-    [
-        ([], []),
-        ([[1, 1]], [0.0]),
-        ([[0, 0], [1, 1]], [math.pi / 4, math.pi / 4]),
-        ([[0, 0], [1, 0], [1, -1]], [0.0, -math.pi / 2, -math.pi / 2]),
-    ],
-)
-def test_headings(path, expected):
-    assert headings_rad(np.reshape(path, (-1, 2)).astype(float)).tolist() == expected
 
 
 @pytest.mark.parametrize("n", [0, 1])

@@ -140,11 +140,6 @@ def test_cells_are_of_the_kind_of_most_of_their_points():
     assert not got[4:].any(), "unknown ground has none"
 
 
-def test_points_of_things_vote_against_ground():
-    got = kinds(grid(["...."]), [[0, 0], [0.1, 0], [0, 0.1]], [1, 0, 0], SE2(-100, 0, 0))
-    assert got[0, 0] == 0
-
-
 def test_the_robot_stands_on_what_is_most_around_it():
     row = grid(["." * 20])
     got = kinds(row, [[0.5 * i, 0] for i in range(11, 20)], [1] * 7 + [2] * 2, SE2(1.0, 0, 0))

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from task_scenes import STREET, street
 
 from edge.config import TrajectoryLimits
-from edge.geometry import SE2
 from edge.tasks.ground import ground_of
 from edge.tasks.trajectory import Coarse, TrajectoryError, check, coarse_of, number, point
 
@@ -186,19 +185,6 @@ def test_junk_is_refused_or_safe(segments, regions, speed_mps):
     assert np.hypot(*np.diff(way, axis=0).T).max() <= LIMITS.max_jump_m
     assert set(coarse.regions) <= {1, 2}
     assert coarse.speed_mps is None or 0.05 <= coarse.speed_mps <= LIMITS.max_speed_mps
-
-
-@given(st.lists(st.tuples(st.floats(-19, 19), st.floats(-19, 19)), min_size=1, max_size=8))
-def test_what_passes_is_reachable(points):
-    points = [(0.0, 0.0), *points]
-    loose = TrajectoryLimits(max_jump_m=100.0)
-    try:
-        check(Coarse((np.array(points),)), GROUND, loose)
-    except TrajectoryError as error:
-        blocked = str(error).startswith("something is in between point ")
-        assert blocked or not all(GROUND.is_free(x, y) for x, y in points)
-    else:
-        assert all(GROUND.is_free(x, y) or SE2(0, 0, 0).distance_to(x, y) <= 0.6 for x, y in points)
 
 
 def test_numbers_and_points_are_plain():

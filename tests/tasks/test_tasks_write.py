@@ -129,18 +129,6 @@ def test_a_recorded_refusal_is_one():
         write("swim across the river", SCENE, by_model(server))
 
 
-def test_what_was_not_recorded_is_not_answered():
-    with serving(recorded(RECORDED)) as server, pytest.raises(ChatError, match="HTTP 404"):
-        write("fly", SCENE, by_model(server))
-
-
-def test_the_words_alone_are_sent_where_that_is_asked_for():
-    with serving(saying(BLOCK)) as server:
-        write(INSTRUCTION, SCENE, by_model(server, picture=False))
-        ((_, _, request),) = server.requests
-    assert isinstance(request["messages"][1]["content"], str)
-
-
 @pytest.mark.parametrize(
     ("first", "goes_back"),
     [

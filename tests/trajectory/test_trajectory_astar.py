@@ -95,8 +95,7 @@ def test_cost_is_within_a_thousandth_of_dijkstra(problem):
     check_path(weights, plan)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-@pytest.mark.parametrize("top", [1, 10, 255])
+@pytest.mark.parametrize(("seed", "top"), [(0, 1), (1, 10), (2, 255)])
 def test_large_grid_with_walls_against_dijkstra(seed, top):
     rng = np.random.default_rng(seed)
     weights = rng.integers(1, top + 1, (120, 150)).astype(np.uint8)

@@ -46,13 +46,6 @@ def test_its_points_are_on_the_curve_of_scipy(control, spacing_m):
     assert off_m.max() <= 1e-3 * longest_m
 
 
-def test_points_are_equally_far_apart_however_the_control_points_lie():
-    control = np.array([[0.0, 0.0], [0.1, 0.0], [4.0, 0.5], [4.1, 0.6], [9.0, 3.0]])
-    curve, _ = b_spline(control, 0.1)
-    apart_m = np.hypot(*np.diff(curve, axis=0).T)
-    assert apart_m.max() / apart_m.min() < 1.01
-
-
 @given(CONTROLS, st.floats(0.05, 5.0))
 def test_ends_hull_and_spacing(control, spacing_m):
     curve, at = b_spline(control, spacing_m)

@@ -101,15 +101,6 @@ def test_we_hear_a_peer_and_which_type_it_sends(port, node):
     peer.close()
 
 
-def test_an_old_robot_without_hashes_is_spoken_to_in_its_way(port, node):
-    mine = node.publisher("/goal_pose", POSE)
-    assert mine.hash == names.known_hash(POSE)
-    humble = publisher(port, "/chatter", "nav_msgs/msg/Odometry", type_hash=names.NO_HASH)
-    assert looked(node, lambda: mine.hash == names.NO_HASH)
-    humble.close()
-    assert looked(node, lambda: mine.hash == names.known_hash(POSE))
-
-
 def test_a_type_that_nobody_knows_waits_for_one_who_does(session, node):
     name = "nav2_msgs/action/NavigateToPose_GetResult"
     client = node.client("/navigate_to_pose/_action/get_result", name, 1.0)
@@ -122,14 +113,6 @@ def test_a_type_that_nobody_knows_waits_for_one_who_does(session, node):
         with session.declare_queryable(client.key(), zenoh.handlers.FifoChannel(1)):
             assert looked(node, client.served)
         assert looked(node, lambda: not client.served())
-
-
-def test_what_a_node_leaves_is_nothing(port, session):
-    node = Node(session, 0, "leaves")
-    node.publisher("/left", POSE)
-    eventually(lambda: "/left" in listed(port))
-    node.close()
-    eventually(lambda: "/left" not in listed(port))
 
 
 def test_a_service_of_a_peer_answers(port, node):

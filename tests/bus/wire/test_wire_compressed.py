@@ -117,18 +117,6 @@ def test_depth_in_metres_is_what_its_quantization_says():
     np.testing.assert_allclose(out.ravel()[3:], depth_m.ravel()[3:], rtol=1e-3)
 
 
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("a", [0.0, 1.0])
-def test_a_value_that_stands_for_no_depth_is_no_return_and_no_warning(a):
-    """Where it equals b, a robot's log must have no line of NumPy's."""
-    values = DEPTH_MM.copy()
-    values[5, 6] = b = 7
-    depth = struct.pack("<iff", 1, a, b) + picture(".png", values)
-    out = decoded(ros("32FC1; compressedDepth png", depth), np.full((30, 20), 9.0, np.float32))
-    assert out[3, 4] == 0.0
-    assert not np.isfinite(out[5, 6])
-
-
 HUGE_PNG = picture(".png", BGR)
 HUGE_PNG = HUGE_PNG[:16] + struct.pack(">II", 2**31 - 1, 2**31 - 1) + HUGE_PNG[24:]
 PNG, JPEG = picture(".png", BGR), picture(".jpg", BGR)

@@ -17,7 +17,7 @@ from edge.lab.eval.columns import make_columns
 from edge.lab.eval.drive import in_process, run_episode
 from edge.lab.eval.episodes import plan
 from edge.lab.sim.worlds import load_world
-from edge.policies import find_policy, make_policy
+from edge.policies import find_policy
 from edge.policies.base import FRONTIER, INSTANCE, LOOK, Candidates, Context
 
 RADIUS_M = 0.2
@@ -113,10 +113,3 @@ def test_evaluations_drive_with_the_truth(tmp_path, kind):
     outcome = run_episode(column, episode, in_process)
     assert outcome.success, outcome.reason
     assert outcome.path_m < 1.3 * outcome.shortest_m
-
-
-def test_what_is_given_is_not_asked_for_again_as_an_option(world):
-    given = {"world": world, "robot_radius_m": RADIUS_M}
-    assert make_policy(PolicyOwn(kind=PLACE), "x", given).score(context("bed")).size == 0
-    with pytest.raises(ConfigError, match="multiple values for keyword argument 'world'"):
-        make_policy(PolicyOwn(kind=PLACE, options={"world": 3}), "x", given)

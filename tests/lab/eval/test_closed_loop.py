@@ -31,11 +31,6 @@ def trail(loop: ClosedLoop, seconds: float) -> list[tuple[float, float, float]]:
     return poses
 
 
-def test_no_time_is_no_step(tmp_path):
-    loop = ClosedLoop(small_house(tmp_path)).run(0.0)
-    assert loop.drive.motion.path_m == 0.0
-
-
 @pytest.mark.parametrize("sections", [{}, LIDAR, ONE_RING], ids=["depth", "lidar", "one ring"])
 def test_it_replays_the_same_and_gets_there(tmp_path, sections):
     config = small_house(tmp_path, mission={"target": "bed"}, **sections)

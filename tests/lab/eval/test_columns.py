@@ -10,16 +10,6 @@ from edge.errors import ConfigError
 from edge.lab.eval.columns import data_of, make_columns, merged, parse_column, read_columns
 
 
-def test_nothing_laid_over_nothing_is_nothing():
-    assert merged() == merged({}, {}) == {}
-
-
-def test_what_lies_below_is_not_written_to():
-    below = {"policy": {"kind": "hvl"}}
-    merged(below, {"policy": {"w_vl": 2.0}})
-    assert below == {"policy": {"kind": "hvl"}}
-
-
 def test_without_columns_the_configuration_is_the_only_one(tmp_path):
     (column,) = make_columns(small_house(tmp_path), {})
     assert (column.name, column.settings) == ("hvl", {})
@@ -102,8 +92,3 @@ def test_files_of_no_columns_are_refused(tmp_path, text):
 def test_data_of_a_configuration_make_it_again(tmp_path):
     config = small_house(tmp_path, policy={"kind": "hvl"})
     assert parse(data_of(config), config.path) == config
-
-
-def test_a_part_of_what_is_there_by_default_can_be_changed(tmp_path):
-    (column,) = make_columns(small_house(tmp_path), {"far": {"policy": {"w_dist": 0.1}}})
-    assert parse(merged(column.base, column.settings)).policy.w_dist == 0.1

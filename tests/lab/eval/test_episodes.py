@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 
 import pytest
 from hypothesis import given
@@ -63,12 +62,6 @@ def test_of_several_worlds_one_with_a_blocked_start_is_left_out_and_told(tmp_pat
     planned = plan(HOUSE, worlds, ["bed"], 1, 0, 2.0)
     assert [e.world["house"] for e in planned] == ["demo"]
     assert "left out: blocked: no free space" in caplog.text
-
-
-def test_planning_says_how_far_it_is(monkeypatch, capsys):
-    monkeypatch.setattr("edge.host.bars.LOG_PERIOD_S", 0.0)
-    plan(HOUSE, [], ["bed", "sofa"], 1, 0, 2.0)
-    assert re.search(r"targets: .* 1/2 ", capsys.readouterr().err)
 
 
 def test_of_several_worlds_each_gives_what_it_has(tmp_path):
@@ -193,10 +186,6 @@ def houses(tmp_path, count: int):
     path = tmp_path / "some.jsonl"
     path.write_text("".join(json.dumps({"name": f"house-{k}"}) + "\n" for k in range(count)))
     return path
-
-
-def test_no_lists_name_no_worlds():
-    assert world_list.sections([]) == []
 
 
 @pytest.mark.parametrize(

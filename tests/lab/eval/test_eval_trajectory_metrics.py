@@ -147,28 +147,6 @@ def test_ndtw_agrees_with_the_twin(a, reference):
     assert ndtw(a, reference) == pytest.approx(ndtw_twin(a, reference))
 
 
-@pytest.mark.parametrize(
-    ("a", "expected"),
-    [
-        ([[1, 2]], [[1, 2]]),
-        ([[1, 2], [1, 2]], [[1, 2]]),
-        ([[0, 0], [0.4, 0]], [[0, 0], [0.4, 0]]),
-        ([[0, 0], [0.1, 0], [0.3, 0], [1.5, 0]], [[0, 0], [0.5, 0], [1, 0], [1.5, 0]]),
-        ([[0, 0], [0.75, 0], [0.75, 0.75]], [[0, 0], [0.5, 0], [0.75, 0.25], [0.75, 0.75]]),
-    ],
-)
-def test_points_spaced_evenly(a, expected):
-    np.testing.assert_allclose(evenly(path(a), 0.5), expected)
-
-
-@given(PATH, PATH, st.floats(0.05, 0.5))
-def test_how_densely_a_path_was_written_decides_nothing(a, reference, spacing_m):
-    """But for a point more or less where a length is a whole number of spacings."""
-    dense = resample(a, spacing_m)
-    if len(evenly(dense, 0.5)) == len(evenly(a, 0.5)):
-        assert ndtw(dense, reference) == pytest.approx(ndtw(a, reference), rel=1e-6)
-
-
 @given(PATH, PATH, PATH)
 def test_frechet_is_a_metric(a, b, c):
     ab = frechet_m(a, b)

@@ -16,7 +16,7 @@ from edge.cli.parsers import make_parser
 from edge.config import TranslatorGrammar
 from edge.errors import UserError
 from edge.lab.eval import translate
-from edge.lab.eval.languages import difference, satisfiable, with_weak_untils
+from edge.lab.eval.languages import difference, satisfiable
 from edge.mission.logic.automaton import NOTHING, CompileError, compile_formula
 from edge.mission.logic.ltl import Formula, ap, conj, disj, neg, parse
 from edge.mission.translate import Translation, make_translator
@@ -109,11 +109,6 @@ SILENT = [("G F a", False), ("G F a & G F b", False), ("F a", True), ("G(a -> X 
 @pytest.mark.parametrize(("formula", "possible"), SILENT)
 def test_endless_behaviour_is_not_expressible(formula: str, possible: bool) -> None:
     assert satisfiable(parse(formula), silent_end=True) is possible
-
-
-def test_weak_untils() -> None:
-    formula = parse("(!b U a) & F b & (c U a) & (!c U (a & b))")
-    assert with_weak_untils(formula) == parse("(!b W a) & F b & (c U a) & (!c U (a & b))")
 
 
 @pytest.mark.parametrize(
@@ -213,14 +208,6 @@ def test_run_writes_counts_and_failures(tmp_path: Path, capsys: pytest.CaptureFi
         line for line in told.splitlines() if line.split()[:2] == ["Lang2LTL", "auto"]
     )
     assert (translate.SEEN["Lang2LTL"] in model, translate.NOT_SEEN in held_out) == (True, True)
-
-
-def test_an_overview_has_shares() -> None:
-    counts = {"cases": 4, "right": 3, "right if weak": 0, "wrong": 0, "asked": 1, "refused": 0}
-    told = translate.overview({"seed": 0, "Mine": {"grammar": counts}}, {"Mine": {"model": counts}})
-    assert [line.split() for line in told.splitlines()][1:] == [
-        ["Mine", "grammar", "4", "75.0", "%", "0.0", "%", "0.0", "%", "25.0", "%", "0.0", "%"]
-    ]
 
 
 class _Failing:

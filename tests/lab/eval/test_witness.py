@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_house import small_house
 
-from edge.lab.eval.witness import Truth, Witness, mask_of, named, visible_px
+from edge.lab.eval.witness import Truth, Witness, named, visible_px
 from edge.lab.sim.worlds import load_world
 from edge.types import Goal, Instance, MissionStatus, Observation, Step
 
@@ -158,10 +158,6 @@ def test_things_are_those_of_the_name_else_of_the_noun(tmp_path):
     assert named(world, "unicorn") == []
 
 
-def test_no_things_are_no_mask():
-    assert not mask_of([], 3).any()
-
-
 @given(seed=st.integers(0, 2**32), range_m=st.floats(0.5, 9.0))
 def test_visible_px_agrees_with_a_plain_one(seed, range_m):
     rng = np.random.default_rng(seed)
@@ -171,11 +167,6 @@ def test_visible_px_agrees_with_a_plain_one(seed, range_m):
     mine = rng.random(5) < 0.5
     expected = int((mine[ids] & (depth <= range_m)).sum())
     assert visible_px(ids, depth, mine, range_m) == expected
-
-
-def test_a_single_target_is_never_searched_for_again(stage):
-    stage.tick(1.0)
-    assert stage.witness.revisited_m2 is None
 
 
 def test_what_one_search_saw_and_the_next_sees_too_is_seen_again(tmp_path):

@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from edge.geometry import SE2, Grid, thin
-from edge.lab.report import marks, palette, picture, raster
-from edge.types import Goal
+from edge.geometry import Grid, thin
+from edge.lab.report import palette, picture, raster
 
 
 def pixels(png: bytes) -> np.ndarray:
@@ -48,19 +47,6 @@ def test_thin_keeps_obstacles_and_then_free_space(shape, max_side, k):
     assert max(small.cells.shape) <= max_side
     for y, x in np.ndindex(small.cells.shape):
         assert small.cells[y, x] == cells[y * k : (y + 1) * k, x * k : (x + 1) * k].max()
-
-
-def test_known_area():
-    cells = np.array([[-1, 0], [100, -1]], np.int8)
-    assert Grid(cells, (0.0, 0.0), 0.5).known_m2 == 0.5
-
-
-def test_colour_of_each_kind_of_cell():
-    image = raster.colour(np.array([[-1, 0, 1, 99, 100]], np.int8))
-    assert image.dtype == np.uint8
-    hexes = ["#" + bytes(pixel).hex() for pixel in image[0]]
-    inflated = palette.INFLATED
-    assert hexes == [palette.UNKNOWN, palette.FREE, inflated, inflated, palette.OCCUPIED]
 
 
 def test_an_empty_run_is_drawn(empty_run):
@@ -102,42 +88,3 @@ def test_any_text_can_be_a_title_or_a_label(run, first):
     mission = replace(run.mission, phase="failed", reason=reason)
     changed = replace(run, title=title, instances=(named,), mission=mission)
     assert picture.png(changed).startswith(b"\x89PNG")
-
-
-def test_every_kind_of_goal_is_drawn(run):
-    without = picture.png(replace(run, goals=()))
-    for kind in ("frontier", "instance", "look"):
-        goal = Goal(0, SE2(8.0, 8.5, 0.0), kind, 1, (8.0, 8.5), 0.5, "chair")
-        assert picture.png(replace(run, goals=(goal,))) != without
-
-
-def test_points_that_are_not_finite_do_not_stretch_the_picture(run):
-    trajectory = run.trajectory.copy()
-    trajectory[5] = np.nan
-    image = pixels(picture.png(replace(run, trajectory=trajectory)))
-    assert count(image, palette.OCCUPIED) > 5000
-
-
-def test_reached_targets_are_numbered_in_order(long_run):
-    assert marks._order_reached(long_run) == {1: "1", 2: "2"}
-    simple = replace(long_run, story=None)
-    assert marks._order_reached(simple) == {}
-    green = palette.OUTCOME["reached"]
-    assert count(pixels(picture.png(long_run)), green) > count(pixels(picture.png(simple)), green)
-
-
-def test_of_two_things_of_a_name_the_nearer_one_was_reached(long_run):
-    sofa = long_run.instances[1]
-    at_s = 19.0
-    k = int(np.searchsorted(long_run.trajectory_t_s, at_s))
-    near = replace(sofa, id=9, center_m=np.array([*long_run.trajectory[k, :2], 0.4], np.float32))
-    both = replace(long_run, instances=(*long_run.instances, near))
-    assert marks._order_reached(both) == {9: "1", 2: "2"}
-
-
-def test_each_target_has_its_colour():
-    targets = tuple(f"thing {c}" for c in "abcdefgh"[: len(palette.TARGETS)])
-    assert [palette.target_colour(t, targets) for t in targets] == list(palette.TARGETS)
-    assert palette.target_colour("couch", ("chair", "sofa")) == palette.TARGETS[1]
-    assert palette.target_colour("lamp", ("chair", "sofa")) == palette.INSTANCE
-    assert palette.target_colour("chair", ("chair",)) == palette.TARGET

@@ -11,15 +11,12 @@ from made_outcomes import failure, many, record
 
 from edge.errors import FileError, UserError
 from edge.lab.eval.comparison.outcomes import (
-    OTHER,
     baseline_of,
     clusters,
     gather,
-    natural,
     read,
     with_rooms,
 )
-from edge.lab.eval.outcome import FAILURES
 
 
 def written(tmp_path, *lines) -> list[dict]:
@@ -112,20 +109,6 @@ def test_what_crashed_may_not_know_its_world():
     assert gather([crash]).world.tolist() == ["a.glb"]
 
 
-def test_failures_of_other_names_are_other_ones():
-    kinds = [*FAILURES, "hexed", None]
-    outcomes = gather([failure(f"{k}", failure=kind) for k, kind in enumerate(kinds)])
-    assert outcomes.failure[0].tolist() == [*FAILURES, OTHER, OTHER]
-
-
-def test_the_order_in_which_they_came_is_of_no_matter():
-    records = many({"a": 1.5, "b": 2.0}, 5)
-    first = gather(records)
-    other = gather([r for c in ("a", "b") for r in reversed(records) if r["column"] == c])
-    assert first.episodes == other.episodes
-    np.testing.assert_array_equal(first["path_m"], other["path_m"])
-
-
 @pytest.mark.parametrize(("worlds", "unit", "units"), [(9, "episode", 36), (10, "world", 10)])
 def test_few_worlds_are_not_resampled(worlds, unit, units):
     cluster, word = clusters(gather(many({"a": 1.5}, worlds)))
@@ -137,8 +120,3 @@ def test_baseline():
     assert [baseline_of(outcomes, name) for name in (None, "a", "b")] == [0, 0, 1]
     with pytest.raises(UserError, match="no column 'c'; there are: a, b"):
         baseline_of(outcomes, "c")
-
-
-def test_natural_order():
-    names = ["val-10/bed/0", "val-9/bed/10", "val-9/bed/9", "9"]
-    assert sorted(names, key=natural) == ["9", "val-9/bed/9", "val-9/bed/10", "val-10/bed/0"]

@@ -48,24 +48,10 @@ def test_a_house_is_drawn(house):
     assert len(drawing.png) < 20_000
 
 
-def test_a_place_without_floor_for_the_robot_is_drawn_too(house):
-    assert worlds.draw(house, [], 50.0).png[:4] == b"\x89PNG"
-
-
 def test_corners_turn_with_the_thing():
     item = WorldObject(1, "a", "a", "a", (1.0, 2.0, 0.5), (2.0, 1.0, 1.0), math.pi / 2)
     found = sorted(np.round(worlds.corners_m(item), 6).tolist())
     assert found == [[0.5, 1.0], [0.5, 3.0], [1.5, 1.0], [1.5, 3.0]]
-
-
-@pytest.mark.parametrize(
-    ("path_m", "place"),
-    [(0.0, (0, 0)), (1.0, (1, 0)), (3.0, (2, 1)), (99.0, (2, 2)), (-1.0, (0, 0))],
-)
-def test_along(path_m, place):
-    trail = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0]])
-    assert worlds.along(trail, path_m).tolist() == list(map(float, place))
-    assert worlds.along(trail[:1], path_m).tolist() == [0.0, 0.0]
 
 
 def test_what_was_left_at_first_sight(house):

@@ -126,10 +126,6 @@ def test_success_on_the_last_decision_counts():
     assert episode == Episode(COMPLETE, 1, 1)
 
 
-def test_knowing_all_places_needs_no_exploration():
-    assert run_episode(problem_of("F a & F b"), 0.1, say(0, 1), luck(), seen=0xFF).explorations == 0
-
-
 def test_draws_depend_on_all_their_keys_and_nothing_else():
     base = draws_of(0, 5, 0.3, 0)
     np.testing.assert_array_equal(base, draws_of(0, 5, 0.3, 0))

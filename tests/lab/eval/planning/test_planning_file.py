@@ -26,13 +26,6 @@ def test_round_trip(tmp_path):
     assert set(json.loads(path.read_text().splitlines()[0])) == set(GOOD)
 
 
-def test_other_names_for_objects_are_mapped(tmp_path):
-    path = tmp_path / "tasks.jsonl"
-    line = {**GOOD, "objects": ["tv", "couch"], "formula": "F(tv & F couch)"}
-    path.write_text("\n" + json.dumps(line) + "\n\n")
-    assert read_tasks(path)[0].objects == ("television", "sofa")
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [

@@ -257,16 +257,6 @@ def test_what_the_model_says_is_the_plan(said, knowledge, target, reason):
     assert reason in plan.reason
 
 
-def test_the_model_is_told_what_is_so():
-    with planning(("", "TARGET: bed")) as (planner, server):
-        planner.plan(0, Knowledge(frozenset({"bed"}), frozenset({"sofa"}), frozenset({"desk"})))
-        (question,) = (m["content"] for m in server.requests[0][2]["messages"])
-    assert question.endswith(
-        "yet reached): {bed}\n• Reached (in order): [couch]\n• Failed (unreachable): {desk}"
-    )
-    assert f"Task: {MISSION}" in question
-
-
 def test_no_step_is_left_where_the_mission_is_fulfilled_or_what_is_named_leads_no_further():
     with planning(("", "TARGET: bed")) as (planner, server):
         bed = AUTOMATON.step(0, "bed")

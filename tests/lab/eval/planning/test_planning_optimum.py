@@ -136,12 +136,17 @@ def test_looking_for_another_thing_can_be_better_luck():
     assert letters[Optimum(problem, 0.5).choose(Situation(0))] == "chair"
 
 
-@pytest.mark.parametrize("p_obs", [0.1, 0.35, 0.8, 1.0])
-@pytest.mark.parametrize("others", [0, 2])
 @pytest.mark.parametrize(
-    "text",
-    ["F a", "F a & F b & F c", "F((chair | couch) & F tv)", "F a & F b & G !c", "X a", "!b W a",
-     "(!b W a) & F b", "F(a & X(b & F a))", "G(a -> X F b) & F a", CASE_2],
+    ("text", "others", "p_obs"),
+    [
+        *(
+            (text, others, p_obs)
+            for text in ("F a & F b & F c", "F((chair | couch) & F tv)", "F a & F b & G !c", "X a",
+                         "(!b W a) & F b", "F(a & X(b & F a))", "G(a -> X F b) & F a")
+            for others, p_obs in ((0, 0.35), (2, 0.1), (2, 1.0))
+        ),
+        (CASE_2, 0, 0.35),
+    ],
 )  # fmt: skip
 def test_costs_are_those_of_policy_iteration(text, others, p_obs):
     problem = problem_of(text, others)

@@ -132,14 +132,6 @@ def test_valid_targets(formula, expected):
     assert sorted(targets) == sorted(expected)
 
 
-def test_random_valid_draws_all_and_in_order_the_first():
-    problem = problem_of(parse("F a & F b & F c"))
-    chance = PLANNERS["random-valid"].make(problem)(0.5)
-    drawn = [chance(Situation(0, draw=d)) for d in (0.0, 0.34, 0.67, 0.99)]
-    assert drawn == [0, 1, 2, 2]
-    assert PLANNERS["in-order"].make(problem)(0.5)(Situation(0)) == 0
-
-
 @pytest.mark.parametrize("planner", ["vitl", "in-order", "optimal", "random-valid"])
 def test_planners_give_up_where_nothing_can_be_done(planner):
     problem = problem_of(parse("F a & G !a"))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edge.lab.eval.planning.executor import COMPLETE, VIOLATED
-from edge.lab.eval.planning.report import legend, rows_of, summary, table, tasks_line, to_json
+from edge.lab.eval.planning.report import legend, rows_of, summary, table, to_json
 from edge.lab.eval.planning.sweep import NOT_RUN, Results, Settings
 from edge.lab.eval.planning.templates import generate
 
@@ -36,10 +36,6 @@ def results():
         [[4, 4, 9], [2, 3, 0], [2, 2, 3], [7, 0, 0]],
         [2, 2, 3],
     )
-
-
-def test_no_planners_no_rows():
-    assert rows_of(results_of([], [], [], [], [1])) == []
 
 
 def test_figures(results):
@@ -75,12 +71,6 @@ def test_table_and_summary_are_plain_lines(results):
     assert len(legend(results.planners).splitlines()) == 4
 
 
-def test_planner_without_runs_is_said_to_have_none():
-    rows = rows_of(results_of(["llm"], [NOT_RUN], [0], [0], [1]))
-    assert summary(rows) == "llm: not run"
-    assert table(rows).splitlines()[1].split() == ["llm", "0.5", "0", "-", "-", "-", "-"]
-
-
 def test_json_has_null_for_what_was_not_measured(results):
     tasks = generate(3)
     data = json.loads(to_json(rows_of(results), tasks, Settings(("vitl",), (0.5,)), 1.26))
@@ -89,8 +79,3 @@ def test_json_has_null_for_what_was_not_measured(results):
     assert [row["planner"] for row in data["rows"]] == list(results.planners)
     assert data["rows"][3]["explorations"] == {"value": None, "low": None, "high": None}
     assert data["rows"][0]["complete"]["value"] == 1.0
-
-
-def test_tasks_line_counts_templates_and_formulas():
-    assert tasks_line([]) == "0 tasks, 0 lifted formulas: "
-    assert tasks_line(generate(20)).startswith("20 tasks, ")

@@ -153,13 +153,6 @@ def test_options_that_are_wrong_are_told_in_a_line(tmp_path, capsys, options, wo
     assert told.count("\n") == 1
 
 
-def test_outcomes_say_who_saw(tmp_path):
-    folder = Folder(tmp_path)
-    run_all([episode(PAST)], ["ours"], RULES, folder, seen_by="my detector")
-    run_all([episode(PAST)], ["ours"], RULES, folder)
-    assert [one.writer for one in folder.outcomes.values()] == ["rules, by my detector", "rules"]
-
-
 def test_a_place_that_is_known_is_seen_by_no_detector():
     with pytest.raises(UserError, match=r"a detector sees kitti:FOLDER only"):
         next(episodes(["streets[0:1]"], chain=object()))
