@@ -12,16 +12,11 @@ from edge.errors import UserError
     ("word", "why"),
     [
         ("", "'' is no name: it needs a letter or a digit"),
-        ("  ", "it needs a letter or a digit"),
         ("_", "'_' is no name: it needs a letter or a digit"),
         ("-", "it needs a letter or a digit"),
-        ("...", "'...' is no name: it needs a letter or a digit"),
         ("the €", "it needs a letter or a digit"),
-        (". 1", "it needs a letter or a digit"),  # a model's number is no name
         ("tv\0", "'tv' is no name: character 3 (U+0000) does not print"),
-        ("\x1b[31mtv", "'[31mtv' is no name: character 1 (U+001B) does not print"),
         ("tv\n12:00 info", "'tv 12:00 info' is no name: character 3 (U+000A) does not print"),
-        ("tv\u202evt", "'tv vt' is no name: character 3 (U+202E) does not print"),
         ("\udc80tv", "'tv' is no name: character 1 (U+DC80) does not print"),
         ("b" * 201, f"'{'b' * 59}…' is no name: it has more than 200 characters"),
     ],

@@ -248,10 +248,7 @@ def test_a_zenoh_file_that_cannot_be_used_is_one_failure():
     ("installed", "probed", "settings", "expected"),
     [
         ((), ran(), SIM, ["warn"]),
-        ((), ran(), ONNX, ["fail"]),
         ((), ran(), TENSORRT, ["warn"]),
-        (("onnxruntime",), ran(CPU), ONNX, ["ok"]),
-        (("onnxruntime",), ran("Other"), SIM, ["ok"]),
         (("onnxruntime",), ran("Other"), ONNX, ["ok", "fail"]),
         (("onnxruntime", "onnxruntime-gpu"), ran(CPU), SIM, ["warn", "ok"]),
         (("onnxruntime",), Probed("1.23", (CPU,), (), "crashes"), SIM, ["warn"]),

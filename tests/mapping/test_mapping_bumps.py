@@ -144,7 +144,7 @@ BEHIND_IT = (1.8, 0.0)
 def layers_at(grid: RollingMap, place: tuple[float, float]) -> tuple[int, int, bool]:
     """raw, top and known of the cell."""
     x, y = (math.floor(v / grid.resolution_m) % grid.window.n for v in place)
-    layers = grid._layers
+    layers = twins.writable(grid)
     return int(layers.raw[y, x]), int(layers.top[y, x]), bool(ly.bit_get(layers.known, y, x))
 
 
@@ -329,13 +329,14 @@ def test_no_bump_shuts_the_robot_in(turns, headings):
 @pytest.mark.parametrize("radius", [0.0, 1.0, 2.5])
 def test_near_the_trail_agrees_with_its_twin(radius):
     grid, rng = seen_around(), np.random.default_rng(3)
-    grid._layers.trail[:] = rng.integers(0, 2**63, grid._layers.trail.shape, np.uint64)
-    grid._layers.trail[:] &= rng.integers(0, 2**63, grid._layers.trail.shape, np.uint64)
-    grid._layers.trail[:] &= np.uint64(0x0101010101010101)
+    layers = twins.writable(grid)
+    layers.trail[:] = rng.integers(0, 2**63, layers.trail.shape, np.uint64)
+    layers.trail[:] &= rng.integers(0, 2**63, layers.trail.shape, np.uint64)
+    layers.trail[:] &= np.uint64(0x0101010101010101)
     n = grid.window.n
-    on = np.array([[ly.bit_get(grid._layers.trail, y, x) for x in range(n)] for y in range(n)])
+    on = np.array([[ly.bit_get(layers.trail, y, x) for x in range(n)] for y in range(n)])
     offset = np.arange(-3, 4)
     disc = offset[:, None] ** 2 + offset[None, :] ** 2 <= radius**2
     for y, x in rng.integers(0, n, (200, 2)).tolist():
         patch = on[np.ix_((y + offset) % n, (x + offset) % n)]
-        assert ly.near_trail(grid._layers, y, x, radius) == (patch & disc).any()
+        assert ly.near_trail(layers, y, x, radius) == (patch & disc).any()

@@ -223,7 +223,7 @@ def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():
     camera = CameraModel.from_hfov(320, 256, math.radians(75))
     pose, T_map_base = ORIGIN, np.eye(4)
     depth = twins.render(camera, T_BASE_CAMERA, room(3.0))
-    size = sum(layer.nbytes for layer in grid._layers)
+    size = sum(layer.nbytes for layer in grid.layers)
     for _ in range(3):
         grid.update_depth(depth, camera, T_map_base, T_BASE_CAMERA)
         grid.reach.step(pose)
@@ -235,7 +235,7 @@ def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():
         assert tracemalloc.get_traced_memory()[1] < 64 * 1024
     finally:
         tracemalloc.stop()
-    assert sum(layer.nbytes for layer in grid._layers) == size < 10 * 1024 * 1024
+    assert sum(layer.nbytes for layer in grid.layers) == size < 10 * 1024 * 1024
 
 
 def signatures() -> dict[str, int]:

@@ -101,5 +101,5 @@ def test_a_gap_that_was_never_driven_through_stays_closed():
 def test_a_trail_is_forgotten_with_the_rest_of_the_map():
     grid = RollingMap(SMALL)
     drive(grid, np.arange(0.0, 40.0, 0.2), [])
-    trail = bits(grid._layers.trail)
+    trail = bits(grid.layers.trail)
     assert 0 < np.count_nonzero(trail) <= 3 * (grid.window.n + 2)

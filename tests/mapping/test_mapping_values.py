@@ -31,6 +31,10 @@ def value_map(targets=("bed",), n: int = 192, range_m: float = 3.0, origin=(-64,
     return values
 
 
+def window_of(values: ValueMap) -> Window:
+    return values._window
+
+
 def sight(x=0.0, y=0.0, yaw=0.0, range_m=3.0, fov=FOV) -> Sight:
     """One that sees equally far everywhere, or as far as an array says."""
     return Sight(x, y, yaw, fov, np.broadcast_to(np.float32(range_m), RAYS).copy())
@@ -38,7 +42,7 @@ def sight(x=0.0, y=0.0, yaw=0.0, range_m=3.0, fov=FOV) -> Sight:
 
 def centres(values: ValueMap) -> tuple[np.ndarray, np.ndarray]:
     """(m, m) x and y in metres of the cells, by storage row and column."""
-    m, (ox, oy) = len(values.value), (v // 4 for v in values._window.origin)
+    m, (ox, oy) = len(values.value), (v // 4 for v in window_of(values).origin)
     xs = ox + (np.arange(m) - ox) % m
     ys = oy + (np.arange(m) - oy) % m
     return np.meshgrid((xs + 0.5) * 0.2, (ys + 0.5) * 0.2)
@@ -74,7 +78,7 @@ def test_without_targets_nothing_is_written_or_read():
 
 def test_a_window_that_has_no_place_takes_nothing():
     values = value_map()
-    values._window.placed = False
+    window_of(values).placed = False
     values.write_view(sight(), ("bed",), np.ones(1, np.float32))
     assert not values.weight.any()
 
@@ -145,7 +149,7 @@ def directions_twin(values, seen, xy, p, scene, channel=0):
 def test_directional_scores_are_spread_as_eq_8(seed, frontiers):
     rng = np.random.default_rng(seed)
     values = value_map(("bed", "sofa"), origin=tuple(64 * rng.integers(-9, 9, 2)))
-    middle = (np.array(values._window.origin) + 96) * 0.05
+    middle = (np.array(window_of(values).origin) + 96) * 0.05
     for _ in range(3):
         x, y = middle + rng.uniform(-1, 1, 2)
         # Unlike ranges make every occlusion; a little slack keeps cells off the very rim.
@@ -299,7 +303,7 @@ def test_the_best_near_a_place_is_eq_9(seed, radius):
     values = value_map(("bed", "sofa"), n=64, origin=tuple(64 * rng.integers(-3, 3, 2)))
     values.value[:] = rng.integers(0, UNIT, values.value.shape)
     values.weight[:] = rng.random(values.weight.shape) < 0.1
-    middle = (np.array(values._window.origin) + 32) * 0.05
+    middle = (np.array(window_of(values).origin) + 32) * 0.05
     xy = (middle + rng.uniform(-2.2, 2.2, (20, 2))).astype(np.float32)
     out = np.zeros(20, np.float32)
     values.best(1, xy, 20, radius, out)
@@ -331,9 +335,9 @@ def test_rolling_forgets_what_leaves_the_window_and_nothing_else(moves, seed):
     known = dict(zip(zip(x.ravel(), y.ravel(), strict=True), values.value.ravel(), strict=True))
     for axis, cells in moves:
         values.roll(axis, 64 * cells)
-        origin = list(values._window.origin)
+        origin = list(window_of(values).origin)
         origin[axis] += 64 * cells
-        values._window.origin = (origin[0], origin[1])
+        window_of(values).origin = (origin[0], origin[1])
         x, y = (np.round(c / 0.2 - 0.5).astype(int) for c in centres(values))
         here = list(zip(x.ravel(), y.ravel(), strict=True))
         known = {cell: known[cell] for cell in here if cell in known}

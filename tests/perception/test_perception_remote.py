@@ -217,6 +217,11 @@ BAD = [
 ]  # fmt: skip
 
 
+def limit(there: RemoteDetector, seconds: float) -> None:
+    session = there._session
+    session._server = session._server.model_copy(update={"time_limit_s": seconds})
+
+
 @pytest.mark.parametrize(("behave", "kind", "why"), BAD)
 def test_whatever_a_server_does_costs_an_image_and_is_told(
     model, far, picture, behave, kind, why, monkeypatch
@@ -225,7 +230,7 @@ def test_whatever_a_server_does_costs_an_image_and_is_told(
     with serving(KServe(model)) as server:
         there = far(server)
         found = there.detect(picture)
-        there._session._server = there._session._server.model_copy(update={"time_limit_s": limit_s})
+        limit(there, limit_s)
         server.behave = behave
         with pytest.raises(ServerError) as error:
             there.detect(picture)
@@ -234,7 +239,7 @@ def test_whatever_a_server_does_costs_an_image_and_is_told(
         assert "\n" not in str(error.value)
         assert there.health() == ("degraded", str(error.value))
         server.behave, there.time.s = None, 1e6
-        there._session._server = there._session._server.model_copy(update={"time_limit_s": LIMIT_S})
+        limit(there, LIMIT_S)
         assert len(there.detect(picture).score) == len(found.score)
         assert there.health() == ("ok", "")
 

@@ -78,18 +78,12 @@ def test_nothing_wanted_and_nothing_found():
     ("there", "answers", "boxes_found", "wanted_found_hits"),
     [
         ([], [NAMED], [SOFA], (0, 1, 0)),
-        ([(SOFA, 0, True)], [NAMED], [], (1, 0, 0)),
         ([(SOFA, 0, True)], [NAMED], [SOFA], (1, 1, 1)),
         ([(SOFA, 0, True)], [NAMED], [SOFA, [1, 1, 41, 41]], (1, 2, 1)),  # once only
-        ([(SOFA, 0, True)], [NAMED], [[0, 0, 40, 19]], (1, 1, 0)),  # IoU below a half
         ([(SOFA, 0, True)], [NAMED], [[0, 0, 40, 20]], (1, 1, 1)),
-        ([(SOFA, 0, True)], [NO], [SOFA], (0, 1, 0)),
         ([(SOFA, 0, True)], [KIND], [SOFA], (0, 0, 0)),  # an armchair, asked for a chair
-        ([(SOFA, 0, False)], [NAMED], [SOFA], (0, 0, 0)),  # hidden: neither missed nor wrong
         ([(SOFA, 0, False)], [NAMED], [[10, 10, 20, 20]], (0, 0, 0)),  # lies in it
-        ([(SOFA, 0, False)], [NAMED], [CHAIR], (0, 1, 0)),
         ([(SOFA, 0, False)], [NO], [SOFA], (0, 1, 0)),
-        ([(SOFA, 0, True), (SOFA, 1, True)], [NAMED, KIND], [SOFA, SOFA], (1, 1, 1)),
         ([(SOFA, 0, True), (CHAIR, 0, True)], [NAMED], [CHAIR, SOFA], (2, 2, 2)),
     ],
 )

@@ -24,11 +24,6 @@ def test_too_little_says_nothing(lives):
     assert slope_of(lives) is None
 
 
-def test_a_value_that_stands_still_does_not_grow():
-    slope = slope_of([life(600, 0.0)])
-    assert (slope.per_h, slope.low, slope.high) == (0.0, 0.0, 0.0)
-
-
 @given(st.floats(-1e3, 1e3), st.integers(20, 2000))
 def test_a_line_grows_as_it_does(per_h, n):
     slope = slope_of([life(n, per_h)])
