@@ -131,12 +131,6 @@ def test_a_terminal_gets_one_line_that_fits(wall):
     assert out.getvalue().endswith("\n")
 
 
-def test_nothing_to_close():
-    out = Terminal()
-    ConsoleSink(out).close()
-    assert out.getvalue() == ""
-
-
 @pytest.mark.parametrize(
     ("task", "line"),
     [

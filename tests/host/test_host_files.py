@@ -13,7 +13,7 @@ from edge import config
 from edge.config import WorldHouse, WorldProcthor
 from edge.errors import UserError
 from edge.host import checkpoint
-from edge.host.files import open_regular, read_regular, replace_atomically, write_atomically
+from edge.host.files import read_regular, replace_atomically, write_atomically
 from edge.lab.bench.frames import from_folder
 from edge.lab.eval.planning.file import read_tasks
 from edge.lab.eval.translate import lang2ltl_cases
@@ -30,14 +30,6 @@ from exporters.files import ExportError, check_sha256
 from exporters.images import load_input, load_text_embeddings
 
 pytestmark = pytest.mark.timeout(60)  # what opens a pipe without a writer would wait for ever
-
-
-@pytest.mark.parametrize("content", [b"", b"x" * 100])
-def test_a_file_is_read_whole(tmp_path, content):
-    (tmp_path / "file").write_bytes(content)
-    assert read_regular(tmp_path / "file", 100) == content
-    with open_regular(tmp_path / "file") as file:
-        assert file.read() == content
 
 
 def make_pipe(path: Path) -> Path:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mapping.mapping_twins import SMALL, complete, look, room
@@ -38,30 +37,6 @@ def test_nothing_in_nothing_out():
     pool.update(frontiers(), [], 0, 0)
     assert pool.candidates.n == 0
     assert pool.candidates.index_of(FRONTIER, 1) == -1
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "kept"),
-    [
-        ([(1, 1)], [], []),
-        ([], [(1, 1)], [False]),
-        ([(1, 1)], [(1, 1)], [True]),
-        ([(1, 1)], [(1.3, 1)], [True]),
-        ([(1, 1)], [(1.6, 1)], [False]),
-        # Two claim one: the nearer continues it, the other is new.
-        ([(1, 1)], [(1.3, 1), (1.1, 1)], [False, True]),
-        ([(1, 1), (3, 1)], [(3.1, 1), (1.1, 1)], [True, True]),
-        # The one that loses (1, 1) to the nearer still has (1.4, 1).
-        ([(1, 1), (1.4, 1)], [(1.15, 1), (1.05, 1)], [True, True]),
-    ],
-)
-def test_identity(before, after, kept):
-    pool = CandidatePool(16, 0.5)
-    pool.update(frontiers(*before), [], 0, 0)
-    old = set(ids(pool))
-    pool.update(frontiers(*after), [], 1, 1)
-    assert [i in old for i in ids(pool)] == kept
-    assert len(set(ids(pool))) == pool.candidates.n
 
 
 def test_capacity_keeps_instances():
@@ -127,17 +102,6 @@ def looking(pose: SE2, *boxes) -> RollingMap:
     look(grid, pose, [*boxes])
     complete(grid, pose)
     return grid
-
-
-def test_candidates_are_told_how_far_they_are_and_what_they_would_show():
-    pose = SE2(0.0, 0.0, 0.0)
-    grid, pool = looking(pose, *room(1.5)), CandidatePool(16, 0.5)
-    pool.update(frontiers((1.0, 0.0), (0.0, 9.0)), [instance(7, 0.5, 0.0)], 0, 0)
-    pool.measure(grid)
-    c = pool.candidates
-    assert c.path_m[:3] == pytest.approx([1.0, np.inf, 0.5], abs=0.08)
-    assert c.gain_m2[0] > 0.5
-    assert c.gain_m2[2] == 0.0
 
 
 def test_what_a_frontier_would_show_is_measured_when_it_is_new_and_then_in_turn():

@@ -259,30 +259,6 @@ def test_what_cannot_be_reached_is_passed_over():
     assert who(case.choose(frontier(1, 3.0, 0.1), frontier(2, -3.0, 0.9))) == ("frontier", 1)
 
 
-@pytest.mark.parametrize(
-    ("k", "least_m", "most_points", "asked"),
-    [
-        (2, 0.0, 64, [(0.7, 1)]),
-        (20, 0.0, 64, [(0.7, 4)]),
-        (64, 0.0, 64, [(0.7, 10)]),
-        (64, 0.8, 64, [(0.7, 10), (0.85, 10)]),
-        (64, 0.0, 3, [(0.7, 10), (0.85, 10), (0.7, 1)]),
-        (64, 0.8, 3, [(0.7, 10), (0.85, 10), (0.7, 1), (0.85, 1)]),
-    ],
-)
-def test_enough_of_an_instance_is_near_where_the_robot_stops_else_any(
-    k, least_m, most_points, asked
-):
-    case = Case()
-    case.map.least_m, case.map.most_points = least_m, most_points
-    goal = case.choose(chair(9, 3.0, 0.5))
-    surface_m = np.zeros((k, 3), np.float32) + np.float32([3.0, 0.0, 0.5])
-    case.things[9].points_m = surface_m
-    case.map.asked.clear()
-    assert case.goals.choose(case.context(), case.map, case.score, 0) is goal
-    assert case.map.asked == asked
-
-
 @pytest.mark.parametrize("gone", ["refuted", "forgotten"])
 def test_an_instance_that_is_none_any_more_is_passed_over(gone):
     case = Case()

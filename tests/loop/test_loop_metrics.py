@@ -125,30 +125,6 @@ def test_no_text_of_others_is_a_label():
     assert 'edge_faults_by_step_total{error="ValueError",step="source"} 1.0' in page
 
 
-@pytest.mark.parametrize(
-    ("change", "name", "expected"),
-    [
-        (lambda s: s.source.counters.update(stale=3, received=9), "edge_source_dropped_total",
-         {"stale": 3}),
-        (lambda s: s.source.counters.update(received=9), "edge_source_received_total", {(): 9}),
-        (lambda s: setattr(s.service.map, "epoch", 2), "edge_pose_jumps_total", {(): 2}),
-        (lambda s: setattr(s.service, "overruns", lambda: {"sensors": 4}), "edge_overruns_total",
-         {"sensors": 4}),
-        (lambda s: s.service.swapper.outcomes.update(kept=1), "edge_model_swaps_total",
-         {"kept": 1, "refused": 0, "rolled back": 0}),
-        (lambda s: setattr(s.service.goals.client, "heard", True), "edge_controller_answers",
-         {(): 1}),
-        (lambda s: setattr(s.worker.stats, "replaced", 5), "edge_detector_images_total",
-         {"detected": 0, "failed": 0, "replaced": 5}),
-    ],
-)  # fmt: skip
-def test_what_the_service_counts_is_told(change, name, expected):
-    watched = Watched().watch()
-    watched.running.source.counters.clear()
-    change(watched.running)
-    assert watched.scrape()[name] == expected
-
-
 def test_the_age_of_a_goal_is_by_the_loops_time():
     watched = Watched().watch()
     while watched.closed.service.goal is None:
@@ -213,17 +189,6 @@ def test_in_the_middle_of_a_reload_and_after_it():
     while running.reloader.busy:
         running.reloader.step(0)
     assert watched.scrape()["edge_reloads_total"] == {"switched": 0, "unchanged": 1, "refused": 0}
-
-
-def test_while_it_stops_and_when_its_parts_are_closed():
-    watched = Watched().watch()
-    watched.closed.step()
-    watched.vitals.stopping()
-    watched.running.service.close()
-    watched.running.worker.close()
-    found = watched.scrape()
-    assert found["edge_service_state"]["stopping"] == 1
-    assert found["edge_detector_images_total"]["detected"] == 1
 
 
 def test_scrapes_from_another_thread_while_the_loop_drives_and_its_pose_jumps():

@@ -109,6 +109,7 @@ def test_without_instance_points_an_episode_ends_at_what_was_confirmed_in_passin
     config = {
         "loop": {"lockstep": True},
         "sim": {"lockstep": True, "step_s": 0.2},
+        "sensors": {"camera": {"width_px": 160, "height_px": 128}},
         "mission": mission,
     }
     loop = ClosedLoop(
@@ -128,7 +129,7 @@ def test_without_instance_points_an_episode_ends_at_what_was_confirmed_in_passin
 
 @pytest.mark.parametrize("mount", [{"yaw_deg": 40.0, "roll_deg": 8.0}, {"yaw_deg": -60.0}])
 def test_a_camera_that_looks_aside_finds_its_target_all_the_same(mount):
-    sensors = {"camera": mount}
+    sensors = {"camera": {"width_px": 160, "height_px": 128, **mount}}
     loop = ClosedLoop(
         simulated({"mission": {"target": "television"}, "sensors": sensors}), colour=False
     ).run(60)

@@ -28,7 +28,10 @@ TICK_NS = 100_000_000
 
 
 def config(**sections: dict) -> Config:
-    base = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}, "mission": {}}
+    base = {
+        "loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}, "mission": {},
+        "sensors": {"camera": {"width_px": 160, "height_px": 128}},
+    }  # fmt: skip
     return simulated({**base, **sections})
 
 
@@ -204,14 +207,6 @@ def test_a_missions_time_runs_from_its_first_observation_on(how, pose):
     for i in range(601, 660):  # sensors that have gone must not keep a mission for ever
         service.idle(START_NS + i * TICK_NS, pose)
     assert service.status.reason == "time limit of 5 s"
-
-
-def test_a_mission_ends_in_time_though_every_tick_fails():
-    loop = ClosedLoop(config(mission={"target": "bed", "time_limit_s": 5.0}), colour=False)
-    for i in range(60):
-        now_ns = START_NS + i * TICK_NS
-        loop.service.idle(now_ns, None, blank_observation(i, now_ns, SE2(0, 0, 0), loop))
-    assert loop.service.status.reason == "time limit of 5 s"
 
 
 @pytest.mark.parametrize("blind", [False, True])

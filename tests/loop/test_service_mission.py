@@ -25,6 +25,7 @@ def config(formula: str, **sections: dict) -> Config:
     base = {
         "loop": {"lockstep": True},
         "sim": {"lockstep": True, "step_s": 0.2},
+        "sensors": {"camera": {"width_px": 160, "height_px": 128}},
         "mission": mission,
     }
     return simulated({**base, **sections})

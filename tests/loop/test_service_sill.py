@@ -52,6 +52,7 @@ def closed_loop(
             {
                 "loop": {"lockstep": True},
                 "sim": {"lockstep": True, "step_s": 0.2, "world": world},
+                "sensors": {"camera": {"width_px": 160, "height_px": 128}},
                 "policy": {"kind": policy},
                 "mapping": {"reach_cells_per_tick": reach_cells_per_tick},
                 "mission": {"target": "bed"},

@@ -95,22 +95,6 @@ def test_states_are_numbered_breadth_first(f):
     assert order == list(range(automaton.n_states))
 
 
-@pytest.mark.parametrize(
-    ("one", "other"),
-    [
-        ("F a", "true U a"),
-        ("!(a U b)", "!a R !b"),
-        ("a W b", "a U b | G a"),
-        ("a M b", "b U (a & b)"),
-        ("F WX WX F WX (a <-> b)", "F (true | a | b)"),
-        ("F (c & (F a & F b & F d))", "F (c & F a & F b & F d)"),
-        ("!(F a -> G b)", "F a & F !b"),
-    ],
-)
-def test_equal_languages_give_equal_arrays(one, other):
-    assert same(compile_formula(parse(one)), compile_formula(parse(other)))
-
-
 @given(formulas())
 def test_steps_left_is_the_fewest_objects(f):
     """Against a search over words with up to four objects and idle steps between them."""

@@ -63,23 +63,6 @@ def test_an_engine_is_built_once(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change",
-    [
-        {"sha256": "b" * 64},
-        {"sm": "8.9"},
-        {"gpu": "Orin NX"},
-        {"recipe": 2},
-    ],
-)
-def test_whatever_the_engine_depends_on_makes_another(tmp_path, change):
-    build = Builds()
-    first = obtain(KEY, tmp_path, build, quiet)
-    second = obtain({**KEY, **change}, tmp_path, build, quiet)
-    assert build.count == 2
-    assert first != second
-
-
-@pytest.mark.parametrize(
     "harm",
     [
         lambda folder: (folder / "model.engine").write_bytes(b"engin"),

@@ -97,24 +97,6 @@ def test_what_stands_near(target, near, lift):
     assert out[0] == pytest.approx(lift, rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("target", "near", "above"),
-    [
-        ("toilet", ["plunger"], True),
-        ("toilet", ["bed"], False),
-        ("refrigerator", ["countertop"], True),
-        ("bed", ["pillow"], True),
-        ("bed", ["toilet"], False),
-    ],
-)
-def test_what_was_learned_is_common_sense(target, near, above):
-    learned, out = table.load(), np.empty(1, np.float32)
-    seen = np.zeros((1, len(learned.things)), np.float32)
-    seen[0, [learned.row(word) for word in near]] = 1
-    cooccurrence.lift(learned, learned.row(target), seen, out)
-    assert (out[0] > 1.1) if above else (out[0] < 0.9)
-
-
 def test_a_room_is_what_it_holds():
     chance, prior = rooms.chances(TABLE), rooms.average(TABLE)
     assert prior == pytest.approx([0.4, 0.6])

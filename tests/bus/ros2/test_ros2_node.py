@@ -14,7 +14,7 @@ from edge.bus.ros2 import graph, names
 from edge.bus.ros2.names import Endpoint
 from edge.bus.ros2.node import Node
 from edge.bus.wire import messages, navigation
-from edge.geometry import SE2, Grid
+from edge.geometry import SE2
 
 POSE, IMAGE = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/Image"
 GRID, COMPRESSED = "nav_msgs/msg/OccupancyGrid", "sensor_msgs/msg/CompressedImage"
@@ -72,20 +72,6 @@ def test_a_peer_hears_us_and_lists_our_topic(port, node):
     (message,) = eventually(lambda: list(heard))
     assert (message.header.stamp.nanosec, message.pose.position.y) == (5, 2.0)
     assert listed(port)["/goal_pose"] == [POSE]
-    peer.close()
-
-
-def test_a_late_subscriber_gets_a_latched_map(port, node):
-    # The peer spells a name of several parts wrong where it looks for its publishers.
-    mine = node.publisher("/map", GRID, latched=True)
-    for k in (1, 2):
-        grid = Grid(np.full((2, 3), k, np.int8), (0.0, 0.0), 0.05)
-        mine.put(messages.encode_occupancy_grid(k, grid))
-    eventually(lambda: "/map" in listed(port))  # it asks once
-    heard = []
-    peer = subscriber(port, "/map", GRID, heard.append, qos=names.LATCHED)
-    (message,) = eventually(lambda: list(heard))
-    assert message.data.tolist() == [2] * 6
     peer.close()
 
 

@@ -7,12 +7,7 @@ from small_house import small_house
 
 from edge.config import parse
 from edge.errors import ConfigError
-from edge.lab.eval.columns import data_of, make_columns, merged, parse_column, read_columns
-
-
-def test_without_columns_the_configuration_is_the_only_one(tmp_path):
-    (column,) = make_columns(small_house(tmp_path), {})
-    assert (column.name, column.settings) == ("hvl", {})
+from edge.lab.eval.columns import make_columns, merged, parse_column, read_columns
 
 
 def test_a_column_says_what_differs_and_has_an_id_of_its_own(tmp_path):
@@ -87,8 +82,3 @@ def test_files_of_no_columns_are_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ConfigError, match=r"columns\.yaml"):
         read_columns(path)
-
-
-def test_data_of_a_configuration_make_it_again(tmp_path):
-    config = small_house(tmp_path, policy={"kind": "hvl"})
-    assert parse(data_of(config), config.path) == config

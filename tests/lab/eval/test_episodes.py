@@ -50,13 +50,6 @@ def blocked(tmp_path, **sim):
     return simulated({"sim": {"world": world, **sim}})
 
 
-def test_a_blocked_start_is_told_and_another_takes_its_place(tmp_path):
-    with pytest.raises(UserError, match=r"around the start \(1\.00, 3\.00\): .* in sim\.start$"):
-        plan(blocked(tmp_path), [], ["bed"], 1, 0, 2.0)
-    planned = plan(blocked(tmp_path, start=[4, 3, 0]), [], ["bed"], 1, 0, 2.0)
-    assert [e.target for e in planned] == ["bed"]
-
-
 def test_of_several_worlds_one_with_a_blocked_start_is_left_out_and_told(tmp_path, caplog):
     worlds = [blocked(tmp_path).sim.world.model_dump(), {"kind": "house", "house": "demo"}]
     planned = plan(HOUSE, worlds, ["bed"], 1, 0, 2.0)
@@ -230,10 +223,3 @@ def test_a_world_is_loaded_once_and_again_for_another_robot(tmp_path):
     assert world_list.load(elsewhere) is world
     tall = small_house(tmp_path, robot={"height_m": 1.3})
     assert world_list.load(tall) is not world
-
-
-def test_objects_are_told_where_there_is_none():
-    world = world_list.load(HOUSE)
-    assert {o.label for o in episodes.objects_of(world, "tv")} == {"television"}
-    with pytest.raises(UserError, match="has no 'unicorn'"):
-        episodes.objects_of(world, "unicorn")

@@ -103,14 +103,6 @@ def test_a_silent_end_is_many_steps_of_nothing(f: Formula, g: Formula, word: lis
         assert satisfiable(f, silent_end=True)
 
 
-SILENT = [("G F a", False), ("G F a & G F b", False), ("F a", True), ("G(a -> X G !b)", True)]
-
-
-@pytest.mark.parametrize(("formula", "possible"), SILENT)
-def test_endless_behaviour_is_not_expressible(formula: str, possible: bool) -> None:
-    assert satisfiable(parse(formula), silent_end=True) is possible
-
-
 @pytest.mark.parametrize(
     ("text", "infix"),
     [

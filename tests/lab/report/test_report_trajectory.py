@@ -18,11 +18,6 @@ from edge.trajectory.pursuit import MotionLimits
 AHEAD_M = np.column_stack([np.linspace(0.0, 6.0, 60), np.zeros(60), np.zeros(60)])
 
 
-def strip(image, before):
-    """(h, w) bool, the pixels that are redder than they were."""
-    return image[..., 0].astype(int) - before[..., 0] > 20
-
-
 def test_without_a_camera_there_is_no_picture():
     assert drawn(street(), None, AHEAD_M, 0.3) is None
 
@@ -34,18 +29,6 @@ def test_what_is_not_before_the_camera_is_not_drawn(poses_m):
     image = drawn(scene, None, poses_m, 0.3)
     assert image.shape == (800, 1280, 3)
     assert (image == 90).all()
-
-
-def test_the_strip_lies_on_the_ground_and_is_as_wide_as_the_robot():
-    scene = street(picture=True)
-    image = drawn(scene, None, AHEAD_M, 0.5)
-    there = strip(image, np.full_like(image, 90))
-    rows = np.flatnonzero(there.any(axis=1))
-    assert rows.min() > 400  # below the horizon
-    assert rows.max() == 799
-    camera, away_m = scene.camera, 3.0
-    row = round(4 * (camera.cy_px + camera.fy_px * 1.0 / away_m))  # the camera is 1 m high
-    assert np.count_nonzero(there[row]) == pytest.approx(4 * camera.fx_px / away_m, abs=6)
 
 
 def test_behind_a_thing_the_strip_is_faint():

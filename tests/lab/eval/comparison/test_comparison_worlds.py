@@ -14,7 +14,6 @@ from edge.lab.eval import geodesic
 from edge.lab.eval.comparison import worlds
 from edge.lab.eval.comparison.outcomes import gather
 from edge.lab.report import palette
-from edge.lab.sim.base import WorldObject
 from edge.lab.sim.worlds import load_world
 
 RADIUS_M = 0.2
@@ -46,12 +45,6 @@ def test_a_house_is_drawn(house):
     assert drawing.footprints["unicorn"] == []
     assert len(drawing.footprints["bed"]) == len(worlds.named(house, "bed"))
     assert len(drawing.png) < 20_000
-
-
-def test_corners_turn_with_the_thing():
-    item = WorldObject(1, "a", "a", "a", (1.0, 2.0, 0.5), (2.0, 1.0, 1.0), math.pi / 2)
-    found = sorted(np.round(worlds.corners_m(item), 6).tolist())
-    assert found == [[0.5, 1.0], [0.5, 3.0], [1.5, 1.0], [1.5, 3.0]]
 
 
 def test_what_was_left_at_first_sight(house):

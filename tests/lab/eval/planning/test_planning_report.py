@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
 import pytest
 
 from edge.lab.eval.planning.executor import COMPLETE, VIOLATED
-from edge.lab.eval.planning.report import legend, rows_of, summary, table, to_json
-from edge.lab.eval.planning.sweep import NOT_RUN, Results, Settings
-from edge.lab.eval.planning.templates import generate
+from edge.lab.eval.planning.report import legend, rows_of, summary, table
+from edge.lab.eval.planning.sweep import NOT_RUN, Results
 
 
 def results_of(planners, outcome, explorations, steps, bound, p_obs=(0.5,)) -> Results:
@@ -69,13 +67,3 @@ def test_table_and_summary_are_plain_lines(results):
     assert "1.500 times the optimum" in summary(rows)
     assert "llm: 0.00 % complete (1 violated)" in summary(rows)
     assert len(legend(results.planners).splitlines()) == 4
-
-
-def test_json_has_null_for_what_was_not_measured(results):
-    tasks = generate(3)
-    data = json.loads(to_json(rows_of(results), tasks, Settings(("vitl",), (0.5,)), 1.26))
-    assert data["tasks"] == 3
-    assert data["seconds"] == 1.3
-    assert [row["planner"] for row in data["rows"]] == list(results.planners)
-    assert data["rows"][3]["explorations"] == {"value": None, "low": None, "high": None}
-    assert data["rows"][0]["complete"]["value"] == 1.0
