@@ -7,7 +7,6 @@ import errno
 import gc
 import json
 import os
-import re
 import signal
 import socket
 import subprocess
@@ -15,7 +14,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import nullcontext
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -321,14 +319,6 @@ def test_a_service_that_is_told_to_stop_has_not_failed_with_its_mission(
     monkeypatch.setattr(run_commands, "_serve", lambda *_, **__: record)
     monkeypatch.setattr(run_commands, "summary", lambda status: status.phase)
     assert run_commands.run_service(simulated(), threading.Event(), once, None) == code
-
-
-def test_the_exit_codes_are_told():
-    page = (Path(cli.__file__).parents[2] / "docs/service.md").read_text(encoding="utf-8")
-    text = make_parser("", {}).format_help()
-    for code, meaning in EXIT_CODES.items():
-        assert re.search(rf"^\|[^|]*\b{code}\b.*\|", page, re.MULTILINE), code
-        assert re.search(rf"^ +{code} +{re.escape(meaning)}$", text, re.MULTILINE), code
 
 
 def test_output_that_nobody_reads_on_is_no_error():

@@ -7,7 +7,7 @@ from functools import partial
 from types import SimpleNamespace
 
 import pytest
-from results import facts, health, result
+from results import facts, result
 from simulated import simulated
 from task_facts import INSTRUCTION, by_a_model, driving, looking, steps, written
 
@@ -47,19 +47,6 @@ def latency() -> LatencyRing:
     ring.span(DETECT, 9 * MS)
     ring.end_tick(2 * MS)
     return ring
-
-
-@pytest.mark.parametrize(
-    ("pose", "begins"),
-    [
-        (None, "0.0s waiting for sensors: no message yet on edge/odom | looking for chair | "),
-        (SE2(0, 0, 0), "0.0s no message yet on edge/odom | searching chair | "),
-    ],
-)
-def test_an_input_that_is_lacking_is_named_first(pose, begins):
-    inputs = {"state": "lacking", "detail": "no message yet on edge/odom", "topics": {}}
-    said = result(pose=pose, health=lambda: {**health(), "inputs": inputs})
-    assert line_of(said).startswith(begins)
 
 
 def test_a_robot_on_its_way():

@@ -79,18 +79,6 @@ def test_a_robot_that_is_gone_keeps_its_part_for_a_while():
     assert given([BED], robot("b")) == {"m.1": "b"}
 
 
-def test_of_two_at_one_part_who_is_longer_at_it_stays():
-    both = [
-        robot("a", "m.1", "searching", elapsed_s=3),
-        robot("b", "m.1", "verifying", elapsed_s=9),
-    ]
-    doubled = orders([BED], *both)
-    assert (doubled.under_way, doubled.cancel) == ({"m.1": "b"}, (Cancel("a", "m.1"),))
-    done = orders([BED], *both, robot("c", "m.1~1", "reached", reason="seen"))
-    assert done.outcomes == {"m.1": Outcome("reached", "c", "seen")}
-    assert set(done.cancel) == {Cancel("a", "m.1"), Cancel("b", "m.1")}
-
-
 def test_what_a_person_cancelled_is_given_to_nobody():
     end = orders([BED, SOFA], robot("a", "m.1", "failed", reason="cancelled"), robot("b"))
     assert end.outcomes == {"m.1": Outcome("failed", "a", "cancelled")}

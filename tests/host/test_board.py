@@ -6,8 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from edge.host.board import Board, distress, read_board
 
@@ -148,15 +146,6 @@ def test_a_file_that_vanishes_or_is_a_folder_raises_nothing(tmp_path, gone):
     assert isinstance(read_board(root), Board)
     (root / gone).mkdir()
     assert isinstance(read_board(root), Board)
-
-
-@given(name=st.binary(max_size=300))
-def test_whatever_a_zone_is_called_its_name_is_short_and_printable(tmp_path_factory, name):
-    folder = f"{THERMAL}/thermal_zone0"
-    root = put(tmp_path_factory.mktemp("board"), {f"{folder}/type": name, f"{folder}/temp": "1000"})
-    (zone_name,) = read_board(root).temperature_c
-    assert 0 < len(zone_name) <= 60
-    assert zone_name.isprintable()
 
 
 WARM = replace(

@@ -395,15 +395,6 @@ def test_a_writer_writes_the_newest_and_never_blocks(tmp_path, monkeypatch):
     assert (writer.written, writer.failed, writer.problem) == (2, 0, "")
 
 
-def test_a_writer_counts_a_state_that_cannot_be_saved(tmp_path, caplog):
-    writer = CheckpointWriter(tmp_path / "note", NOTE)
-    writer.post(lambda: Checkpoint(Note("secret")), 1)
-    assert writer.close(30)
-    assert (writer.written, writer.failed) == (0, 1)
-    assert "secret" in writer.problem
-    assert len(caplog.messages) == 1
-
-
 def test_a_period_is_counted_from_the_last_posted_state(tmp_path):
     writer = CheckpointWriter(tmp_path / "note", NOTE, period_s=1.0)
     at_ns = 10**18

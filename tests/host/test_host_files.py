@@ -109,18 +109,6 @@ def test_exporters_wait_for_no_pipe_either(tmp_path, read):
     assert str(path) in str(caught.value)
 
 
-def test_a_pipe_among_the_cards_is_told_and_passed_over(tmp_path, monkeypatch, capsys):
-    from edge.cli.main import main
-
-    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
-    (tmp_path / "models").mkdir()
-    make_pipe(tmp_path / "models" / "pipe.yaml")
-    assert main(["models", "list"]) == 0
-    told = capsys.readouterr()
-    assert "pipe.yaml: cannot be read: [Errno 22] Not a regular file" in told.err
-    assert "mini-house-text" in told.out
-
-
 @pytest.mark.parametrize("beside", [None, ".half"])
 def test_a_file_is_replaced_as_a_whole_or_not_at_all(tmp_path, beside):
     folder = tmp_path / "new"

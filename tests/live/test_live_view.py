@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 
-import cv2
 import numpy as np
 import pytest
 from results import observation, result
@@ -96,20 +94,6 @@ def test_whatever_is_said_is_json_without_infinities(view):
     assert story["events"] == [{"t_s": 1e-9, "text": EVIL}]
     assert story["layers"] == ["value of chair"]
     assert [node["current"] for node in story["automaton"]["nodes"]] == [True, False]
-
-
-def test_the_map_is_made_again_when_it_has_changed(view):
-    grids = [np.array([[-1, 0], [50, 100]], np.int8)] * 2 + [np.array([[-1, 0]], np.int8)]
-    taken = iter(grids)
-    view.sink.look()
-    view.sink.tick(result(snapshot=lambda inflated: Grid(next(taken), (-1.0, 2.0), 0.05)))
-    first, second, third = (view.pages()["/live/map"]() for _ in grids)
-    assert first is second
-    assert first.etag == second.etag != third.etag
-    said = json.loads(first.body)
-    assert (said["origin_xy_m"], said["resolution_m"], said["size"]) == ([-1.0, 2.0], 0.05, [2, 2])
-    png = np.frombuffer(base64.b64decode(said["png"]), np.uint8)
-    assert cv2.imdecode(png, cv2.IMREAD_GRAYSCALE).tolist() == [[255, 0], [50, 100]]
 
 
 def test_layers_are_told_by_their_place_and_there_may_be_none(view):

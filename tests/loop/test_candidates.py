@@ -104,21 +104,6 @@ def looking(pose: SE2, *boxes) -> RollingMap:
     return grid
 
 
-def test_what_a_frontier_would_show_is_measured_when_it_is_new_and_then_in_turn():
-    pose = SE2(0.0, 0.0, 0.0)
-    grid, pool = looking(pose, *room(1.5)), CandidatePool(64, 0.05)
-    points = [(0.1 * k, 0.0) for k in range(40)]
-    pool.update(frontiers(*points), [], 0, 0)
-    pool.measure(grid)
-    c = pool.candidates
-    assert (c.gain_m2[:40] >= 0.0).all()
-    c.gain_m2[:40] = 99.0
-    for tick in range(1, 6):
-        pool.update(frontiers(*points), [], tick, tick)
-        pool.measure(grid)
-    assert (c.gain_m2[:40] < 99.0).all()
-
-
 def test_a_turn_is_one_candidate_that_lasts_and_can_be_left_alone():
     pose = SE2(0.0, 0.0, 0.0)
     grid, pool = looking(pose, *room(1.5)), CandidatePool(2, 0.5)

@@ -244,12 +244,6 @@ def test_when_the_goal_changes(before, after, expected):
     assert who(case.choose(*after)) == expected
 
 
-def test_a_confirmed_instance_beats_one_that_is_not():
-    case = Case()
-    case.choose(chair(9, 3, 0.6))
-    assert who(case.choose(chair(9, 3, 0.6), chair(8, -3, 0.4), sure=(8,))) == ("instance", 8)
-
-
 def test_what_cannot_be_reached_is_passed_over():
     case = Case()
     case.map.walled = [(3.0, 0.0)]

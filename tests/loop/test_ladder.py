@@ -71,13 +71,6 @@ def test_steps_up_in_vain_come_ever_more_seldom():
     assert all(b >= 1.8 * a for a, b in pairwise(gaps[:MOST_DOUBLINGS]))
 
 
-def test_another_power_mode_makes_all_that_was_learnt_void():
-    plant = Plant().run(4, load=5.0)
-    plant.run(30, load=0.1)
-    plant.ladder.forget()
-    assert plant.run(40, load=0.1).rung == 0
-
-
 def test_a_step_that_is_refused_is_tried_again_but_not_at_once():
     ladder, asked = Ladder(2, BUDGET_MS), []
     for s in range(1, 100):

@@ -125,15 +125,6 @@ def test_no_text_of_others_is_a_label():
     assert 'edge_faults_by_step_total{error="ValueError",step="source"} 1.0' in page
 
 
-def test_the_age_of_a_goal_is_by_the_loops_time():
-    watched = Watched().watch()
-    while watched.closed.service.goal is None:
-        watched.closed.step()
-    goal = watched.closed.service.goal
-    watched.running.now_ns = goal.stamp_ns + 2_500_000_000
-    assert watched.scrape()["edge_goal_age_seconds"] == {(): 2.5}
-
-
 def test_sinks_that_say_how_they_are_tell_what_they_could_not_send():
     class Slow:
         def __init__(self, **counts: int) -> None:

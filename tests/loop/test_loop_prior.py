@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from simulated import simulated
 
 from edge.config import DetectorSim, Mapping
 from edge.geometry import se3
-from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.prior import LEAST, MOST, Prior, make_prior
+from edge.loop.prior import LEAST, MOST, Prior
 from edge.mapping.grid import RollingMap
 from edge.mapping.points import HEIGHT_CODES
 from edge.mapping.view import MapView
@@ -176,27 +174,3 @@ def test_a_layer_is_of_when_it_was_asked_for_and_leaves_the_rest_alone():
     assert p._lifts["toilet"] is kept
     assert before == kept.tolist()
     assert not p.layer("toilet")().cells.size
-
-
-def settings(by: str) -> dict:
-    return {
-        "loop": {"lockstep": True},
-        "sim": {"lockstep": True},
-        "perception": {"prior": by},
-    }
-
-
-def test_policies_get_it():
-    assert make_prior(simulated(settings("none"))) is None
-    loop = ClosedLoop(simulated(settings("both")))
-    for _ in range(40):
-        loop.step()
-    context = loop.service._context
-    xy_m, n = context.candidates.xy_m, context.candidates.n
-    out = np.zeros(n, np.float32)
-    assert context.sightings.n
-    context.prior.lift("pillow", xy_m, n, out)
-    assert (out >= LEAST).all()
-    assert (out <= MOST).all()
-    context.prior.lift("zeppelin", xy_m, n, out)
-    assert (out == 1).all()

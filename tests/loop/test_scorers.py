@@ -145,19 +145,6 @@ def test_no_one_is_asked_while_the_mission_is_paused_or_over():
         loop.close()
 
 
-def test_a_scorer_that_rests_is_asked_nothing_and_what_it_said_stays():
-    with serving(model()) as server:
-        loop = frontiers_in_view(ClosedLoop(settings(server.url, lockstep=True)))
-        asked, said = len(server.requests), loop.scorers.answers.choice
-        loop.scorers.resting = frozenset({"choice"})
-        loop.step()
-        assert (len(server.requests), loop.scorers.answers.choice) == (asked, said)
-        loop.scorers.resting = frozenset({"similarity"})
-        loop.step()
-        assert len(server.requests) > asked
-        loop.close()
-
-
 class FakeSimilarity:
     name = "fake"
 

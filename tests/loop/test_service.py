@@ -169,17 +169,6 @@ def test_a_robot_that_sees_nothing_any_more_is_stopped_where_it_is():
     assert service.goal is notes.goals[-1]
 
 
-def test_rare_frames_are_waited_for():
-    loop = driving()
-    slow = config(sensors={"camera": {"rate_hz": 1.0}}, mission={"target": "surfboard"})
-    loop.service.blind_s = ClosedLoop(slow, colour=False).service.blind_s
-    seen_ns, before = loop.drive.motion.stamp_ns - TICK_NS, len(loop.notes.goals)
-    loop.service.idle(seen_ns + 29 * TICK_NS, loop.service.pose)
-    assert len(loop.notes.goals) == before
-    loop.service.idle(seen_ns + 31 * TICK_NS, loop.service.pose)
-    assert len(loop.notes.goals) == before + 1
-
-
 def waiting(how: str) -> ClosedLoop:
     """A mission of at most 5 s whose sensors have not spoken yet, nor have since it began."""
     loop = ClosedLoop(config(mission={"target": "bed", "time_limit_s": 5.0}), colour=False)

@@ -105,21 +105,6 @@ def test_it_says_which_input_is_missing_and_logs_that_once(watched, caplog):
     assert watched.page("/readyz")[0] == 200
 
 
-def test_refused_observations_are_as_good_as_none_and_ready_says_why(watched):
-    watched.vitals.ready()
-    service, (seen,) = watched.running.service, blanks(watched.closed, 1)
-    dead = replace(seen, depth_m=np.zeros_like(seen.depth_m))
-    why = "nothing to be seen: camera/depth: only 0.0% of the pixels have a value: uncover the "
-    for i in range(3):
-        service.tick(replace(dead, stamp_ns=seen.stamp_ns + i), seen.stamp_ns + i)
-        watched.beat(1.0)
-        status, said = watched.page("/readyz")
-        assert (status, said["why"][0][: len(why)]) == (503, why)
-    service.tick(replace(seen, stamp_ns=seen.stamp_ns + 9), seen.stamp_ns + 9)
-    watched.beat(1.0)
-    assert watched.page("/readyz")[0] == 200
-
-
 def test_data_that_is_doubted_is_not_ready(watched):
     watched.vitals.ready()
     watched.see()
@@ -129,14 +114,6 @@ def test_data_that_is_doubted_is_not_ready(watched):
     service.plausibility = SimpleNamespace(why={"degrade": "floor: not there", "stand": ""}.get)
     watched.beat(1.0)
     assert watched.page("/readyz")[1]["why"] == ["floor: not there"]
-
-
-def test_a_source_that_cannot_tell_of_its_inputs_does_not_end_the_loop(watched):
-    watched.running.service.inputs = lambda: 1 / 0
-    watched.vitals.ready()
-    watched.beat()
-    assert watched.vitals.amiss() == ("nothing to be seen",)
-    assert watched.running.service.faults.failures == {"inputs: ZeroDivisionError": 1}
 
 
 def test_signs_of_life_come_from_beats_alone_and_no_oftener_than_need_be(watched):

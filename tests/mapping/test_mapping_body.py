@@ -10,7 +10,7 @@ from simulated import simulated
 
 from edge.geometry import SE2, se3
 from edge.mapping.grid import RollingMap
-from edge.mapping.layers import BUMPED, OCCUPIED
+from edge.mapping.layers import OCCUPIED
 
 NOTHING = np.full((120, 160), np.nan, np.float32)
 
@@ -113,14 +113,3 @@ def test_where_the_robot_stands_is_free_whatever_was_there(radius_m):
         grid.update_depth(NOTHING, CAMERA, SE2(x, 0.0, 0.0).matrix(), T_BASE_CAMERA)
     assert grid.state_at(-0.08, 0.0) == 0
     np.testing.assert_array_equal(twins.states(grid) == 100, twins.window(grid, "near") > 0)
-
-
-def test_a_touched_place_stays_closed_next_to_the_body():
-    grid, pose = map_of(radius_m=0.2), ORIGIN
-    grid.update_depth(NOTHING, CAMERA, pose.matrix(), T_BASE_CAMERA)
-    assert grid.bumps.close(pose, (0.2, 0.0), 0.2, 0)
-    closed = int(np.count_nonzero(grid.layers.raw == BUMPED))
-    assert closed
-    for _ in range(3):
-        grid.update_depth(NOTHING, CAMERA, pose.matrix(), T_BASE_CAMERA)
-    assert np.count_nonzero(grid.layers.raw == BUMPED) == closed

@@ -125,18 +125,6 @@ def test_a_bump_opens_where_the_sensors_see_floor(looks, touched_before, opens):
     assert_consistent(grid)
 
 
-def test_a_second_touch_is_remembered_for_longer_than_a_first():
-    grid = seen_around()
-    bump(grid, PLACE, 0)
-    grid.bumps.open_all()
-    bump(grid, PLACE, 0)
-    bump(grid, (-1.0, 0.0), 0)
-    grid.bumps.expire(FIRST_NS)
-    assert grid.bumps.closed_m == [PLACE]
-    grid.bumps.expire(MEMORY_NS)
-    assert grid.bumps.known_m == []
-
-
 BOX = [(1.0, -0.1, 0.0, 1.2, 0.1, 1.0)]
 BEHIND_IT = (1.8, 0.0)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mapping_twins import SMALL, look, room, seen_around, writable
+from mapping_twins import SMALL, look, writable
 
 from edge.geometry import SE2, wrap_angle
 from edge.mapping import gain as g
@@ -61,13 +61,6 @@ def test_the_area_is_what_its_rays_show(seed):
         expected = area_twin(raw, layers.near, x, y, steps, g.STEP_CELLS * res, decay)
         assert out[i] == pytest.approx(expected, rel=0.02, abs=0.05)
     assert out[[0, 2, 4]].tolist() == [-1, -1, -1]
-
-
-def test_a_room_that_is_known_all_round_has_nothing_to_show():
-    grid = seen_around(room(1.5), SE2(0.0, 0.0, 0.0))
-    out = np.zeros(1, np.float32)
-    grid.gain.around(np.zeros((1, 2), np.float32), np.zeros(1, np.int32), 1, out)
-    assert out[0] < 0.3
 
 
 @pytest.mark.parametrize(

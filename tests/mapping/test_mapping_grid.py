@@ -34,14 +34,6 @@ def test_an_empty_map_is_unknown_everywhere():
     assert out[0] == 1.0
 
 
-@pytest.mark.parametrize("value", [np.nan, 0.0, np.inf, -1.0])
-def test_an_image_without_returns_frees_the_footprint_alone(value):
-    grid = RollingMap(SMALL)
-    grid.update_depth(np.full((120, 160), value, np.float32), CAMERA, np.eye(4), np.eye(4))
-    assert grid.state_at(0.0, 0.0) == 0
-    assert grid.state_at(1.0, 0.0) == -1
-
-
 def test_a_room_seen_all_around_is_free_inside_and_walled():
     grid = RollingMap(SMALL.model_copy(update={"inflation_m": 0.0}))
     for yaw in np.arange(0, 6.3, 0.3):
@@ -52,12 +44,6 @@ def test_a_room_seen_all_around_is_free_inside_and_walled():
     walls = [grid.state_at(1.51, y) for y in np.arange(-1.3, 1.3, 0.05)]
     assert all(s == 100 for s in walls)
     assert grid.state_at(1.8, 0.0) == -1
-
-
-def test_the_blind_zone_before_the_first_visible_floor_is_free():
-    grid = RollingMap(SMALL)
-    look(grid, ORIGIN, [])
-    assert all(grid.state_at(x, 0.0) == 0 for x in np.arange(0.0, 2.8, 0.05))
 
 
 def test_a_walking_person_leaves_no_ghost():

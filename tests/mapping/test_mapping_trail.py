@@ -96,10 +96,3 @@ def test_a_gap_that_was_never_driven_through_stays_closed():
     drive(grid, np.arange(0.0, 0.4, 0.05), posts(0.36))
     complete(grid, SE2(0.3, 0.0, 0.0))
     assert grid.reach.distance_m(1.8, 0.0) == math.inf
-
-
-def test_a_trail_is_forgotten_with_the_rest_of_the_map():
-    grid = RollingMap(SMALL)
-    drive(grid, np.arange(0.0, 40.0, 0.2), [])
-    trail = bits(grid.layers.trail)
-    assert 0 < np.count_nonzero(trail) <= 3 * (grid.window.n + 2)

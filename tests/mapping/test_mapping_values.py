@@ -111,19 +111,6 @@ def test_temporal_fusion_is_eq_7(old, current, expected):
     assert fuse(*old, *current) == pytest.approx(expected)
 
 
-unit = st.floats(0.0, 1.0)
-
-
-@given(p_old=unit, s_old=unit, p=unit, s=unit)
-def test_eq_7_stays_below_the_scene_score(p_old, s_old, p, s):
-    """V = S P with P <= 1, so the quotient is a mean probability."""
-    fused = fuse(p_old * s_old, s_old, p * s, s)
-    assert 0.0 <= fused <= s
-    if s_old > 0.0 and s > 0.0:
-        mean = (p_old * s_old + p * s) / (s_old + s)
-        assert fused == pytest.approx(mean * s)
-
-
 def directions_twin(values, seen, xy, p, scene, channel=0):
     """Eq. 6 to 8: the values and weights after a write."""
     value, weight = (layer.copy() for layer in unpacked(values, channel))
@@ -184,14 +171,6 @@ def test_figure_3_by_hand():
     assert unpacked(values)[0][rim] == pytest.approx(0.4, abs=0.03)  # beta S at the edges
 
 
-def test_a_frontier_behind_is_no_direction_of_the_view():
-    values, without = value_map(), value_map()
-    at = np.array([[-1.0, 0.0]])
-    values.write_directions(sight(), "bed", at, np.array([0.9]), 0.8)
-    without.write_directions(sight(), "bed", np.zeros((0, 2)), np.zeros(0), 0.8)
-    np.testing.assert_array_equal(values.value, without.value)
-
-
 # -- VLFM's writer -------------------------------------------------------------------------
 
 
@@ -216,17 +195,6 @@ def test_whole_view_scores_are_blended_as_vlfm_does(seed):
     np.testing.assert_allclose(got[1], weight, atol=4 * HALF_STEP)
     settled = weight > 0.01  # below that the rounding of the weights shows
     np.testing.assert_allclose(got[0][settled], value[settled], atol=2e-3)
-
-
-@given(scores=st.lists(st.floats(-2.0, 3.0), min_size=1, max_size=6))
-def test_values_stay_between_what_they_were_made_of(scores):
-    values = value_map()
-    for i, score in enumerate(scores):
-        values.write_view(sight(yaw=0.3 * i), ("bed",), np.array([score], np.float32))
-    told, (value, weight) = np.clip(scores, 0, 1), unpacked(values)
-    said = value[weight > 0]
-    assert said.min() >= told.min() - HALF_STEP
-    assert said.max() <= told.max() + HALF_STEP
 
 
 # -- what an observation sees --------------------------------------------------------------

@@ -17,7 +17,6 @@ from test_mission_ltl import formulas
 from edge.config import Mission
 from edge.errors import UserError
 from edge.mission.logic import automaton as automaton_module
-from edge.mission.logic import compiler
 from edge.mission.logic.automaton import CompileError, compile_formula, steps_left
 from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Effort
 from edge.mission.logic.ltl import parse
@@ -115,16 +114,6 @@ def idle(automaton, states: set[int]) -> set[int]:
         if wider == states:
             return states
         states = wider
-
-
-def test_packing_of_many_columns():
-    """60 columns do not fit into one int64."""
-    rng = np.random.default_rng(0)
-    delta = rng.integers(0, 40, (40, 60)).astype(np.int32)
-    delta[20:] = delta[:20]
-    accepting = np.tile(rng.random(20) < 0.5, 2)
-    merged, _ = compiler.minimal(delta, accepting, Effort())
-    assert len(merged) == 20
 
 
 def test_limit_of_states():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import re
 from types import SimpleNamespace
 
@@ -26,7 +25,7 @@ from edge.mission.language.llm import (
     objects_in,
 )
 from edge.mission.logic.ltl import parse, propositions
-from edge.mission.translate import AmbiguousError, TranslationError, make_translator
+from edge.mission.translate import TranslationError, make_translator
 
 INSTRUCTION = "Clean the couch, then turn on the TV; don't go to the bed before that."
 
@@ -139,13 +138,6 @@ def test_what_is_asked(constrain):
     structured = {"grammar": grammar} if constrain == "guided_grammar" else None
     assert request.get("structured_outputs") == structured
     assert ("max_tokens" in request) == (constrain != "none")
-
-
-def test_what_the_formula_leaves_out_is_reported(caplog):
-    asked = pytest.raises(AmbiguousError, match=r"\(1\) .*Do not reach the bed until")
-    with caplog.at_level(logging.WARNING), serving(saying("F couch")) as server, asked:
-        translate(server.url)
-    assert "leaves out television, bed" in caplog.text
 
 
 @given(st.text(max_size=60))

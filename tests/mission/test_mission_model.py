@@ -18,7 +18,6 @@ from edge.mission.language.model import SmallModel
 from edge.mission.language.network import Network, Written
 from edge.mission.language.words import TranslationError
 from edge.mission.logic.ltl import parse
-from edge.perception.runtime.model_file import ModelError
 
 KNOWN = ("go", "to", "then", "not", "visit", "please", ",", ".")
 
@@ -230,10 +229,3 @@ def test_any_text_is_read_or_refused(said: str) -> None:
     except TranslationError:
         return
     assert 1 <= len(guess.formulas) <= small.MOST_OFFERED
-
-
-def test_a_card_of_another_task_is_refused() -> None:
-    with pytest.raises(ModelError, match="is a model of task 'text', not 'translate'"):
-        Network("mini-house-text")
-    with pytest.raises(ModelError, match="no such card"):
-        Network("none")

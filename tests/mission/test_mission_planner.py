@@ -41,13 +41,6 @@ def test_nothing_to_do():
     assert plan.reason == "done: the formula is satisfied"
 
 
-def test_a_contradiction_has_no_plan():
-    plan = planned("F a & G !a")
-    assert (plan.target, plan.steps, plan.cost, plan.feasible) == (None, (), math.inf, False)
-    assert plan.blocked_by == ()
-    assert "can no longer be satisfied" in plan.reason
-
-
 @pytest.mark.parametrize(
     ("text", "steps"),
     [(CASE_1, ("bed", "plant", "tv")), (CASE_2, ("tv", "bed", "toilet"))],

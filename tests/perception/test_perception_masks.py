@@ -15,7 +15,7 @@ from patience import eventually
 
 from edge import config
 from edge.perception.masks.grabcut import GrabcutSegmenter
-from edge.perception.masks.masker import Masker, make_masker
+from edge.perception.masks.masker import Masker
 from edge.perception.masks.segmenter import Deadline, rasterise
 from edge.perception.runtime.health import Health
 from edge.perception.worker import DetectorWorker
@@ -225,15 +225,6 @@ def test_the_detectors_worker_makes_them_and_holds_the_frame_once(seen, error):
     assert seen.slot.holds == 1  # whose it is that polled
     worker.close()
     assert fake.closed
-
-
-@pytest.mark.parametrize(
-    ("segmenter", "name"),
-    [(config.SegmenterNone(), None), (GRABCUT, GrabcutSegmenter.name)],
-)
-def test_the_configuration_names_it(segmenter, name):
-    masker = make_masker(config.Perception(detector=config.DetectorSim(), segmenter=segmenter))
-    assert (None if masker is None else masker.status()["model"]) == name
 
 
 def test_masks_go_with_their_boxes(seen):

@@ -125,12 +125,6 @@ def test_boxes_scores_and_classes(tiny, make_observation):
     np.testing.assert_allclose(found.xyxy_px, [[44, 44, 60, 60], [8, 8, 40, 40], [8, 8, 40, 40]])
 
 
-def test_nothing_found_is_empty_arrays(tiny, make_observation):
-    found = tiny(prompts=("bed",)).detect(make_observation(rgb=image()))
-    assert len(found) == 0
-    assert found.xyxy_px.shape == (0, 4)
-
-
 def test_prompts_change_at_run_time(tiny, make_observation):
     detector = tiny(prompts=("bed",))
     seen = make_observation(rgb=image())

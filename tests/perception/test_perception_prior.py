@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from twins import nearby as nearby_twin
 
 from edge import names
-from edge.config import DetectorOnnx, DetectorSim
+from edge.config import DetectorOnnx
 from edge.perception.prior import cooccurrence, rooms, table
 from edge.perception.prior.nearby import nearby
 from edge.perception.prior.words import Words, make_words
@@ -128,13 +128,6 @@ def test_where_nothing_was_seen_the_room_next_door_tells():
     assert t.neighbours[0, 0] == 1
 
 
-def test_the_region_with_the_longest_border_counts():
-    border = np.array([[0, 0, 0, 0], [0, 0, 9, 4], [0, 9, 0, 0], [0, 4, 0, 0]])
-    held = np.array([[0], [0], [0], [1]], np.float32)
-    assert rooms.neighbours(border, held).tolist() == [0, 3, 0, 0]
-    assert rooms.neighbours(np.zeros((1, 1), int), np.zeros((1, 1))).tolist() == [0]
-
-
 def test_rooms_lift():
     chance = np.array([[0.1, 0.1, 0.8], [0.8, 0.3, 0.2]])
     prior = np.array([0.5, 0.5])
@@ -203,9 +196,3 @@ def test_words_of_clip(shared_dir, word, thing):
     learned = table.load()
     words = make_words(learned, DetectorOnnx(vocabulary=str(file)))
     assert words.row(word) == (-1 if thing is None else learned.row(thing))
-
-
-def test_without_a_vocabulary_names_do(tmp_path):
-    for detector in (DetectorSim(), DetectorOnnx(vocabulary=str(tmp_path / "none.npz"))):
-        words = make_words(TABLE, detector)
-        assert (words.row("cot"), words.row("bed")) == (-1, BED)

@@ -514,8 +514,3 @@ def test_the_shipped_models_boxes_are_the_same_in_a_process(monkeypatch, make_ob
     rules = config.ModelProcess(**QUICK)
     perception = config.Perception(isolation="process", process=rules, detector=chosen)
     compare(inside, perception, noise(make_observation, (256, 320), (480, 640)))
-
-
-def test_a_detector_that_needs_more_than_an_image_cannot_be_isolated():
-    with pytest.raises(ValueError, match=r"only for perception\.detector\.kind: onnx"):
-        config.Perception(isolation="process", detector=config.DetectorSim())

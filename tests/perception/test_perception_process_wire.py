@@ -180,15 +180,6 @@ def test_images_of_any_size_arrive(sizes):
     file.close()
 
 
-def test_a_larger_image_than_the_memory_that_was_mapped(pair):
-    file, view = pair
-    file.write(1, image(2, 2))
-    view.read(1, (2, 2))
-    rgb = image(400, 600)
-    file.write(2, rgb)
-    np.testing.assert_array_equal(view.read(2, (400, 600)), rgb)
-
-
 @pytest.mark.parametrize("half", [wire._BEFORE, wire._AFTER], ids=["begun", "not ended"])
 def test_a_torn_image_is_refused(pair, half):
     file, view = pair

@@ -71,17 +71,6 @@ def test_nothing_seen_nothing_there(scene):
     assert len(s.seen.of("chair")) == len(s.seen.of("lamp")) == 0
 
 
-def test_targets_and_context_stand_side_by_side(scene):
-    s = scene().see(("bed", NEAR, 0, 0.8), ("chair", NEAR, 1, 0.6))
-    seen = s.seen
-    assert seen.n == 2
-    (bed,), (chair,) = seen.of("bed"), seen.of("chair")
-    np.testing.assert_allclose(seen.xyz_m[[bed, chair]], [[NEAR, 0, 0.6], [NEAR, 1, 0.6]])
-    assert seen.last_seen_ns[bed] == s.seq * 100_000_000
-    assert seen.id[bed] != seen.id[chair]
-    assert 0 < seen.confidence[chair] < seen.confidence[bed] < 0.8
-
-
 def test_looking_in_vain_takes_confidence_until_it_is_forgotten(scene):
     s = scene().see(("chair", NEAR, 0, 0.6))
     fell = [float(s.see().seen.confidence[0]) for _ in range(4)]

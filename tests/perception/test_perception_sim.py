@@ -102,15 +102,6 @@ def test_without_a_simulator_it_says_what_to_use(make_observation, missing):
         detector.detect(make_observation(**seen))
 
 
-def test_it_asks_for_the_picture_of_that_stamp(make_observation):
-    asked = []
-    sim = config.Perception(detector=config.DetectorSim())
-    detector = make_detector(sim, ["chair"], truth=asked.append)
-    with pytest.raises(ValueError, match="no segmentation"):
-        detector.detect(make_observation(stamp_ns=77, **scene()))
-    assert asked == [77]
-
-
 @pytest.mark.parametrize(
     ("prompts", "background", "words", "classes"),
     [
@@ -139,9 +130,3 @@ def test_context_changes_nothing_about_the_targets(make_observation):
         np.testing.assert_array_equal(found.score, without.score)
         np.testing.assert_array_equal(found.xyxy_px, without.xyxy_px)
         np.testing.assert_array_equal(found.class_id, without.class_id)
-
-
-def test_what_is_taken_for_a_target_is_not_seen_as_itself(make_observation):
-    found = make(("bed",), false_positive_rate=1.0).detect(make_observation(**scene()))
-    assert len(found) == 2
-    assert len(found.context) == 0

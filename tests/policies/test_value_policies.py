@@ -104,12 +104,6 @@ def test_the_more_nearness_counts_the_nearer_is_taken(kind, nearness, expected):
     assert first(scored(kind(nearness=nearness), seen, A, B)) == expected
 
 
-def test_each_target_has_a_channel():
-    seen, targets = Valued({a: (0.1, 0.9), b: (0.8, 0.2)}), ("bed", "sofa")
-    for target, expected in (("bed", 1), ("sofa", 0)):
-        assert first(scored(PolicyVlfm(), seen, A, B, targets=targets, target=target)) == expected
-
-
 @pytest.mark.parametrize(
     ("values", "expected"),
     [

@@ -160,16 +160,6 @@ def test_what_the_source_writes_over_was_copied(make, tmp_path):
     assert [float(m.observation.depth_m[0, 0]) for m in moments] == [1.0, 2.0, 3.0]
 
 
-def test_pictures_come_at_their_rate(make, tmp_path):
-    sink, rgb = make(rgb_hz=2.0), np.zeros((30, 40, 3), np.uint8)
-    for k in range(1, 31):  # three seconds
-        sink.tick(tick(seen(k, rgb=rgb)))
-    sink.close()
-    topics = [m.topic for m in McapReading(files_of(tmp_path)[0])]
-    assert topics.count("/camera/rgb/compressed") == 6
-    assert topics.count("/odom") == 30
-
-
 def test_a_disk_that_hangs_costs_pictures_but_no_memory(make, tmp_path):
     sink = make(lockstep=False, pending_mb=0.05)
     gate, add = threading.Event(), sink._files.add

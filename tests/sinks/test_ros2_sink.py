@@ -20,9 +20,9 @@ from edge.bus.ros2.names import BRIDGE, RMW_ZENOH, dialect_of
 from edge.bus.ros2.node import Node
 from edge.geometry import SE2
 from edge.sinks import navigate
-from edge.sinks.ros2 import Ros2Sink, Way, markers_of
+from edge.sinks.ros2 import Ros2Sink, Way
 from edge.sources.goal_status import GoalStatusInbox
-from edge.types import Goal, GoalStatus, Instance
+from edge.types import Goal, GoalStatus
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
@@ -315,14 +315,6 @@ def test_a_trajectory_is_there_for_who_comes_late(make, theirs):
     ((type_name, payload),) = eventually(late.take)
     assert len(from_ros(payload.to_bytes(), type_name).poses) == 0
     node.close()
-
-
-def test_what_is_drawn():
-    assert markers_of(np.zeros((0, 2), np.float32), [], None) == []
-    thing = Instance(3, "bed", np.array([1.0, 2.0, 0.5]), np.zeros((1, 3)), 0.75, 1, 0, 0)
-    cube, text, arrow = markers_of(np.zeros((0, 2), np.float32), [thing], goal(1))
-    assert (cube.pose.x_m, cube.z_m, text.text) == (1.0, 0.5, "bed 0.75")
-    assert (arrow.group, arrow.pose) == ("goal", goal(1).pose)
 
 
 @pytest.mark.parametrize(("n", "kept"), [(0, 0), (3, 3), (4, 4), (11, 4)])

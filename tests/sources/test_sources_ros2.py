@@ -232,14 +232,6 @@ def test_without_tf_nothing_is_where_it_is_thought_to_be(robot, make):
     eventually(missed)
 
 
-def test_mounts_of_the_configuration_need_no_tf(robot, make):
-    source = make(map_frame="odom", mounts="config")
-    seen = observed(source, robot)
-    np.testing.assert_allclose(seen.T_base_camera, source._synchronizer._T_base_camera)
-    np.testing.assert_allclose(seen.T_map_base[:2, 3], [1.0, 0.0], atol=1e-9)
-    seen.release()
-
-
 def test_a_topic_of_another_type_is_told(robot, make, caplog):
     source = make(topics={**NAMES, "camera/rgb": "/odom", "odom": "/elsewhere"})
 

@@ -120,11 +120,6 @@ def test_depth_beyond_what_the_camera_sees_is_no_return(settings, farthest_m):
     np.testing.assert_array_equal(seen[2], depth[2])
 
 
-def test_the_unit_of_depth_is_a_setting():
-    robot = Robot({**ONNX, "source": {"depth_unit_m": 0.0002}}).info().odom(0).odom(2000)
-    np.testing.assert_allclose(robot.frame(1000).poll().depth_m, 1500 * 0.0002)
-
-
 LATE = [
     *(("odom", ms, hz) for ms in (0, 60, 130, 300, 450) for hz in (60, 20)),
     ("odom", 0, 5), ("odom", 150, 5),

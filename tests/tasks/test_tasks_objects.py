@@ -66,12 +66,6 @@ def test_two_sides_tell_how_a_thing_stands(heading):
     assert abs(wrap_angle(2.0 * (turn - heading))) < 0.02
 
 
-def test_one_point_is_a_box_without_size():
-    position, size, _ = box_around(np.array([[1.0, 2.0, 3.0]]))
-    np.testing.assert_allclose(position, [1, 2, 3])
-    np.testing.assert_allclose(size, 0)
-
-
 def test_nothing_hangs_together_of_nothing():
     assert len(main_cluster(NONE, np.zeros(3))) == 0
     assert clusters(NONE, 1.0) == []

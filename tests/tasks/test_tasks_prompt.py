@@ -9,11 +9,9 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-import pytest
 from task_scenes import STREET, Thing, street
 
 from edge.config import TrajectoryLimits
-from edge.tasks.functions import NAMES, Functions, signature
 from edge.tasks.picture import annotated
 from edge.tasks.prompt import MOST_OBJECTS, describe, messages, picture, prompt, version
 
@@ -34,12 +32,6 @@ def test_the_prompt_has_a_version_and_five_parts_in_order():
     parts = ("1. Functions", "2. Surroundings", "3. Collisions", "4. Plan first", "5. Script")
     places = [prompt().index(f"\n{part}") for part in parts]
     assert all(a < b for a, b in pairwise(places))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_prompt_tells_each_function_as_it_is(name):
-    told = str(signature(getattr(Functions, name))).replace("(self, ", "(").replace("(self)", "()")
-    assert f"\n- {name}{told}: " in prompt()
 
 
 def test_the_prompt_knows_no_task_and_no_scene():

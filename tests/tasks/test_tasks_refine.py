@@ -91,12 +91,6 @@ def test_ground_not_chosen_is_crossed_where_there_is_no_other_way():
     assert refined(where).off_region_m == pytest.approx(4.0, abs=0.3)
 
 
-def test_heights_are_those_of_the_coarse_trajectory():
-    got = refined(scene(), [np.array([[-7.0, 0.0, 1.0], [0.0, 0.0, 1.0], [7.0, 0.0, 2.0]])])
-    at = [np.argmin(np.abs(got.poses[:, 0] - x_m)) for x_m in (-7.0, 0.0, 3.5, 7.0)]
-    np.testing.assert_allclose(got.poses[at, 2], [1.0, 1.0, 1.5, 2.0], atol=0.02)
-
-
 def test_a_bend_that_is_shut_is_passed_by():
     """Its corner lies within the house, too far in to be moved: the ends are what counts."""
     where = scene((-3.0, -3.0, 3.0, 3.0))

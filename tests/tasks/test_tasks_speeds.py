@@ -34,11 +34,6 @@ def test_a_line_is_a_trapezoid():
     assert speeds_mps(LINE, LIMITS, start_mps=8.0)[0] == 1.0
 
 
-def test_a_leg_from_rest_to_rest_is_driven_in_two_halves():
-    path = LINE[[0, 20]]
-    assert times_s(path, speeds_mps(path, LIMITS), 0.5)[-1] == pytest.approx(4.0)
-
-
 def test_a_circle_is_driven_as_fast_as_it_can_be_turned():
     angle = np.linspace(0.0, 2 * math.pi, 400)
     speeds = speeds_mps(0.5 * np.column_stack([np.cos(angle), np.sin(angle)]), LIMITS)

@@ -140,13 +140,6 @@ def test_a_scene_moves_with_the_robot(x_m, y_m, yaw):
     assert there.contours.keys() == here.contours.keys()
 
 
-def test_what_stands_there_is_occupied():
-    scene = at_the_origin()
-    row, column = scene.occupancy.cell_of(23.55, 2.0)
-    assert scene.occupancy.cells[row, column] == 100
-    assert scene.occupancy.cells[scene.occupancy.cell_of(6.0, 0.0)] == 0
-
-
 def test_behind_a_wall_nothing_is_known():
     """Not even where the map keeps the robot away from the wall."""
     scene = at_the_origin()

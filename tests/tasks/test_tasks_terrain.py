@@ -146,12 +146,6 @@ def test_the_robot_stands_on_what_is_most_around_it():
     assert (got[0, :10] == 1).all()
 
 
-def test_no_ground_no_regions():
-    regions, cells = regions_of(NOWHERE, np.zeros((0, 0), np.uint8), ["road"])
-    assert regions == {}
-    assert cells.cells.shape == (0, 0)
-
-
 def test_regions_are_numbered_from_the_largest_and_lie_where_their_kind_is():
     occupancy = grid(["........"] * 3 + ["########"] + ["........"] * 4, 1.0)
     kind = np.ones((8, 8), np.uint8)

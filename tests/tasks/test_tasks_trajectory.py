@@ -13,7 +13,7 @@ from task_scenes import STREET, street
 
 from edge.config import TrajectoryLimits
 from edge.tasks.ground import ground_of
-from edge.tasks.trajectory import Coarse, TrajectoryError, check, coarse_of, number, point
+from edge.tasks.trajectory import Coarse, TrajectoryError, check, coarse_of
 
 LIMITS = TrajectoryLimits()
 GROUND = ground_of(street(*STREET), LIMITS.clearance_m)
@@ -176,9 +176,3 @@ def test_junk_is_refused_or_safe(segments, regions, speed_mps):
     assert np.hypot(*np.diff(way, axis=0).T).max() <= LIMITS.max_jump_m
     assert set(coarse.regions) <= {1, 2}
     assert coarse.speed_mps is None or 0.05 <= coarse.speed_mps <= LIMITS.max_speed_mps
-
-
-def test_numbers_and_points_are_plain():
-    assert (number(3, "n"), type(number(3, "n"))) == (3.0, float)
-    assert point([1, 2.5], "p") == (1.0, 2.5)
-    assert point((1, 2, 3), "p") == (1.0, 2.0, 3.0)

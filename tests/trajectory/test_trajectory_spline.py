@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
@@ -12,20 +11,6 @@ from scipy.spatial import cKDTree
 from edge.trajectory.spline import b_spline
 
 CONTROLS = st.lists(st.tuples(*[st.floats(-50, 50)] * 2), min_size=2, max_size=12).map(np.array)
-
-
-@pytest.mark.parametrize("control", [np.empty((0, 2)), np.array([[1.0, 2.0]])])
-def test_less_than_two_points_are_the_curve(control):
-    curve, at = b_spline(control, 0.1)
-    assert curve.tolist() == control.tolist()
-    assert len(at) == len(control)
-
-
-def test_a_line_stays_one():
-    curve, at = b_spline(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), 0.1)
-    assert (curve[:, 1] == 0.0).all()
-    assert (np.diff(curve[:, 0]) > 0.0).all()
-    assert (at[0], at[-1]) == (0, 2)
 
 
 def test_a_corner_is_rounded_by_a_sixth():

@@ -35,16 +35,6 @@ def test_the_id_tells_of_all_that_a_column_decides(tmp_path, change, same):
     assert (one.id == other.id) == same
 
 
-def test_a_column_may_change_another_configuration(tmp_path):
-    other = tmp_path / "other.yaml"
-    other.write_text("perception: {detector: {kind: sim}}\npolicy: {kind: nearest_frontier}\n")
-    config = small_house(tmp_path)
-    (column,) = make_columns(config, {"far": {"config": str(other), "policy": {"r_assoc_m": 1}}})
-    assert column.base["policy"]["kind"] == "nearest_frontier"
-    assert column.path == str(other)
-    assert column.base["sim"]["world"]["house"] == "demo"
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -56,12 +46,6 @@ def test_a_column_may_change_another_configuration(tmp_path):
 def test_what_makes_no_configuration_is_refused_at_once(tmp_path, settings, message):
     with pytest.raises(ConfigError, match=message):
         make_columns(small_house(tmp_path), {"x": settings})
-
-
-def test_settings_are_read_from_words():
-    name, data = parse_column(["a", "policy.kind=hvl", "policy.w_vl=2", "mission.target=a b"])
-    assert name == "a"
-    assert data == {"policy": {"kind": "hvl", "w_vl": 2}, "mission": {"target": "a b"}}
 
 
 @pytest.mark.parametrize("setting", ["policy.kind", "=3", "a..b=1", "a={"])

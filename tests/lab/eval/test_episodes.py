@@ -17,10 +17,6 @@ from edge.lab.eval.episodes import COMMON, Episode, make_episode, plan, read, wr
 HOUSE = simulated()
 
 
-def test_no_targets_give_no_episodes():
-    assert plan(HOUSE, [], [], 4, 0, 3.0) == []
-
-
 def test_episodes_are_seeded_free_and_far():
     planned = plan(HOUSE, [], ["television", "bed"], 2, 0, 2.0)
     assert [e.target for e in planned] == ["television"] * 2 + ["bed"] * 2
@@ -103,11 +99,6 @@ def test_the_sensors_go_with_an_episode_and_its_id_tells_them():
 
 
 # -- files ----------------------------------------------------------------------------------------
-
-
-def test_a_file_of_no_episodes_has_none(tmp_path):
-    write(tmp_path / "none.jsonl", [])
-    assert read(tmp_path / "none.jsonl") == []
 
 
 numbers = st.floats(-50, 50, allow_nan=False)
@@ -212,14 +203,3 @@ def test_what_names_no_worlds_is_refused(spec):
 def test_a_range_beyond_a_file_is_refused(tmp_path):
     with pytest.raises(UserError, match="has 2 houses"):
         world_list.sections([f"{houses(tmp_path, 2)}[5:9]"])
-
-
-def test_a_world_is_loaded_once_and_again_for_another_robot(tmp_path):
-    config = small_house(tmp_path)
-    elsewhere = config.model_copy(
-        update={"sim": config.sim.model_copy(update={"start": (3.0, 1.0, 0.0)})}
-    )
-    world = world_list.load(config)
-    assert world_list.load(elsewhere) is world
-    tall = small_house(tmp_path, robot={"height_m": 1.3})
-    assert world_list.load(tall) is not world

@@ -68,20 +68,6 @@ def means(values: np.ndarray, cluster: np.ndarray, **options):
     return bootstrap(values, np.ones_like(values), cluster, **options)
 
 
-def test_bootstrap_of_nothing():
-    assert bootstrap(np.zeros((0, 3)), np.zeros((0, 3)), np.arange(3)) == []
-    (nothing,) = bootstrap(np.zeros((1, 0)), np.zeros((1, 0)), np.zeros(0, int))
-    (not_counted,) = bootstrap(np.zeros((1, 4)), np.zeros((1, 4)), np.arange(4))
-    assert all(math.isnan(x) for x in (*nothing, *not_counted))
-
-
-def test_one_cluster_has_no_interval():
-    (found,) = means(np.array([[1.0, 3.0]]), np.zeros(2, int))
-    assert found.value == 2.0
-    assert math.isnan(found.low)
-    assert math.isnan(found.high)
-
-
 def test_bootstrap_is_the_same_for_a_seed_and_agrees_with_the_delta_method():
     rng = np.random.default_rng(0)
     x, y = rng.exponential(2.0, (2, 400))

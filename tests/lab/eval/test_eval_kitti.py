@@ -58,24 +58,6 @@ def test_a_frame_has_its_sensors_where_they_were(tmp_path):
     assert frame.ground_kind.tolist() == [GROUND_LABELS.index("road") + 1] * 200 + [0] * 30
 
 
-def test_labelled_things_are_told_apart(tmp_path):
-    frame = read_frame(write(tmp_path), 0)
-    ((name, points),) = things_in(frame)
-    assert name == "car"
-    np.testing.assert_array_equal(points, np.arange(200, 230))
-    boxes = true_boxes(frame)
-    assert boxes.prompts == ("car",)
-    assert boxes.mask[0].any()
-
-
-def test_one_call_makes_a_scene(tmp_path):
-    scene = kitti_scene(write(tmp_path, points=20_000), [0])
-    (car,) = scene.objects.values()
-    np.testing.assert_allclose(car.position_m, [10.1, 0.0, 0.83], atol=0.25)
-    assert car.caption.startswith("red car, ")
-    assert {region.label for region in scene.regions.values()} == {"road"}
-
-
 @pytest.mark.parametrize("rubbish", [np.nan, np.inf, -np.inf, 3e38, 1e8])
 def test_rubbish_in_a_scan_is_left_out(tmp_path, rubbish):
     """Of the road and of the car every fifth return."""

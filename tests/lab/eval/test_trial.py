@@ -15,7 +15,7 @@ from made_sequence import write
 
 from edge.cli.main import main
 from edge.config import load
-from edge.lab.eval.trial.trial import carry_out, ground_heights_m
+from edge.lab.eval.trial.trial import carry_out
 from edge.lab.eval.trial.views import street_view
 from edge.tasks.value_map import closed_cells
 
@@ -45,17 +45,6 @@ def test_without_a_sentence_nothing_is_made(tmp_path, capsys, words):
     assert code == os.EX_DATAERR
     assert capsys.readouterr().err.startswith("the instruction ")
     assert not out.exists()
-
-
-def test_a_street_is_seen_as_it_is():
-    """Things lie where the simulator has them, ground is of its kind, heights are the ground's."""
-    scene = seen().scene
-    car = next(thing for thing in scene.objects.values() if thing.caption.startswith("red car"))
-    np.testing.assert_allclose(car.position_m[:2], [20.3, -4.0], atol=0.5)
-    assert {"road", "sidewalk", "parking"} == {region.label for region in scene.regions.values()}
-    assert set(scene.contours) <= set(scene.objects)
-    ahead_m = np.column_stack([np.linspace(0.0, 15.0, 31), np.full(31, -0.5)])
-    np.testing.assert_allclose(ground_heights_m(seen(), ahead_m), 0.0, atol=0.05)
 
 
 def test_a_trajectory_leads_to_what_the_sentence_names():

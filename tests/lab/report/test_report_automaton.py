@@ -18,7 +18,7 @@ from matplotlib.transforms import Bbox
 from edge.lab.report import canvas
 from edge.lab.report.dot import to_dot
 from edge.lab.report.drawing import CURRENT, RADIUS, draw, lay_out
-from edge.live.scene import MAX_ARROWS, MAX_PART, MAX_WHOLE, make_scene, wrap
+from edge.live.scene import MAX_ARROWS, MAX_PART, MAX_WHOLE, make_scene
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.ltl import parse
 
@@ -153,14 +153,6 @@ def test_where_everything_leads_everywhere_little_is_drawn(n, k, ahead):
     assert len(scene.arrows) <= MAX_ARROWS
     assert any(node.current for node in scene.nodes)
     assert f"{len(scene.nodes)} of {n} states shown" in scene.note
-
-
-@given(st.lists(st.text("abc", min_size=1, max_size=20), min_size=1, max_size=9))
-def test_wrapped_labels_are_small_and_say_that_they_leave_out(items):
-    lines = wrap(", ".join(items), 20)
-    assert 1 <= len(lines) <= 3
-    assert all(len(line) <= 23 for line in lines)
-    assert lines[-1].endswith("…") or " ".join(lines).count(", ") == len(items) - 1
 
 
 # -- pictures -----------------------------------------------------------------------------------

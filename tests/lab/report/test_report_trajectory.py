@@ -10,7 +10,6 @@ from task_scenes import STREET, street
 from edge.config import load
 from edge.lab.report import trajectory_map
 from edge.lab.report.camera_picture import REFINED_RGB, drawn
-from edge.lab.report.view3d import UNKNOWN_RGB
 from edge.tasks.refine import refine
 from edge.tasks.value_map import Body, value_map
 from edge.trajectory.pursuit import MotionLimits
@@ -66,17 +65,3 @@ def test_a_scene_alone_is_one_panel():
 
 def green(image):
     return np.abs(image.astype(int) - (0x8C, 0xE9, 0x9A)).max(axis=2) < 3
-
-
-@pytest.mark.filterwarnings("error::UserWarning")
-def test_panels_side_by_side_are_as_large_as_there_is_room():
-    """A way to the left is higher than wide: the keys leave the panels most of the width."""
-    scene, body = street(), Body(0.3)
-    coarse_m = np.array([[0.0, 0.0], [2.0, 12.0], [2.0, 24.0]])
-    costmap = value_map(scene.occupancy, scene.regions_grid, {1}, coarse_m, body)
-    image = png(scene, coarse_m, None, costmap)
-    assert image.shape[1] == pytest.approx(1008, abs=40)
-    rows, columns = np.nonzero(np.abs(image.astype(int) - UNKNOWN_RGB).max(axis=2) < 3)
-    assert np.ptp(columns) > 300
-    rows, _ = np.nonzero(green(image)[:, 504:])
-    assert np.ptp(rows) > 300

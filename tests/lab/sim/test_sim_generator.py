@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from simulated import simulated
 
 from edge.errors import UserError
-from edge.lab.sim.generator import contents, furnish, layout
+from edge.lab.sim.generator import contents, layout
 from edge.lab.sim.generator.draws import Rect
 from edge.lab.sim.generator.house import generated_house
 from edge.lab.sim.house import build_house
@@ -125,21 +125,6 @@ def test_a_robot_gets_into_every_room_and_to_everything(seed):
         away = np.maximum(np.maximum((box.x0, box.y0) - xy, xy - (box.x1, box.y1)), 0.0)
         near = np.hypot(*away.T)
         assert item.distance_m(*xy[near.argmin()]) < 1.0, item.name
-
-
-def test_no_way_is_blocked_by_a_thing():
-    """One that fills its room's doorways' width is not put there."""
-    rect = Rect(0.0, 0.0, 1.3, 4.0)
-    doors = [layout.Door((0, 1), 0.65, y, 0.9, False) for y in (0.0, 4.0)]
-    ways = furnish.Ways(rect, doors)
-
-    def crate(x_m: float, wide_m: float, z_m: float = 0.0) -> furnish.Placed:
-        return furnish.Placed("box", x_m, 2.0, 0, (wide_m, 0.4, 0.4), (0, 0, 0), z_m)
-
-    assert ways.left_by([]).any()
-    assert ways.left_by([crate(0.65, 1.0)]) is None
-    assert ways.left_by([crate(0.65, 1.0, z_m=1.0)]) is not None
-    assert ways.left_by([crate(0.25, 0.3)]) is not None
 
 
 def test_the_configuration_names_a_seed():

@@ -91,25 +91,6 @@ def test_it_stops_at_an_obstacle_counts_once_and_gets_away_again():
     assert motion.collisions == 1
 
 
-def test_it_turns_against_an_obstacle():
-    body = drive()
-    for _ in range(60):
-        body.step(0.1, 0.5, 0.0)
-    for _ in range(10):
-        motion = body.step(0.1, 0.5, 1.0)
-    assert motion.pose.yaw_rad > 0.5
-
-
-def test_something_pushed_onto_the_robot_can_be_left():
-    world = arena()
-    body = DriveTrain(ROBOT, Sim(), world, SE2(0.0, 0.0, 0.0))
-    world.move(1, 0.3, 0.0)
-    assert collides(world, 0.0, 0.0, ROBOT.radius_m)
-    for _ in range(20):
-        motion = body.step(0.1, -0.3, 0.0)
-    assert motion.pose.x_m < -0.3
-
-
 def test_drift_grows_with_the_way_and_repeats_with_the_seed():
     def run(seed: int) -> tuple[SE2, SE2]:
         body = drive(Sim(seed=seed, drift_m_per_m=0.05, drift_rad_per_rad=0.02))

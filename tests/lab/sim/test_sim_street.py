@@ -52,14 +52,6 @@ def test_nothing_stands_on_anything(seed):
         assert not any(rect.meets(other) for other in [robot, *rects[:k]])
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_houses_and_trees_stand_off_the_ground_that_is_driven_over(seed):
-    drawn = street(seed)
-    for thing in drawn.things:
-        if thing.label in ("house", "tree"):
-            assert not any(thing.rect.meets(ground.rect) for ground in drawn.grounds)
-
-
 def test_it_is_a_world_for_the_robot():
     drawn = street(1)
     config = parse({"perception": {"detector": {"kind": "sim"}}, "sim": {"world": WORLD}})

@@ -80,13 +80,6 @@ def test_an_object_is_seen_with_its_id_and_nearest_surface():
     assert world.objects[1].label == "box"
 
 
-def test_collision_radius_against_a_wall():
-    world = house_with()
-    assert not collides(world, 2.70, 0.0, 0.2)
-    assert collides(world, 2.95 - 0.2 + CELL_M, 0.0, 0.2)
-    assert collides(world, 50.0, 0.0, 0.2), "outside is no place to be"
-
-
 def test_what_hangs_above_the_robot_does_not_stop_it():
     high = {"category": "box", "at": [1.0, 0.0], "z_m": 1.0}
     assert not collides(house_with(high), 1.0, 0.0, 0.2)

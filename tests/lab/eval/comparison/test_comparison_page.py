@@ -68,17 +68,6 @@ def test_a_trail_is_drawn_where_it_was_driven():
     ]
 
 
-def test_a_floor_plan_is_there_once_and_maps_refer_to_it():
-    records = [record(f"{k}/{t}", c, world="w", target=t)
-               for k in range(3) for t in ("bed", "sofa") for c in ("a", "b")]  # fmt: skip
-    reader = Reader(page_of(records, {"w": DRAWING}))
-    assert [a["id"] for a in reader.all("image")] == ["w0"]
-    uses = [a["href"] for a in reader.all("use")]
-    assert (uses.count("#w0"), uses.count("#w0t0")) == (12, 6)
-    (thing,) = [a for a in reader.all("path", "thing") if a.get("id") == "w0t0"]
-    assert thing["d"] == "M40 40l20 0 0-20-20 0z"
-
-
 def test_nothing_is_fetched_and_no_script_but_ours_runs():
     text = page_of(many({"a": 1.5, "b": 2.5}, 2), {"house-0": DRAWING})
     reader = Reader(text)

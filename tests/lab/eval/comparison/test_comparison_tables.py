@@ -8,7 +8,7 @@ import json
 
 import numpy as np
 import pytest
-from made_outcomes import failure, many, record
+from made_outcomes import many, record
 
 from edge.lab.eval.comparison import tables
 from edge.lab.eval.comparison.outcomes import gather, with_rooms
@@ -30,13 +30,6 @@ def comparison():
 
 def named(comparison, name):
     return next(table for table in tables.tables(comparison) if table.name == name)
-
-
-def test_figures_are_shown_with_their_intervals():
-    records = [record(f"{k}", path_m=10.0 + k % 2) for k in range(19)] + [failure("19")]
-    (row,) = named(comparison_of(records), "summary").rows
-    assert row[:3] == ["hvl", "20", "95.0 [76.4, 99.1]"]
-    assert row[3].startswith("0.455 [0.")
 
 
 def test_what_was_not_measured_is_left_out_and_what_is_missing_is_a_dash():

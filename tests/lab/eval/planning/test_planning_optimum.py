@@ -121,13 +121,6 @@ def test_nothing_to_go_to(text, best):
     assert Optimum(problem_of(text), 0.5).choose(Situation(0)) == best
 
 
-@pytest.mark.parametrize(
-    ("p_obs", "others", "cost"), [(0.5, 0, 2.0), (0.25, 0, 4.0), (1.0, 3, 1.0), (0.5, 1, 2.0)]
-)
-def test_one_object_takes_one_over_p_attempts(p_obs, others, cost):
-    assert Optimum(problem_of("F a", others), p_obs).value[0, others, 0] == pytest.approx(cost)
-
-
 def test_looking_for_another_thing_can_be_better_luck():
     """At p_obs = 0.1 the tv's attempt, which serves nothing else, shows the chair 9 times of 10."""
     problem = problem_of("F chair & (F tv | true)")

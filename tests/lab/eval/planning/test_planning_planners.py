@@ -9,11 +9,9 @@ import pytest
 
 from edge.lab.eval.planning.executor import (
     COMPLETE,
-    DONE,
     MAX_DECISIONS,
     NOTHING,
     Problem,
-    Situation,
     draws_of,
     run_episode,
 )
@@ -130,9 +128,3 @@ def test_valid_targets(formula, expected):
     targets = valid_targets(problem_of(parse(formula)))
     assert targets[0] == expected[0]
     assert sorted(targets) == sorted(expected)
-
-
-@pytest.mark.parametrize("planner", ["vitl", "in-order", "optimal", "random-valid"])
-def test_planners_give_up_where_nothing_can_be_done(planner):
-    problem = problem_of(parse("F a & G !a"))
-    assert PLANNERS[planner].make(problem)(0.5)(Situation(0)) == DONE

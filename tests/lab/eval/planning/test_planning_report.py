@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from edge.lab.eval.planning.executor import COMPLETE, VIOLATED
-from edge.lab.eval.planning.report import legend, rows_of, summary, table
+from edge.lab.eval.planning.report import rows_of
 from edge.lab.eval.planning.sweep import NOT_RUN, Results
 
 
@@ -55,15 +55,3 @@ def test_several_p_obs_have_a_row_for_all():
     assert [row.runs for row in rows] == [2, 2, 4]
     assert rows[-1].explorations.value == 2.0
     assert rows[-1].complete.value == 0.75
-
-
-def test_table_and_summary_are_plain_lines(results):
-    rows = rows_of(results)
-    lines = table(rows).splitlines()
-    assert lines[0].split()[:3] == ["planner", "p_obs", "runs"]
-    assert len(lines) == 1 + 4 + 3
-    assert lines[1].startswith("vitl            0.5       3  100.00 [43.85, 100.00]")
-    assert "nan" not in table(rows) + summary(rows)
-    assert "1.500 times the optimum" in summary(rows)
-    assert "llm: 0.00 % complete (1 violated)" in summary(rows)
-    assert len(legend(results.planners).splitlines()) == 4

@@ -52,12 +52,6 @@ def test_refusals_are_counted_by_cause():
     assert [list(row.values()) for row in rows] == [["ours", "12", "0"], ["a_star", "3", "3"]]
 
 
-def test_few_places_have_intervals_of_episodes():
-    few = [replace(one, world="w0") for one in FACTS]
-    notes = [t.note for t in tables.tables(gather(few, OURS)) if t.note]
-    assert all("they say nothing of others" in note for note in notes)
-
-
 def test_pictures_take_hostile_words_as_they_are():
     (content,) = pictures.images(gather(FACTS, OURS), "svg").values()
     assert b"go to &lt;b&gt;$x$&lt;/b&gt;" in content
