@@ -52,3 +52,11 @@ def test_long_maps_keep_the_picture_readable(run, size_m):
     image = pixels(picture.png(replace(run, map=Grid(cells, (-1.0, -1.0), 0.1))))
     assert 600 < image.shape[0] < 1200
     assert 800 < image.shape[1] < 1500
+
+
+def test_the_way_has_the_colours_of_its_targets_and_what_was_reached_a_number(long_run):
+    drawn, green = picture.png(long_run), palette.OUTCOME["reached"]
+    by_time = replace(long_run, story=replace(long_run.story, steps=()))
+    simple = replace(long_run, story=None)
+    assert drawn != picture.png(by_time)
+    assert count(pixels(drawn), green) > count(pixels(picture.png(simple)), green)
