@@ -68,17 +68,16 @@ def explored_map(cells: int) -> grid.RollingMap:
     m._follow(0, 0)
     rng = np.random.default_rng(0)
     n = m.window.n
-    m._layers.raw[:] = rng.random((n, n)) < 0.9998
-    bits = np.packbits(m._layers.raw, axis=1, bitorder="little").view(np.uint64)
-    m._layers.known[:] = bits
+    inner = m._layers
+    inner.raw[:] = rng.random((n, n)) < 0.9998
+    bits = np.packbits(inner.raw, axis=1, bitorder="little").view(np.uint64)
+    inner.known[:] = bits
     for x, y in rng.integers(0, n, (n * n // 2000, 2)):
-        if m._layers.raw[y, x] < layers.OCCUPIED:
-            m._layers.raw[y, x] = layers.OCCUPIED
-            layers.bit_set(m._layers.known, y, x, True)
+        if inner.raw[y, x] < layers.OCCUPIED:
+            inner.raw[y, x] = layers.OCCUPIED
+            layers.bit_set(inner.known, y, x, True)
             window = ((x - m.window.shift[0]) % n, (y - m.window.shift[1]) % n)
-            layers.add_disc(
-                m._layers, *m.window.shift, *window, 1, m._disc, (0, 0, n, n), m._changed
-            )
+            layers.add_disc(inner, *m.window.shift, *window, 1, m._disc, (0, 0, n, n), m._changed)
     m._explored[:] = (0, 0, n, n)
     m._changed[:] = (0, 0, n, n)
     m._refresh_frontiers(True)
@@ -120,7 +119,7 @@ def test_map_update(benchmark, against, cells, budget):
     against(numpy_points(*frames()[0][:2]))
     m = explored_map(cells)
     benchmark.pedantic(update_all_round(m), rounds=500, warmup_rounds=20)
-    assert m._layers.frontier.any()
+    assert m.layers.frontier.any()
 
 
 def test_unknown_ratio_of_200_candidates(benchmark):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import socket
-import ssl
 import threading
 import tracemalloc
 from http.server import BaseHTTPRequestHandler
@@ -13,7 +12,7 @@ import pytest
 from chat_server import completion, likeliest, saying, send, serving
 from patience import PATIENCE_S, eventually
 
-from edge.chat import ChatClient, ChatError, CutOffError, client_of
+from edge.chat import ChatClient, ChatError, client_of
 from edge.config import TranslatorLlm
 
 HELLO = [{"role": "user", "content": "hello"}]
@@ -99,27 +98,16 @@ def redirect(handler):
         (talkative, "more than 16 KB"),
         (closes_midway, "before its answer was whole"),
         (closes_midway_in_a_chunk, "before its answer was whole"),
-        (lambda handler: None, "before its answer was whole"),
         (no_http, "does not speak HTTP"),
         (redirect, "HTTP 307, see http://"),
-        (body(b"", 302), "HTTP 302, see nowhere"),
-        (body(b""), "not JSON"),
         (body(b"<html>hi</html>", Content_Type="text/html"), "not JSON (text/html): '<html>hi"),
         (body(b"\xff\xfe\x00"), "not JSON"),
-        (body(b"[" * 10_000), "not JSON"),
         (body(b"null"), "no choices[0].message.content"),
-        (body(b"[1, 2]"), "no choices[0].message.content"),
-        (body(b'{"choices": []}'), "no choices[0].message.content"),
         (body(b'{"choices": [{"text": "F chair"}]}'), "no choices[0].message.content"),
         (body(b'{"choices": {"0": 1}}'), "no choices[0].message.content"),
-        (body(completion(["F chair"])), "no choices[0].message.content"),
         (body(completion(None)), "the answer is empty"),
-        (body(completion(" \n")), "the answer is empty"),
         (body(b'{"error": {"message": "model\\nnot loaded"}}', 500), "HTTP 500: model not loaded"),
         (body(b'{"detail": "no such model"}', 404), "HTTP 404: no such model"),
-        (body(b'{"error": ["odd"]}', 400), 'HTTP 400: ["odd"]'),
-        (body(b"<h1>Bad\x1b[2J Gateway</h1>", 502), "HTTP 502: <h1>Bad [2J Gateway</h1>"),
-        (body(b"x" * 10_000, 503), "HTTP 503: xxx"),
         (body(b"", 401), "HTTP 401; see the server's log"),
         (body(completion("F chair & F be", "length")), "did not end within its tokens"),
     ],
@@ -178,14 +166,6 @@ def test_no_time_left_asks_nothing_and_names_the_limit(left_s):
         assert server.requests == []
 
 
-def test_less_time_than_the_limit_may_be_left():
-    with (
-        serving(silent) as server,
-        pytest.raises(ChatError, match="no whole answer within 3600 s"),
-    ):
-        ChatClient(server.url, "m", time_limit_s=3600.0).ask(HELLO, left_s=0.1)
-
-
 def test_a_long_answer_is_not_kept():
     with serving(talkative) as server:
         tracemalloc.start()
@@ -195,35 +175,6 @@ def test_a_long_answer_is_not_kept():
             assert tracemalloc.get_traced_memory()[1] < 8_000_000
         finally:
             tracemalloc.stop()
-
-
-def test_nothing_listens():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))  # bound, not listening: the port refuses
-        url = f"http://127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(ChatError, match="nothing listens there; start the server"):
-            ChatClient(url, "m").ask(HELLO)
-
-
-@pytest.mark.parametrize(("scheme", "read"), [("http", 0), ("https", 1)])
-def test_certificates_are_read_once_for_all_questions(monkeypatch, scheme, read):
-    contexts, make = [], ssl.create_default_context
-    monkeypatch.setattr(
-        ssl, "create_default_context", lambda: contexts.append(make()) or contexts[0]
-    )
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        client = ChatClient(f"{scheme}://127.0.0.1:{taken.getsockname()[1]}", "m")
-        for _ in range(2):
-            with pytest.raises(ChatError, match="nothing listens there"):
-                client.ask(HELLO)
-    assert len(contexts) == read
-
-
-@pytest.mark.parametrize("host", ["no-such-host.invalid", "a" * 70 + ".invalid"])
-def test_unknown_host(host):
-    with pytest.raises(ChatError, match=r"the host is not known|no whole answer"):
-        ChatClient(f"http://{host}/v1", "m", time_limit_s=5.0).ask(HELLO)
 
 
 def test_plain_http_where_tls_was_expected():
@@ -258,27 +209,6 @@ def test_a_good_answer():
     assert headers["Authorization"] == f"Bearer {KEY}"
     expected = {"model": "tiny", "messages": HELLO, "stream": False, "temperature": 0}
     assert request == expected
-
-
-def test_a_good_answer_of_another_content_type():
-    with serving(body(completion("F chair"), Content_Type="text/plain")) as server:
-        assert ChatClient(server.url, "m").ask(HELLO) == "F chair"
-
-
-def test_what_was_cut_off_is_known_as_such():
-    with (
-        serving(body(completion("F a & F b", "length"))) as server,
-        pytest.raises(CutOffError) as raised,
-    ):
-        ChatClient(server.url, "m").ask(HELLO)
-    assert raised.value.answer == "F a & F b"
-
-
-def test_without_a_key_none_is_sent(monkeypatch):
-    monkeypatch.delenv("NO_KEY_HERE", raising=False)
-    with serving(saying("F chair")) as server:
-        client_of(TranslatorLlm(url=server.url, api_key_env="NO_KEY_HERE")).ask(HELLO)
-    assert "Authorization" not in server.requests[0][1]
 
 
 def test_the_key_is_taken_from_the_environment_and_never_shown(monkeypatch, caplog):
@@ -317,20 +247,11 @@ def test_the_next_tokens_are_asked_for_and_read():
         (b"", "not JSON"),
         (b"{}", "no logprobs"),
         (completion("A"), "no logprobs"),
-        (b'{"choices": [{"logprobs": null}]}', "no logprobs"),
-        (b'{"choices": [{"logprobs": {"content": []}}]}', "no logprobs"),
-        (likeliest({}), "no logprobs"),
         (likeliest(None), "no logprobs"),
         (likeliest({"A": -1.0})[:-5], "not JSON"),
-        (likeliest("AB"), "no logprobs"),
-        (likeliest([["A", -1.0]]), "no logprobs"),
-        (likeliest([{"token": "A"}]), "no logprobs"),
         (likeliest([{"token": 1, "logprob": -1.0}]), "a logprob that is none, 1: -1.0"),
         (likeliest({"A": float("nan")}), "a logprob that is none, 'A': nan"),
         (likeliest({"A": -1.0, "B": "-2"}), "a logprob that is none, 'B': '-2'"),
-        (likeliest({"A": float("inf")}), "a logprob that is none"),
-        (likeliest({"A": 0.7}), "a logprob that is none, 'A': 0.7"),
-        (likeliest({"A": True}), "a logprob that is none"),
         (likeliest({"A": None}), "a logprob that is none"),
         (likeliest({"A": 10**400}), "a logprob that is none"),
     ],

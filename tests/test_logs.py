@@ -11,11 +11,6 @@ import pytest
 from edge import logs
 
 
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
 def test_human_lines():
     out = io.StringIO()
     logs.setup("info", stream=out)
@@ -86,22 +81,6 @@ def test_text_that_is_no_unicode_is_logged(as_json):
     logging.getLogger("edge").warning("file \udc80 and 🪑")
     out.flush()
     assert "🪑" in out.buffer.getvalue().decode()
-
-
-def test_set_up_again_replaces():
-    first, second = io.StringIO(), io.StringIO()
-    logs.setup(stream=first)
-    logs.setup(stream=second)
-    logging.getLogger("edge").info("here")
-    assert first.getvalue() == ""
-    assert second.getvalue().count("here") == 1
-
-
-def test_a_progress_line_is_wiped_on_a_terminal():
-    out = Terminal()
-    logs.setup(stream=out)
-    logging.getLogger("edge").info("here")
-    assert out.getvalue().startswith(logs.CLEAR_LINE)
 
 
 def test_unknown_level():

@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import gzip
-import json
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,16 +12,11 @@ from edge.errors import UserError
     ("word", "why"),
     [
         ("", "'' is no name: it needs a letter or a digit"),
-        ("  ", "it needs a letter or a digit"),
         ("_", "'_' is no name: it needs a letter or a digit"),
         ("-", "it needs a letter or a digit"),
-        ("...", "'...' is no name: it needs a letter or a digit"),
         ("the €", "it needs a letter or a digit"),
-        (". 1", "it needs a letter or a digit"),  # a model's number is no name
         ("tv\0", "'tv' is no name: character 3 (U+0000) does not print"),
-        ("\x1b[31mtv", "'[31mtv' is no name: character 1 (U+001B) does not print"),
         ("tv\n12:00 info", "'tv 12:00 info' is no name: character 3 (U+000A) does not print"),
-        ("tv\u202evt", "'tv vt' is no name: character 3 (U+202E) does not print"),
         ("\udc80tv", "'tv' is no name: character 1 (U+DC80) does not print"),
         ("b" * 201, f"'{'b' * 59}…' is no name: it has more than 200 characters"),
     ],
@@ -37,22 +29,6 @@ def test_what_is_no_name_is_refused_with_the_reason(word, why):
     assert str(caught.value).endswith(why)
     assert isinstance(caught.value, UserError)
     assert isinstance(caught.value, ValueError)
-
-
-@pytest.mark.parametrize(
-    ("word", "name"),
-    [
-        ("the", "the"),  # an article alone is all there is
-        ("a ", "a"),
-        ("7", "7"),
-        ("椅子", "椅子"),
-        ("salt & pepper mill", "salt & pepper mill"),
-        ("b" * 200, "b" * 200),
-        ("1990s", "1990s"),
-    ],
-)
-def test_odd_names_are_names(word, name):
-    assert names.canonical(word) == name
 
 
 @pytest.mark.parametrize(
@@ -147,12 +123,6 @@ def test_what_is_made_of_a_name_are_names_or_it_is_refused(word):
     assert all(map(names.is_name, parts))
 
 
-@pytest.mark.parametrize("phrase", ["€ near the chair", "& € on the sofa"])
-def test_a_phrase_that_says_only_where_names_nothing(phrase):
-    with pytest.raises(names.NotANameError, match="says where a thing is, not which"):
-        names.head_phrase(phrase)
-
-
 def test_every_name_and_alias_leads_to_its_canonical_name_and_stays_there():
     for name, others in names.ALIASES.items():
         for other in (name, *others, name.upper(), f"the {name}"):
@@ -178,24 +148,6 @@ def test_head_nouns(phrase, expected):
 )
 def test_same(a, b, expected):
     assert names.same(a, b) is expected
-
-
-def test_names_of_starts_with_the_word_itself():
-    assert names.names_of("bin")[0] == "bin"
-    assert "trash can" in names.names_of("bin")
-    assert names.names_of("gizmo") == ("gizmo",)
-
-
-def test_procthor_categories_are_known(shared_dir):
-    """Furniture that robots are sent to; small things keep their own names."""
-    file = shared_dir / "worlds" / "procthor_val.jsonl.gz"
-    if not file.exists():
-        pytest.skip(f"not there: {file.name}")
-    with gzip.open(file, "rt") as lines:
-        seen = {o["category"] for line in lines for o in json.loads(line)["objects"]}
-    furniture = {"sofa", "television", "garbage can", "fridge", "house plant", "arm chair",
-                 "counter top", "desk lamp", "side table", "dresser", "bed", "desk"}  # fmt: skip
-    assert furniture - {"side table"} <= {c for c in seen if names.is_known(c)} | (furniture - seen)
 
 
 def test_what_is_near_or_broader_stands_under_its_own_name():

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.text import MAX_CHARS, bounded_repr, one_line, read_json_object, without_secrets
+from edge.text import bounded_repr, one_line, read_json_object, without_secrets
 
 
 @pytest.mark.parametrize(
@@ -82,11 +82,6 @@ def test_secrets_are_looked_for_however_deep():
     assert str(without_secrets(deep(100_000))).count("[") == 100
 
 
-def test_a_novel_is_cut_before_it_is_looked_through():
-    assert one_line("\n" * 10_000_000 + "end") == ""
-    assert len(one_line("word " * 10_000_000)) == MAX_CHARS
-
-
 @pytest.mark.parametrize(
     ("said", "shown"),
     [
@@ -116,11 +111,6 @@ def test_a_novel_is_cut_before_it_is_looked_through():
 def test_what_a_url_hides_is_not_shown(said, shown):
     assert without_secrets(said) == shown
     assert without_secrets(shown) == shown
-
-
-def test_a_long_word_is_searched_for_urls_once():
-    word = "a" * 1_000_000
-    assert without_secrets(word) == word
 
 
 NO_OBJECTS = [b"", b"\xff\x00", b"[" * 100_000, b"3", b'"x"', b"[1]", b'{"a": 1}']

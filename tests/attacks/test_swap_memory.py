@@ -32,7 +32,7 @@ def names(tmp_path, monkeypatch) -> tuple[str, str]:
     return "first", "second"
 
 
-@pytest.mark.parametrize(("isolation", "swaps"), [("thread", 24), ("process", 8)])
+@pytest.mark.parametrize(("isolation", "swaps"), [("thread", 12), ("process", 6)])
 def test_memory_and_descriptors_are_flat_over_many_swaps(names, isolation, swaps):
     told = run_fresh("swap_soak.py", isolation, swaps, *names)
     settled_mb = told["resident_mb"][swaps // 2 :]

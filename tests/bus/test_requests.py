@@ -18,7 +18,7 @@ from edge.bus import request_queue
 from edge.bus.client import RequestError, ask
 from edge.bus.requests import MAX_BYTES, RequestServer
 from edge.bus.session import open_session
-from edge.bus.verbs import Request, Verb
+from edge.bus.verbs import Request
 from edge.config import Zenoh
 from edge.errors import UserError
 from edge.host.ports import free_port
@@ -90,29 +90,6 @@ class Asking:
         return str(caught.value)
 
 
-def test_an_idle_server_has_nothing_for_the_loop(serve):
-    assert serve().poll() is None
-
-
-@pytest.mark.parametrize("do", ["pause", "resume", "cancel", "status"])
-def test_a_request_is_answered_by_the_loop(session, serve, do):
-    server, asking = serve(), Asking(session, do=do)
-    request = taken(server)
-    assert (request.do, request.prepared) == (do, None)
-    request.answer({"phase": do, "é": [1, None]})
-    assert asking.answer == {"phase": do, "é": [1, None]}
-    assert server.poll() is None
-
-
-@pytest.mark.parametrize("text", [{"instruction": "the chair"}, {"formula": "F a"}])
-def test_a_new_mission_comes_to_the_loop_prepared(session, serve, text):
-    server, asking = serve(), Asking(session, do="new", **text)
-    request = taken(server)
-    assert (request.do, request.prepared) == ("new", text)
-    request.answer({"formula": "F a"})
-    assert asking.answer == {"formula": "F a"}
-
-
 def test_the_loop_may_refuse_and_only_its_first_word_counts(session, serve):
     server, asking = serve(), Asking(session, do="resume")
     request = taken(server)
@@ -123,13 +100,6 @@ def test_the_loop_may_refuse_and_only_its_first_word_counts(session, serve):
     asking = Asking(session, do="status")
     taken(server).answer({})
     assert asking.answer == {}
-
-
-def test_an_answer_is_what_it_was_when_it_was_given(session, serve):
-    server, asking, answer = serve(), Asking(session, do="status"), {"phase": "a"}
-    taken(server).answer(answer)
-    answer["phase"] = "b"
-    assert asking.answer == {"phase": "a"}
 
 
 @pytest.mark.parametrize("answer", [{"a": object()}, {"cost": float("inf")}, {(1, 2): 3}])
@@ -255,29 +225,6 @@ def test_equal_new_missions_one_after_the_other_are_one(session, serve, given_te
     assert "".join(preparing.begun) == begun
 
 
-@pytest.fixture
-def clock(monkeypatch) -> SimpleNamespace:
-    """The queue's clock, which stands still unless the test sets it."""
-    clock = SimpleNamespace(now_s=0.0)
-    monkeypatch.setattr(request_queue, "time", SimpleNamespace(monotonic=lambda: clock.now_s))
-    return clock
-
-
-def test_a_new_mission_joins_an_equal_one_that_waits_for_the_loop(session, serve, clock):
-    server = serve(Preparing(quick="ab"))
-    asked = give(server, session, "a")
-    eventually(lambda: server.queue._second[0].ready)
-    asked += give(server, session, "ab")
-    assert begin_all(server, 2) == ["a", "b"]
-    assert [asking.answer["began"] for asking in asked] == ["a", "a", "b"]
-    late = give(server, session, "a")
-    eventually(lambda: server.queue._second[0].ready)
-    late += give(server, session, "a")
-    clock.now_s = PATIENCE_S
-    assert all("the loop is not running" in asking.refusal for asking in late)
-    assert server.poll() is None
-
-
 def test_a_flood_of_one_new_mission_leaves_room_for_others(session, serve, monkeypatch):
     monkeypatch.setattr("edge.bus.request_queue._SAME", 4)
     preparing = Preparing()
@@ -303,21 +250,6 @@ def test_a_loop_that_does_not_run_is_told_of(session, serve):
     assert "the loop is not running" in Asking(session, do="pause").refusal
     assert "the loop is not running" in Asking(session, do="new", formula="F a").refusal
     assert server.poll() is None
-
-
-def test_a_loop_that_runs_and_does_not_come_to_a_request_is_not_called_stopped(
-    session, serve, clock
-):
-    server = serve(patience_s=2.0)
-    asked = bring(server, session, ({"do": "new", "formula": f"F {name}"} for name in "ab"))
-    eventually(lambda: not server.queue._unready())
-    clock.now_s = 1.5
-    with server.queue._lock:  # what goes first keeps the loop from the prepared ones
-        server.queue._first.append(Request("status", queries=[object()]))
-    assert server.poll().do == "status"
-    clock.now_s = 2.0
-    for asking in asked:
-        assert "busy with other requests: not taken within 2 s" in asking.refusal
 
 
 def test_a_loop_that_takes_a_request_and_says_nothing_is_told_of(session, serve, monkeypatch):
@@ -373,26 +305,6 @@ def test_a_very_long_error_is_cut_and_drives_no_terminal(session, serve):
     assert server.poll() is None
 
 
-def test_who_asks_for_everything_below_the_prefix_gets_an_answer_too(session, serve):
-    server = serve()
-    (answer,) = replies(session, None, "edge/**")
-    assert "no payload" in json.loads(answer)["error"]
-    asked = session.get("edge/**", payload=b'{"do": "status"}', timeout=PATIENCE_S)
-    taken(server).answer({"phase": "well"})
-    assert [str(reply.ok.key_expr) for reply in asked] == [KEY]
-
-
-def test_a_crowd_of_clients_gets_an_answer_each(session, serve):
-    server = serve()
-    asking = [Asking(session, do="status") for _ in range(16)]
-    answered = 0
-    while not all(a.done for a in asking):
-        if (request := server.poll()) is not None:
-            answered += 1
-            request.answer({"n": answered})
-    assert {a.answer["n"] for a in asking} == set(range(1, answered + 1))
-
-
 def waiting(server: RequestServer, session: zenoh.Session, verbs: Iterable[str]) -> list[Asking]:
     return bring(server, session, ({"do": verb} for verb in verbs))
 
@@ -444,17 +356,6 @@ def test_what_stops_the_robot_stops_new_missions_that_were_given_before(session,
     assert preparing.begun == ["a", "b", "e"]
 
 
-def test_what_stops_no_robot_leaves_what_is_to_be_prepared(session):
-    new = Verb(("instruction",), prepare=lambda fields: fields["instruction"])
-    server = RequestServer(session, KEY, {"new": new, "cancel": Verb()}, broken)
-    asked = give(server, session, "a")
-    eventually(lambda: server.queue._second[0].ready)
-    asked += waiting(server, session, ["cancel"])
-    assert [server.poll().do for _ in range(2)] == ["cancel", "new"]
-    server.close()
-    assert all("stopping" in asking.refusal for asking in asked)
-
-
 class Flood:
     """A session, its queryable and all its queries, of which there is no end."""
 
@@ -504,17 +405,6 @@ def test_what_stops_the_robot_always_finds_a_place(session, serve):
     assert [a.answer["did"] for a in asked[request_queue._WAITING :]] == ["pause", "cancel"] * 2
 
 
-def test_a_client_that_has_gone_is_no_matter(session, serve):
-    server = serve()
-    handler = session.get(KEY, payload=b'{"do": "status"}', timeout=0.01)
-    request = taken(server)
-    assert [reply.err.payload.to_bytes() for reply in handler] == [b"Timeout"]
-    request.answer({"phase": "late"})
-    asking = Asking(session, do="status")
-    taken(server).answer({})
-    assert asking.answer == {}
-
-
 def test_closing_refuses_what_is_open_and_does_not_wait_for_a_translation(session, serve):
     begun, go = threading.Event(), threading.Event()
 
@@ -534,26 +424,6 @@ def test_closing_refuses_what_is_open_and_does_not_wait_for_a_translation(sessio
     go.set()
     assert "no service answers at edge/mission/request" in Asking(session, do="status").refusal
     server.close()
-
-
-def test_requests_that_arrive_as_the_server_closes_are_told_so(session, serve, monkeypatch):
-    monkeypatch.setattr("edge.bus.requests._RECEIVE_S", PATIENCE_S)  # it looks only when it closes
-    server = serve()
-    payloads = (b'{"do": "status"}', b'{"do": "new", "formula": "F a"}', b"nonsense")
-    asked = [session.get(KEY, payload=payload, timeout=PATIENCE_S) for payload in payloads]
-    server.close()
-    answers = [json.loads(reply.err.payload.to_bytes()) for replies in asked for reply in replies]
-    assert answers == [{"error": "the service is stopping"}] * 3
-    assert server.poll() is None
-
-
-def test_a_server_can_be_opened_where_one_was_closed(session, serve):
-    for _ in range(3):
-        server = serve()
-        asking = Asking(session, do="status")
-        taken(server).answer({})
-        assert asking.answer == {}
-        server.close()
 
 
 def test_a_session_that_is_closed_first_ends_the_server_too(session, serve, caplog):

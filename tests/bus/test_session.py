@@ -19,7 +19,6 @@ from edge.bus import session as bus
 from edge.bus import topics, zenoh_file
 from edge.config import Zenoh
 from edge.config.loop import TopicName
-from edge.errors import Stopped
 from edge.host.ports import free_port
 
 
@@ -89,15 +88,6 @@ def test_who_connects_waits_until_somebody_comes(free_endpoint):
         opened[0].close()
 
 
-def test_waiting_can_be_stopped(free_endpoint):
-    stop = threading.Event()
-    stop.set()
-    told = []
-    with pytest.raises(Stopped, match=f"nobody was at {free_endpoint}"):
-        bus.open_session(Zenoh(endpoint=free_endpoint), "connect", stop, tell=told.append)
-    assert told == [f"waiting for somebody at {free_endpoint}"]
-
-
 @pytest.mark.parametrize("role", ["listen", "connect"])
 @pytest.mark.parametrize(
     "endpoint",
@@ -114,15 +104,6 @@ def test_an_endpoint_that_is_none_is_named_in_one_line(endpoint, role):
     assert str(caught.value).startswith(f"zenoh.endpoint: cannot {role}")
     assert endpoint in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    "endpoint",
-    ["tcp/127.0.0.1:0", "udp/robot.local:7447", "tls/[fe80::1%eth0]:7447#so_rcvbuf=65535",
-     "tcp/0.0.0.0:7447?prio=1", "unixsock-stream//tmp/edge.sock", "serial//dev/ttyUSB0"],
-)  # fmt: skip
-def test_other_endpoints_are_left_to_zenoh(endpoint):
-    assert zenoh_file.fault_of(endpoint) is None
 
 
 def test_a_host_without_an_address_is_not_waited_for_without_end(monkeypatch):

@@ -15,7 +15,6 @@ from edge.bus.zenoh_file import (
     get,
     open_to,
     others_can_read,
-    parameters,
     secrets,
     shuts_all_out,
 )
@@ -41,12 +40,6 @@ def of(settings: Zenoh, role: str, key: str) -> object:
     return get(session_config(settings, role), key)
 
 
-def test_an_empty_file_changes_nothing(settings):
-    for role in ("listen", "connect"):
-        bare, laid = (session_config(s, role) for s in (Zenoh(endpoint=OURS), settings("{}")))
-        assert str(bare) == str(laid)
-
-
 @pytest.mark.parametrize(
     ("role", "more", "listens", "connects"),
     [
@@ -61,12 +54,6 @@ def test_endpoints_add_up(settings, role, more, listens, connects):
     )
     assert of(said, role, "listen/endpoints") == listens
     assert of(said, role, "connect/endpoints") == connects
-
-
-def test_endpoints_of_another_mode_are_none_of_ours(settings):
-    said = settings('{connect: {endpoints: {router: ["tcp/a:1"], peer: ["tcp/b:2"]}}}')
-    assert of(said, "listen", "connect/endpoints") == ["tcp/b:2"]
-    assert of(said, "connect", "connect/endpoints") == [OURS]
 
 
 @pytest.mark.parametrize("key", zenoh_file.DEFAULTS)
@@ -294,14 +281,6 @@ def test_rules_for_another_prefix_are_noticed(settings, text, prefix, shut, capl
     assert shuts_all_out(session_config(said, "listen"), prefix) is shut
     open_session(said, "listen").close()
     assert (f"nothing below {prefix}/" in caplog.text) is shut
-
-
-@pytest.mark.parametrize(
-    ("endpoint", "found"),
-    [("tcp/h:1", {}), ("tcp/h:1#", {}), ("tls/h:1?a=b#c=d=e;f=", {"c": "d=e", "f": ""})],
-)
-def test_parameters(endpoint, found):
-    assert parameters(endpoint) == found
 
 
 def access(name: str) -> dict:

@@ -111,15 +111,8 @@ def test_any_text_is_a_target_or_refused_by_the_configuration(text):
     ("text", "says"),
     [
         ("", "column 1: expected a proposition"),
-        ('F "..."', "formula, column 3: '...' is no name: it needs a letter or a digit"),
-        ("F _", "formula, column 3: '_' is no name"),
-        ('F "-"', "formula, column 3: '-' is no name"),
-        ('F "tv\0"', "formula, column 3: 'tv' is no name: character 3 (U+0000) does not print"),
         ('F "\x1b[31mtv"', "'[31mtv' is no name: character 1 (U+001B) does not print"),
-        ('F "tv\u202e"', "'tv' is no name: character 3 (U+202E) does not print"),
-        ('F "tv\ud800"', "'tv' is no name: character 3 (U+D800) does not print"),
         ('F "' + "b" * 150_000 + '"', "is no name: it has more than 200 characters"),
-        ('F "' + "b" * 150_000, "this quote is never closed"),
         ("(" * 190_000, "found the end"),
         ("F a" + " " * 200_000, "at most 200000 are read"),
         ("F (a & " * 5500 + "b" + ")" * 5500, "more than 10000 different subformulas"),
@@ -153,7 +146,7 @@ def test_an_instruction_that_cannot_be_is_refused_in_one_short_line(text, says):
 
 @pytest.mark.parametrize(
     "text",
-    ["!" * 5_000 + "F a", "F a & " * 2_000 + "F a", "(" * 90_000 + "F a" + ")" * 90_000],
+    ["!" * 5_000 + "F a", "F a & " * 2_000 + "F a"],
     ids=lambda value: value[:20],
 )
 def test_of_a_formula_however_long_a_line_is_shown(text):

@@ -7,7 +7,7 @@ from functools import partial
 from types import SimpleNamespace
 
 import pytest
-from results import facts, health, result
+from results import facts, result
 from simulated import simulated
 from task_facts import INSTRUCTION, by_a_model, driving, looking, steps, written
 
@@ -49,24 +49,6 @@ def latency() -> LatencyRing:
     return ring
 
 
-def test_before_anything_came():
-    line = line_of(result())
-    assert line == ("0.0s waiting for sensors, looking for chair | no goal | 0 seen | map 0 m2")
-
-
-@pytest.mark.parametrize(
-    ("pose", "begins"),
-    [
-        (None, "0.0s waiting for sensors: no message yet on edge/odom | looking for chair | "),
-        (SE2(0, 0, 0), "0.0s no message yet on edge/odom | searching chair | "),
-    ],
-)
-def test_an_input_that_is_lacking_is_named_first(pose, begins):
-    inputs = {"state": "lacking", "detail": "no message yet on edge/odom", "topics": {}}
-    said = result(pose=pose, health=lambda: {**health(), "inputs": inputs})
-    assert line_of(said).startswith(begins)
-
-
 def test_a_robot_on_its_way():
     line = line_of(
         result(
@@ -83,11 +65,6 @@ def test_a_robot_on_its_way():
         "61.3s approaching couch | instance 1.2 m | 2 seen | map 41 m2 "
         "| tick p95 2.0 ms | detector 9 ms"
     )
-
-
-def test_nothing_in_it_moves_the_cursor():
-    status = MissionStatus("a\x1b[2Jb\n", "searching")
-    assert "for a[2Jb |" in line_of(result(status=status, mission=facts))
 
 
 @pytest.mark.parametrize(
@@ -128,17 +105,6 @@ def test_beat(wall, stream, written):
     assert out.getvalue().count("looking for chair") == written
 
 
-def test_a_log_gets_whole_lines(wall):
-    out = io.StringIO()
-    sink = ConsoleSink(out)
-    for k in (0, 4, 5, 11):
-        wall.now_ns = k * S
-        sink.tick(result(status=MissionStatus("chair", "searching", elapsed_s=k)))
-    sink.close()
-    assert [line.split()[0] for line in out.getvalue().splitlines()] == ["0.0s", "5.0s", "11.0s"]
-    assert "\x1b" not in out.getvalue()
-
-
 def test_a_terminal_gets_one_line_that_fits(wall):
     out = Terminal()
     sink = ConsoleSink(out)
@@ -150,12 +116,6 @@ def test_a_terminal_gets_one_line_that_fits(wall):
     assert (lines[0], len(lines)) == ("", 4)
     assert all(len(line) < 80 and "\n" not in line for line in lines)
     assert out.getvalue().endswith("\n")
-
-
-def test_nothing_to_close():
-    out = Terminal()
-    ConsoleSink(out).close()
-    assert out.getvalue() == ""
 
 
 @pytest.mark.parametrize(

@@ -248,10 +248,7 @@ def test_a_zenoh_file_that_cannot_be_used_is_one_failure():
     ("installed", "probed", "settings", "expected"),
     [
         ((), ran(), SIM, ["warn"]),
-        ((), ran(), ONNX, ["fail"]),
         ((), ran(), TENSORRT, ["warn"]),
-        (("onnxruntime",), ran(CPU), ONNX, ["ok"]),
-        (("onnxruntime",), ran("Other"), SIM, ["ok"]),
         (("onnxruntime",), ran("Other"), ONNX, ["ok", "fail"]),
         (("onnxruntime", "onnxruntime-gpu"), ran(CPU), SIM, ["warn", "ok"]),
         (("onnxruntime",), Probed("1.23", (CPU,), (), "crashes"), SIM, ["warn"]),
@@ -395,17 +392,6 @@ def test_a_choice_scorers_server_is_looked_for():
     found = list(doctor.check_scorers(settings))
     assert [finding.level for finding in found] == ["ok", "warn"]
     assert url in found[1].what
-
-
-def test_worlds(monkeypatch):
-    mesh = simulated({"sim": {"world": {"kind": "mesh", "mesh": "a.glb", "objects": "a.json"}}})
-    found = doctor.util.find_spec
-    monkeypatch.setattr(
-        doctor.util, "find_spec", lambda name: None if name == "embreex" else found("json")
-    )
-    assert levels(doctor.check_worlds) == ["warn"]
-    (finding,) = doctor.check_worlds(mesh)
-    assert (finding.level, "embreex" in finding.what) == ("fail", True)
 
 
 @pytest.mark.parametrize(

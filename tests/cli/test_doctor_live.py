@@ -99,10 +99,6 @@ def test_nothing_that_comes_is_a_failure(heard):
     ]
 
 
-def test_a_robot_whose_data_is_right_needs_nothing_done(heard):
-    assert heard(lambda fields: fields) == []
-
-
 BODY = np.array([[1.0, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, 1, 0.5], [0, 0, 0, 1]])
 AGO_NS = 3_600_000_000_000
 

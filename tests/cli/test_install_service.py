@@ -177,11 +177,6 @@ def test_what_lies_in_a_folder_that_is_another_to_the_service_is_refused(private
         unit(settings(private), "edge", me)
 
 
-def test_who_owns_it_may_run_it(private):
-    me = pwd.getpwuid(os.getuid()).pw_name
-    assert lines(unit(settings(private), "edge", me), "User") == [me]
-
-
 def test_a_user_who_is_not_there_is_refused():
     with pytest.raises(UserError, match=r"^--user: 'no-such-user': there is no such user here$"):
         unit(settings(), "edge", "no-such-user")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags import OPTICAL, RGB, N, camera, odometry, plain, together, write_bag, write_mcap
-from public_logs import carmen, redwood
+from public_logs import carmen
 
 from edge.bus.wire import messages
 from edge.cli.main import main
@@ -66,12 +66,6 @@ def test_a_recording_is_played_and_told(play, config, tmp_path, pace):
     assert {path.name for path in report.iterdir()} == {"report.png", "report.html"}
 
 
-def test_it_is_the_same_again_as_fast_as_it_goes(play, config, tmp_path):
-    path = write_mcap(tmp_path / "robot.mcap", plain())
-    first, second = (play(path, config, "--fast")[1].splitlines()[-2:] for _ in range(2))
-    assert first == second
-
-
 def test_nothing_is_published_or_kept_and_nobody_is_held_up(play, tmp_path):
     """The robot drives and then stands for a long time: nobody sent it anywhere."""
     kept = tmp_path / "checkpoint.json"
@@ -87,21 +81,6 @@ def test_nothing_is_published_or_kept_and_nobody_is_held_up(play, tmp_path):
     assert "stopped while searching: chair" in told
     assert not kept.exists()
     assert not (tmp_path / "sink").exists()
-
-
-def test_a_configuration_for_a_router_needs_none(play, tmp_path):
-    path = tmp_path / "mine.yaml"
-    zenoh = {"mode": "client", "endpoint": "tcp/127.0.0.1:1"}
-    path.write_text(json.dumps({**OURS, "zenoh": zenoh, "source": {"kind": "ros2"}}))
-    assert play(write_mcap(tmp_path / "robot.mcap", plain()), path, "--fast")[0] == os.EX_OK
-
-
-def test_a_public_rgb_d_sequence_makes_a_map(play, config, tmp_path, shared_dir):
-    path = write_mcap(tmp_path / "redwood.mcap", redwood(shared_dir / "logs" / "redwood_rgbd"))
-    code, told, _ = play(path, config, "--fast")
-    assert code == os.EX_OK
-    assert "5 observations" in told
-    assert int(told.partition("map: ")[2].split()[0]) >= 3
 
 
 def test_a_log_of_carmen_makes_a_map(play, tmp_path):
@@ -149,9 +128,3 @@ def test_other_commands_name_it(tmp_path, capsys):
     path = write_mcap(tmp_path / "robot.mcap", plain())
     assert main(["--log-level", "error", "replay", str(path)]) == os.EX_IOERR
     assert "`edge play FILE CONFIG`" in capsys.readouterr().err
-
-
-def test_a_file_is_needed(play, config):
-    code, _, error = play(Path("nowhere.mcap"), config)
-    assert code == os.EX_IOERR
-    assert error.splitlines()[-1] == "nowhere.mcap: no such file"

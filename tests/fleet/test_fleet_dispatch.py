@@ -15,7 +15,6 @@ from edge.mission.brief import prepare
 PATIENCE_S = 10.0
 BODY = Body((0.0, 0.0, 0.0), "answers", (), {})
 BED = Part("m.1", "F bed", "Reach the bed.", ("bed",))
-SOFA = Part("m.2", "F sofa", "Reach the sofa.", ("sofa",))
 
 
 def robot(name: str, at: str = "", phase: str = "idle", reason: str = "", **known: float) -> Robot:
@@ -115,32 +114,6 @@ def test_a_part_is_lost_only_after_no_other_robot_came_for_the_patience(
     last = fleet.look(since_s + 10.0, *there)
     assert over(last)
     assert last.outcomes["m.1"].reason == reason
-
-
-def test_a_lost_part_is_given_out_again_if_a_robot_comes_while_another_part_is_under_way():
-    fleet = Fleet(BED, SOFA)
-    account = robot("c", "m.2", "searching").account
-    past = (Past("m.1", "failed", "no bed"),)
-    busy = Robot("c", dataclasses.replace(account, past=past))
-    fleet.look(0.0, FAILED, busy)
-    assert fleet.look(10.0, FAILED, busy).failed
-    assert "m.1" in fleet.dispatcher.ended_ns
-    assert fleet.given_to(11.0, FAILED, busy, FREE) == ["b"]
-    assert fleet.dispatcher.ended_ns == {}
-
-
-@pytest.mark.parametrize(
-    ("part", "robots", "outcome"),
-    [
-        (BED, (robot("a", "m.1", "failed", "cancelled"),), Outcome("failed", "a", "cancelled")),
-        (dataclasses.replace(BED, only="a"), (FAILED,), Outcome("failed", "a", "no bed")),
-        (BED, (robot("a", "m.1", "reached", "seen"),), Outcome("reached", "a", "seen")),
-    ],
-)
-def test_what_no_other_robot_can_change_is_over_at_once_and_stays_so(part, robots, outcome):
-    fleet = Fleet(part)
-    for now_s, there in enumerate([robots, (FREE,), ()]):
-        assert fleet.look(now_s, *there).outcomes == {"m.1": outcome}
 
 
 def test_a_robot_that_forgets_what_it_took_does_not_keep_it_from_others():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from edge.fleet.orders import DOUBLED, TRIES, Cancel, Outcome, Part, decide
+from edge.fleet.orders import DOUBLED, Cancel, Outcome, Part, decide
 from edge.fleet.roster import Account, Body, Past, Robot
 
 BED = Part("m.1", "F bed", "Reach the bed.", ("bed",))
@@ -47,24 +47,16 @@ def test_nobody_and_nothing():
     [
         # One part a robot, in the order of parts and names where nothing else tells them apart.
         ([robot("b"), robot("a")], {"m.1": "a", "m.2": "b"}),
-        ([robot("a")], {"m.1": "a"}),
         # Who knows where it is, and is nearer.
         ([robot("a"), robot("b", bed=9.0)], {"m.1": "b", "m.2": "a"}),
-        ([robot("a", bed=3.0, sofa=2.0), robot("b", bed=1.0, sofa=4.0)], {"m.1": "b", "m.2": "a"}),
-        ([robot("a", couch=2.0), robot("b")], {"m.2": "a", "m.1": "b"}),
         # Who is not free gets nothing.
         ([robot("a", "other", "searching"), robot("b")], {"m.1": "b"}),
         ([robot("a", "", "paused"), robot("b", "other", "reached")], {"m.1": "b"}),
         ([robot("a", amiss=("nothing to be seen",))], {}),
-        ([robot("a", controller="silent")], {}),
         ([Robot("a", problem="no answer within 2 s")], {}),
         # Who failed at a part does not get it again; who was doubled may, by another name.
         ([robot("a", past=(("m.1", "failed", "no bed"),)), robot("b")], {"m.2": "a", "m.1": "b"}),
         ([robot("a", "m.1", "failed", reason=DOUBLED)], {"m.1~1": "a"}),
-        ([robot("a", past=(("m.1", "failed", DOUBLED), ("m.1~1", "failed", DOUBLED)))],
-         {"m.1~2": "a"}),
-        # A part that somebody is at, or has done, is given to nobody.
-        ([robot("a", "m.1", "approaching"), robot("b")], {"m.2": "b"}),
         ([robot("a", "m.1", "reached"), robot("b", "m.2~1", "paused")], {}),
         ([robot("a", past=(("m.1", "reached", ""),)), robot("b")], {"m.2": "a"}),
     ],
@@ -87,27 +79,6 @@ def test_a_robot_that_is_gone_keeps_its_part_for_a_while():
     assert given([BED], robot("b")) == {"m.1": "b"}
 
 
-def test_of_two_at_one_part_who_is_longer_at_it_stays():
-    both = [
-        robot("a", "m.1", "searching", elapsed_s=3),
-        robot("b", "m.1", "verifying", elapsed_s=9),
-    ]
-    doubled = orders([BED], *both)
-    assert (doubled.under_way, doubled.cancel) == ({"m.1": "b"}, (Cancel("a", "m.1"),))
-    done = orders([BED], *both, robot("c", "m.1~1", "reached", reason="seen"))
-    assert done.outcomes == {"m.1": Outcome("reached", "c", "seen")}
-    assert set(done.cancel) == {Cancel("a", "m.1"), Cancel("b", "m.1")}
-
-
-def test_a_part_is_lost_when_all_that_are_there_have_failed_or_refused():
-    a = robot("a", "m.1", "failed", reason="no bed")
-    assert not orders([BED], a, robot("b")).failed
-    assert not orders([BED], a, robot("b"), refused={("m.1", "b"): TRIES - 1}).failed
-    lost = orders([BED, SOFA], a, robot("b"), refused={("m.1", "b"): TRIES})
-    assert lost.outcomes == {"m.1": Outcome("failed", "a, b", "a: no bed; b: it refused")}
-    assert lost.give == (), "the whole is lost: no other part is given out"
-
-
 def test_what_a_person_cancelled_is_given_to_nobody():
     end = orders([BED, SOFA], robot("a", "m.1", "failed", reason="cancelled"), robot("b"))
     assert end.outcomes == {"m.1": Outcome("failed", "a", "cancelled")}
@@ -126,11 +97,3 @@ def test_what_is_settled_stays_so_whatever_becomes_of_the_robots():
 
 def test_who_refused_comes_last():
     assert given([BED], robot("a"), robot("b"), refused={("m.1", "a"): 1}) == {"m.1": "b"}
-
-
-def test_it_is_said_why_nobody_gets_a_part_and_why_somebody_does():
-    busy = robot("a", "x", "searching")
-    assert orders([BED], busy).waits == {"a": "searching: words"}
-    assert orders([BED], busy, robot("b")).waits == {}
-    (give,) = orders([BED], robot("b", bed=2.25)).give
-    assert give.why == "it is free and knows bed 2.2 m away"

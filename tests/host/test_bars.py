@@ -22,10 +22,6 @@ def at_once(monkeypatch):
     monkeypatch.setattr(bars, "TERMINAL_PERIOD_S", 0.0)
 
 
-def test_nothing_to_do():
-    assert list(bars.counted("tasks", [])) == []
-
-
 def test_work_that_is_soon_done_shows_nothing(capsys):
     assert list(bars.counted("tasks", "abc")) == ["a", "b", "c"]
     assert capsys.readouterr().err == ""

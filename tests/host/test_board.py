@@ -6,8 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from edge.host.board import Board, distress, read_board
 
@@ -150,15 +148,6 @@ def test_a_file_that_vanishes_or_is_a_folder_raises_nothing(tmp_path, gone):
     assert isinstance(read_board(root), Board)
 
 
-@given(name=st.binary(max_size=300))
-def test_whatever_a_zone_is_called_its_name_is_short_and_printable(tmp_path_factory, name):
-    folder = f"{THERMAL}/thermal_zone0"
-    root = put(tmp_path_factory.mktemp("board"), {f"{folder}/type": name, f"{folder}/temp": "1000"})
-    (zone_name,) = read_board(root).temperature_c
-    assert 0 < len(zone_name) <= 60
-    assert zone_name.isprintable()
-
-
 WARM = replace(
     NOTHING, temperature_c={"gpu": 40.0, "tj": 94.0},
     trip_c={("tj", "passive"): 99.0, ("tj", "hot"): 104.5, ("dead", "passive"): 1.0},
@@ -184,8 +173,3 @@ WARM = replace(
 )  # fmt: skip
 def test_distress_is_what_slows_the_board_down_or_soon_will(board, before, margin_c, why):
     assert distress(board, before, margin_c) == why
-
-
-def test_this_computer_tells_its_memory():
-    memory = read_board().memory_bytes
-    assert 0 < memory["available"] <= memory["total"]

@@ -138,12 +138,6 @@ def test_what_could_not_be_loaded_is_not_saved(tmp_path, change, text):
     assert same(load(path, NOTE)[0], BEGUN)
 
 
-def test_the_files_of_the_table_below_are_taken_when_nothing_is_wrong_with_them():
-    taken = NOTE.decode(x_of(npy("'<i4'", (2,), bytes(8))))
-    assert taken.state == Note("a")
-    assert taken.arrays["x"].tolist() == [0, 0]
-
-
 DAMAGED = {
     "head": (BEGINS, "not a whole note"),
     "cut": (WHOLE[:-1], "checksum"),
@@ -399,15 +393,6 @@ def test_a_writer_writes_the_newest_and_never_blocks(tmp_path, monkeypatch):
     assert writer.close(30)
     assert load(path, NOTE)[0].state.n == 999
     assert (writer.written, writer.failed, writer.problem) == (2, 0, "")
-
-
-def test_a_writer_counts_a_state_that_cannot_be_saved(tmp_path, caplog):
-    writer = CheckpointWriter(tmp_path / "note", NOTE)
-    writer.post(lambda: Checkpoint(Note("secret")), 1)
-    assert writer.close(30)
-    assert (writer.written, writer.failed) == (0, 1)
-    assert "secret" in writer.problem
-    assert len(caplog.messages) == 1
 
 
 def test_a_period_is_counted_from_the_last_posted_state(tmp_path):

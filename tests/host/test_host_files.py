@@ -13,7 +13,7 @@ from edge import config
 from edge.config import WorldHouse, WorldProcthor
 from edge.errors import UserError
 from edge.host import checkpoint
-from edge.host.files import open_regular, read_regular, replace_atomically, write_atomically
+from edge.host.files import read_regular, replace_atomically, write_atomically
 from edge.lab.bench.frames import from_folder
 from edge.lab.eval.planning.file import read_tasks
 from edge.lab.eval.translate import lang2ltl_cases
@@ -30,14 +30,6 @@ from exporters.files import ExportError, check_sha256
 from exporters.images import load_input, load_text_embeddings
 
 pytestmark = pytest.mark.timeout(60)  # what opens a pipe without a writer would wait for ever
-
-
-@pytest.mark.parametrize("content", [b"", b"x" * 100])
-def test_a_file_is_read_whole(tmp_path, content):
-    (tmp_path / "file").write_bytes(content)
-    assert read_regular(tmp_path / "file", 100) == content
-    with open_regular(tmp_path / "file") as file:
-        assert file.read() == content
 
 
 def make_pipe(path: Path) -> Path:
@@ -115,18 +107,6 @@ def test_exporters_wait_for_no_pipe_either(tmp_path, read):
     with pytest.raises(ExportError) as caught:
         read(path)
     assert str(path) in str(caught.value)
-
-
-def test_a_pipe_among_the_cards_is_told_and_passed_over(tmp_path, monkeypatch, capsys):
-    from edge.cli.main import main
-
-    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
-    (tmp_path / "models").mkdir()
-    make_pipe(tmp_path / "models" / "pipe.yaml")
-    assert main(["models", "list"]) == 0
-    told = capsys.readouterr()
-    assert "pipe.yaml: cannot be read: [Errno 22] Not a regular file" in told.err
-    assert "mini-house-text" in told.out
 
 
 @pytest.mark.parametrize("beside", [None, ".half"])

@@ -24,10 +24,6 @@ class Stream:
 CONNECTED = ("connection.connect_tcp.complete", "connection.start_tls.complete")
 
 
-def test_nothing_to_cut():
-    Connection().cut()
-
-
 @pytest.mark.parametrize("event", CONNECTED)
 @pytest.mark.parametrize("cut_first", [False, True])
 def test_who_waits_is_told_the_end(event, cut_first):

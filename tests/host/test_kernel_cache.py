@@ -39,22 +39,6 @@ def test_where_numba_finds_one_by_itself_nothing_is_changed(variable, places, mo
     assert not caplog.records
 
 
-def test_code_that_can_be_written_will_do_without_a_home(places, monkeypatch):
-    monkeypatch.setattr(resources, "PACKAGE", places / "free")
-    monkeypatch.setattr(resources, "user_cache", lambda: None)
-    assert chosen() is None
-
-
-@pytest.mark.parametrize("named", [None, "closed/kernels"])
-def test_else_it_is_in_our_own_cache(named, places, monkeypatch, caplog):
-    if named is not None:
-        monkeypatch.setenv("NUMBA_CACHE_DIR", str(places / named))
-    monkeypatch.setenv("EDGE_CACHE_DIR", str(places / "cache"))
-    assert chosen() == str(places / "cache" / "kernels")
-    assert os.environ.get("NUMBA_CACHE_DIR") == (named and str(places / named))
-    assert not caplog.records
-
-
 @pytest.mark.parametrize("ours", [None, "closed/cache"])
 def test_else_it_is_a_temporary_folder_and_the_remedy_is_told(ours, places, monkeypatch, caplog):
     if ours is not None:

@@ -68,18 +68,6 @@ def test_a_jetson_tells_its_board_power_mode_and_clocks(tmp_path):
     assert "power mode 25W" in machine.summary(found)
 
 
-def test_machines_that_differ_in_the_gpu_that_was_used_have_two_names():
-    found = {"cpu": "AMD EPYC", "cores": 8}
-    assert machine.short_name(found) == "AMD EPYC, 8 cores"
-    assert machine.short_name(found, "NVIDIA L4") == "NVIDIA L4, AMD EPYC, 8 cores"
-
-
-def test_thors_gpu_has_another_name(tmp_path):
-    put(tmp_path, {"etc/nv_tegra_release": ORIN["etc/nv_tegra_release"]})
-    put(tmp_path / "sys/class/devfreq", {"gpu-gpc-0/cur_freq": "1575000000", "x/cur_freq": "1"})
-    assert machine.describe(tmp_path)["jetson"]["gpu_clock"] == {"cur_mhz": 1575.0, "governor": ""}
-
-
 @pytest.mark.parametrize(
     ("status", "conf", "mode"),
     [
@@ -92,19 +80,6 @@ def test_thors_gpu_has_another_name(tmp_path):
 )
 def test_power_mode(status, conf, mode):
     assert machine.power_mode(status, conf) == mode
-
-
-@pytest.mark.parametrize(
-    ("cpuinfo", "name"),
-    [
-        ("", None),
-        ("model name\t: Intel(R)  Core(TM) i7\nmodel name\t: other", "Intel(R) Core(TM) i7"),
-        ("CPU part\t: 0xd0b\nCPU part\t: 0xd42\nCPU part\t: 0xd0b", "Cortex-A76 + Cortex-A78AE"),
-        ("CPU part\t: 0xfff", "0xfff"),
-    ],
-)
-def test_cpu_name(cpuinfo, name):
-    assert machine.cpu_name(cpuinfo) == name
 
 
 @pytest.mark.parametrize(

@@ -39,25 +39,6 @@ def all_of(read: int) -> str:
         return reader.read()
 
 
-@pytest.mark.usefixtures("patient")
-def test_nothing_is_nothing(pipe):
-    read, stream = pipe
-    Outlet(stream).end()
-    stream.close()
-    assert all_of(read) == ""
-
-
-@pytest.mark.usefixtures("patient")
-def test_all_comes_in_order(pipe):
-    read, stream = pipe
-    outlet = Outlet(stream)
-    for k in range(100):
-        outlet.write(f"{k}\n")
-    outlet.end()
-    stream.close()
-    assert all_of(read) == "".join(f"{k}\n" for k in range(100))
-
-
 def test_a_full_pipe_is_not_waited_for_and_what_was_lost_is_told(pipe, monkeypatch):
     monkeypatch.setattr(outlets, "_END_S", 0.01)
     read, stream = pipe

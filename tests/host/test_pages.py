@@ -87,14 +87,6 @@ def test_without_the_token_probes_tell_their_status_and_nothing_else_is_told(pat
         assert (status, body if known[1] else None) == known
 
 
-def test_whoever_is_refused_is_told_how_to_ask():
-    with serve({}, HERE, 0, Token(b"right")) as port:
-        connection = HTTPConnection(HERE, port, timeout=PATIENCE_S)
-        connection.request("GET", "/")
-        assert connection.getresponse().getheader("WWW-Authenticate") == 'Bearer realm="edge"'
-        connection.close()
-
-
 def test_those_who_keep_connections_open_lock_nobody_out():
     with serve({"/": lambda: Page(b"here", "text/plain")}, HERE, 0) as port:
         idle = [socket.create_connection((HERE, port)) for _ in range(3 * MOST_OPEN)]
@@ -103,21 +95,6 @@ def test_those_who_keep_connections_open_lock_nobody_out():
         assert ask(port, "/") == (200, b"here")
         for sock in idle:
             sock.close()
-
-
-def test_of_a_burst_of_connections_the_newest_are_kept(monkeypatch):
-    monkeypatch.setattr(pages._Handler, "timeout", None)  # nothing else ends one
-    with serve({}, HERE, 0) as port, ExitStack() as opened:
-        burst = [
-            opened.enter_context(socket.create_connection((HERE, port), PATIENCE_S))
-            for _ in range(3 * MOST_OPEN)
-        ]
-        for sock in burst[:-MOST_OPEN]:
-            assert sock.recv(1) == b""
-        for sock in burst[-MOST_OPEN:]:
-            sock.setblocking(False)
-            with pytest.raises(BlockingIOError):
-                sock.recv(1)
 
 
 @pytest.mark.parametrize("silent", [2 * MOST_OPEN, 0])
@@ -325,20 +302,6 @@ def test_what_one_has_already_is_not_sent_again():
     with serve({"/": lambda: page}, HERE, 0) as port:
         assert ask(port, "/", **{"If-None-Match": '"6"'}) == (200, b"here")
         assert ask(port, "/", **{"If-None-Match": '"7"'}) == (304, b"")
-
-
-def test_a_connection_is_kept_and_ends_with_the_block():
-    with serve({"/": lambda: Page(b"here", "text/plain")}, HERE, 0) as port:
-        connection = HTTPConnection(HERE, port, timeout=PATIENCE_S)
-        for _ in range(3):
-            connection.request("GET", "/")
-            assert connection.getresponse().read() == b"here"
-            sock = connection.sock
-        assert sock is not None
-    with suppress(ConnectionResetError, BrokenPipeError):
-        sock.sendall(b"GET / HTTP/1.1\r\n\r\n")
-        assert sock.recv(1) == b""
-    connection.close()
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,6 @@ def policy() -> int:
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
 
 
-def test_no_priority_changes_nothing():
-    with real_time(0) as given:
-        assert not given
-        assert policy() == os.SCHED_OTHER
-
-
 def test_the_priority_ends_with_the_block():
     with real_time(5) as given:
         if not given:

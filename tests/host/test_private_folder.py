@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import stat
 import subprocess
 import sys
 import threading
@@ -30,13 +29,6 @@ def holder(tmp_path):
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         yield process, tmp_path / os.path.basename(process.stdout.readline().decode().strip())
         process.kill()
-
-
-def test_it_is_private_and_goes_with_its_block(tmp_path):
-    with private_folder("edge-test-", str(tmp_path)) as folder:
-        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-        (folder / "inside").touch()
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_next_removes_what_a_killed_process_left_and_nothing_else(tmp_path, holder):

@@ -7,13 +7,6 @@ from patience import eventually
 from edge.host.repeated import repeated
 
 
-def test_a_block_that_is_over_before_the_first_time_does_nothing():
-    done = []
-    with repeated("work", 1e6, lambda: done.append(1)):
-        pass
-    assert not done
-
-
 def test_it_is_done_again_and_again_until_the_block_ends():
     done = []
     with repeated("work", 1e-4, lambda: done.append(threading.current_thread().name)):

@@ -25,14 +25,6 @@ def manager(request, tmp_path) -> Iterator[tuple[socket.socket, str]]:
         yield listening, name
 
 
-def test_without_a_manager_nothing_is_told():
-    environ: dict[str, str] = {}
-    alone = ServiceManager(environ)
-    assert alone.ping_s is None
-    alone.ready()
-    alone.alive()
-
-
 def test_every_message(manager):
     listening, name = manager
     told = ServiceManager({"NOTIFY_SOCKET": name})

@@ -22,16 +22,14 @@ from edge.mission.translate import TranslationError, make_translator
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
 
-TASKS = 4
+TASKS = 1
 MODEL_S = 600.0  # for one answer of a language model on a busy computer
 
 INSTRUCTIONS = [
     ("Go to the chair.", "F chair"),
     ("Clean the couch and then turn on the tv.", "F (sofa & F television)"),
-    ("Find a bottle or a cup.", "F (bottle | cup)"),
     ("Visit the bed, and never go near the coffee table.", 'F bed & G !"coffee table"'),
     ("Reach a toilet. Do not reach a toilet until a bed is reached.", "F toilet & !toilet W bed"),
-    ("Inspect the fire hydrant.", 'F "fire hydrant"'),
 ]
 
 
@@ -67,8 +65,8 @@ def test_the_server_keeps_to_the_grammar(url):
         assert client.ask(messages, temperature=0, grammar=f'root ::= "{formula}"') == formula
 
 
-@pytest.mark.parametrize(("instruction", "_"), INSTRUCTIONS)
-def test_the_grammar_admits_only_formulas_about_the_objects(url, instruction, _):
+@pytest.mark.parametrize("instruction", [said for said, _ in INSTRUCTIONS[1:3]])
+def test_the_grammar_admits_only_formulas_about_the_objects(url, instruction):
     client = ChatClient(url, "default", time_limit_s=MODEL_S)
     objects = objects_in(instruction)
     # Warm, so that the model says more than what it finds likeliest.

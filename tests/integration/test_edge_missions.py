@@ -140,19 +140,6 @@ def test_requests_by_command(edge, endpoint, tmp_path, request_of):
     assert "no mission is under way" in said
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["clean either the chair or the couch"], ["F (chair | sofa)", "either the chair or"]),
-        (["F a & F b", "--formula"], ["4 states", "first plan"]),
-    ],
-)
-def test_a_mission_is_explained(capsys, arguments, words):
-    assert main(["mission", "explain", *arguments]) == 0
-    said = capsys.readouterr().out
-    assert all(word in said for word in words), said
-
-
 @pytest.mark.parametrize("suffix", ["svg", "png", "dot"])
 def test_its_automaton_is_drawn(tmp_path, suffix):
     file = tmp_path / f"automaton.{suffix}"

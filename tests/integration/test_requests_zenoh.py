@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import random
 import signal
 import subprocess
 import sys
@@ -101,35 +100,6 @@ def test_the_life_of_a_mission(config, service, command):
     assert said("cancel")["phase"] == "cancelled"
 
 
-def test_what_a_person_reads(config, service, command):
-    code, out, err = command("pause", config)
-    assert (code, err) == (0, [])
-    assert out.splitlines() == [
-        "understood:  do F chair",
-        "formula:     F chair",
-        "phase:       paused, `edge mission resume` goes on; exploring",
-        "reached:     bed, tv",
-    ]
-
-
-def test_a_refusal_is_one_line_and_exit_code_2(config, service, command):
-    for line, verb, *words in [
-        ("nothing is paused", "resume"),
-        ("instruction: not understood: 'unicorn'", "new", "find a unicorn"),
-        ("formula, column 4: ", "new", "F (", "--formula"),
-        ("instruction: expected text, got ' '", "new", " "),
-    ]:
-        code, out, (error,) = command(verb, config, *words)
-        assert (code, out) == (2, "")
-        assert error.startswith(f"mission: refused: {line}")
-
-
-def test_where_no_service_is(config, endpoint, command):
-    code, out, err = command("status", config, "--timeout", "1")
-    assert (code, out) == (2, "")
-    assert err[-1] == f"mission: no service at {endpoint}; start one with `edge run`"
-
-
 def test_where_somebody_is_that_takes_no_requests(endpoint):
     settings = Zenoh(endpoint=endpoint)
     nobody = pytest.raises(RequestError, match="no service answers at edge/mission/request")
@@ -193,33 +163,3 @@ def test_a_client_that_is_killed_while_it_waits(start, config, service, session)
     assert status(session)["formula"] == "F chair"
     release(service)
     eventually(lambda: status(session)["formula"] == "F sofa")  # it was asked for
-
-
-def test_a_crowd_of_processes(start, config, service, endpoint):
-    clients = [start("request", "status", config, "--json", "--timeout", "60") for _ in range(2)]
-
-    def many(_: int) -> list[dict]:
-        with open_session(Zenoh(endpoint=endpoint), "connect") as session:
-            return [status(session) for _ in range(10)]
-
-    with ThreadPoolExecutor(4) as pool:
-        answers = [answer for answers in pool.map(many, range(4)) for answer in answers]
-    answers += [json.loads(client.communicate(timeout=PATIENCE_S)[0]) for client in clients]
-    assert len(answers) == 42
-    assert all(answer == answers[0] for answer in answers)
-
-
-def test_garbage_is_answered_and_done_with(service, session):
-    chance = random.Random(5)
-    begun = b'{"do": "new", "instruction": "'
-    for n in range(100):
-        noise = chance.randbytes(chance.choice([0, 1, 7, 100, 5000, 70_000]))
-        (reply,) = session.get(KEY, payload=noise if n % 2 else begun + noise, timeout=PATIENCE_S)
-        error = json.loads(reply.err.payload.to_bytes())["error"]
-        assert error
-        assert "\n" not in error
-    flood = [session.get(KEY, payload=b"\x00" * 1000, timeout=5.0) for _ in range(2000)]
-    assert status(session)["phase"] == "exploring"
-    assert all(reply.err is not None for replies in flood for reply in replies)
-    assert status(session)["formula"] == "F chair"
-    assert service.poll() is None

@@ -223,12 +223,6 @@ def test_an_isolated_model_is_swapped_too(config):
     assert (status["swap"]["state"], status["detector"]["model"]) == ("kept", "steady")
 
 
-def test_no_service_is_one_line(config):
-    line = asked(config, "good", timeout=0.1)
-    assert line.startswith("models: no service at tcp/127.0.0.1:")
-    assert line.endswith("start one with `edge run`")
-
-
 LEFT_BEHIND = """
 import atexit, threading, types
 from edge.cli import main as cli

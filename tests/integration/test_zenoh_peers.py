@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 import threading
@@ -13,20 +12,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live_patience import PATIENCE_S, eventually
-from results import result
 from simulated import simulated
 
 from edge.bus import topics
 from edge.bus.session import open_session
 from edge.bus.wire import messages
 from edge.config import Config, Zenoh
-from edge.geometry import SE2, CameraModel, Grid
+from edge.geometry import SE2, CameraModel
 from edge.host.ports import free_port
 from edge.recording.channels import Channel
-from edge.sinks.zenoh import ZenohSink
 from edge.sources import recording
 from edge.sources.zenoh import ZenohSource
-from edge.types import Goal, GoalStatus, Observation
+from edge.types import Observation
 
 PEER = Path(__file__).with_name("zenoh_peer.py")
 CAMERA = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)
@@ -105,56 +102,6 @@ def test_a_second_service_is_told_what_is_wrong(config):
         f"zenoh.endpoint: {config.zenoh.endpoint} is in use: another service runs there; "
         "stop it, or give this one another port"
     ]
-
-
-def test_nonsense_is_counted_and_the_robot_is_still_seen(config, start):
-    with (
-        open_session(config.zenoh, "listen") as session,
-        open_session(config.zenoh, "connect") as other,
-    ):
-        source = ZenohSource(config, session)
-        inbox = source.inbox
-
-        def nonsense() -> bool:
-            for topic in (topics.RGB, topics.DEPTH, topics.ODOMETRY, topics.CAMERA_INFO):
-                other.put(config.zenoh.key(topic.key), b"\xff" * 50)
-                other.put(config.zenoh.key(topic.key), b"")
-                other.put(config.zenoh.key(topic.key), bytes(200_000))
-            other.put("edge/goal_status", b"reached!")
-            other.put("edge/goal_status", b'{"stamp": 5, "state": "reached"}')
-            time.sleep(0.02)
-            source.poll()
-            return all(source.counters[r] > 3 for r in ("malformed", "empty", "oversized"))
-
-        eventually(nonsense)
-        assert eventually(inbox.poll)[-1] == GoalStatus(5, "reached")
-        assert inbox.malformed
-        start("robot")
-        see(source)
-        source.close()
-
-
-def test_a_stopped_subscriber_stops_nobody_else(config, start):
-    big = Grid(np.zeros((1500, 1500), np.int8), (0.0, 0.0), 0.05)
-    with open_session(config.zenoh, "listen") as session:
-        sink = ZenohSink(config, session)
-        stopped, alive = start("listener"), start("listener")
-        assert [p.stdout.readline() for p in (stopped, alive)] == ["ready\n"] * 2
-        stopped.send_signal(signal.SIGSTOP)
-        try:
-            heard: list[int] = []
-            thread = threading.Thread(
-                target=lambda: heard.extend(map(int, alive.stdout)), daemon=True
-            )
-            thread.start()
-            for k in range(1, 41):
-                goal = Goal(k, SE2(0.0, 0.0, 0.0), "frontier", 0, (0.0, 0.0), 0.0, "chair")
-                sink.tick(result(k * 10**9, goals=(goal,), snapshot=lambda: big))
-                time.sleep(0.03)
-            eventually(lambda: 40 in heard)
-            sink.close()  # while one of the two is still stopped
-        finally:
-            stopped.send_signal(signal.SIGCONT)
 
 
 def record(session, config: Config, path: Path, enough: set[str]) -> None:

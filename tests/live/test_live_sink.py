@@ -10,9 +10,9 @@ import pytest
 from results import observation, result
 from task_facts import driving, looking
 
-from edge.geometry import SE2, CameraModel
-from edge.live.sink import MAX_EVENTS, MAX_SHOT_PX, PERIOD_S, WATCHED_S, LiveSink
-from edge.loop.result import Event, ScoredCandidates
+from edge.geometry import CameraModel
+from edge.live.sink import PERIOD_S, WATCHED_S, LiveSink
+from edge.loop.result import ScoredCandidates
 from edge.perception.scoring.choice.question import Choice
 from edge.policies.base import FRONTIER, INSTANCE
 from edge.types import ContextBoxes, Detections, Observation
@@ -71,41 +71,6 @@ def test_for_who_looks_it_gathers_once_a_period(sink, clock):
     assert sink.moment.at_s == gathered[-1]
 
 
-def test_what_nobody_looks_at_any_more_is_let_go(sink, clock):
-    sink.look()
-    sink.tick(result(observation=seen(np.zeros((30, 40, 3), np.uint8))))
-    assert None not in (sink.moment, sink.shot)
-    clock.now_s += WATCHED_S + 0.1
-    sink.tick(result())
-    assert (sink.moment, sink.shot) == (None, None)
-
-
-def test_the_way_driven_events_and_beat_are_known_whenever_one_comes(sink, clock):
-    for i in range(50):
-        pose = SE2(0.1 * i, 0.0, 0.0).matrix()
-        sink.tick(result(i, observation=replace(observation(i), T_map_base=pose)))
-        clock.now_s += 0.1
-    for i in range(MAX_EVENTS):
-        sink.tick(result(events=(Event(i, f"a{i}"), Event(i, f"b{i}"))))
-    sink.look()
-    sink.tick(result())
-    moment = sink.moment
-    np.testing.assert_allclose(moment.trail[:, 0], 0.1 * np.arange(50))
-    assert (len(moment.events), moment.n_events) == (MAX_EVENTS, 2 * MAX_EVENTS)
-    assert moment.events[-1].text == f"b{MAX_EVENTS - 1}"
-    assert moment.beat_hz == pytest.approx(10.0, rel=0.2)
-
-
-def test_an_image_is_a_copy_and_a_large_one_is_thinned(sink):
-    sink.look()
-    rgb = np.zeros((2 * MAX_SHOT_PX, 30, 3), np.uint8)
-    sink.tick(result(observation=seen(rgb)))
-    rgb[:] = 255
-    assert sink.shot.rgb.shape == (MAX_SHOT_PX, 15, 3)
-    assert sink.shot.rgb.max() == 0
-    assert sink.shot.boxes == ()
-
-
 def test_boxes_come_with_the_image_that_they_were_found_in(sink):
     sink.look()
     found, newest = (seen(np.full((30, 40, 3), v, np.uint8)) for v in (7, 9))
@@ -122,13 +87,6 @@ def test_boxes_come_with_the_image_that_they_were_found_in(sink):
     chair, rug = sink.shot.boxes
     assert (chair.label, chair.wanted, chair.xyxy) == ("chair", True, (0.25, 0.5, 0.5, 1.0))
     assert (rug.label, rug.wanted, rug.xyxy) == ("rug", False, (0.0, 0.0, 1.0, 1.0))
-
-
-def test_without_a_camera_there_is_no_image(sink):
-    sink.look()
-    sink.tick(result(observation=observation(1)))
-    assert sink.shot is None
-    assert sink.moment is not None
 
 
 def test_letters_lie_on_the_frontiers_that_are_still_there(sink):

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import math
-from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
-from live_house import TOKEN
 from results import observation, result
 from simulated import simulated
-from task_facts import HOSTILE, INSTRUCTION, by_a_model, driving, looking
+from task_facts import INSTRUCTION, by_a_model, looking
 
 from edge.bus.request_queue import RequestQueue
 from edge.bus.verbs import Verb
 from edge.geometry import SE2, Grid
 from edge.host.service_manager import ServiceManager
 from edge.live.view import PUBLIC, LiveView
-from edge.live.words import MAX_LAYERS, MAX_POINTS, points
+from edge.live.words import MAX_LAYERS, MAX_POINTS
 from edge.loop.result import Event, ScoredCandidates
 from edge.loop.vitals import Vitals
 from edge.types import Goal, GoalStatus, Instance, MissionStatus
@@ -100,20 +96,6 @@ def test_whatever_is_said_is_json_without_infinities(view):
     assert [node["current"] for node in story["automaton"]["nodes"]] == [True, False]
 
 
-def test_the_map_is_made_again_when_it_has_changed(view):
-    grids = [np.array([[-1, 0], [50, 100]], np.int8)] * 2 + [np.array([[-1, 0]], np.int8)]
-    taken = iter(grids)
-    view.sink.look()
-    view.sink.tick(result(snapshot=lambda inflated: Grid(next(taken), (-1.0, 2.0), 0.05)))
-    first, second, third = (view.pages()["/live/map"]() for _ in grids)
-    assert first is second
-    assert first.etag == second.etag != third.etag
-    said = json.loads(first.body)
-    assert (said["origin_xy_m"], said["resolution_m"], said["size"]) == ([-1.0, 2.0], 0.05, [2, 2])
-    png = np.frombuffer(base64.b64decode(said["png"]), np.uint8)
-    assert cv2.imdecode(png, cv2.IMREAD_GRAYSCALE).tolist() == [[255, 0], [50, 100]]
-
-
 def test_layers_are_told_by_their_place_and_there_may_be_none(view):
     view.sink.look()
     view.sink.tick(result(**full()))
@@ -122,29 +104,11 @@ def test_layers_are_told_by_their_place_and_there_may_be_none(view):
     assert told(view, f"/live/layers/{MAX_LAYERS - 1}") is None
 
 
-def test_of_very_many_layers_those_are_named_that_can_be_had(view):
-    view.sink.look()
-    grid = Grid(np.ones((1, 1), np.uint8), (0, 0), 1)
-    layers = {f"value of {i}": lambda: grid for i in range(2 * MAX_LAYERS)}
-    view.sink.tick(result(**{**full(), "layers": lambda: layers}))
-    named = told(view, "/live/story")["layers"]
-    assert [told(view, f"/live/layers/{i}")["name"] for i in range(len(named))] == named
-    assert len(named) == sum(path.startswith("/live/layers/") for path in view.pages())
-
-
 def test_an_empty_map_has_no_picture(view):
     view.sink.look()
     empty = Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), 0.05)
     view.sink.tick(result(snapshot=lambda inflated: empty))
     assert told(view, "/live/map")["png"] == ""
-
-
-@pytest.mark.parametrize("n", [0, 1, MAX_POINTS, MAX_POINTS + 1, 5 * MAX_POINTS + 3])
-def test_of_a_long_way_some_points_are_drawn_the_last_among_them(n):
-    xy_m = np.arange(2.0 * n).reshape(n, 2)
-    drawn = points(xy_m)
-    assert len(drawn) <= MAX_POINTS
-    assert drawn[-1:] == xy_m[-1:].tolist()
 
 
 @pytest.mark.parametrize(
@@ -176,18 +140,6 @@ class Served:
         RequestQueue.serve(self._queue, 0)
 
 
-def test_whether_there_are_controls_is_told(view):
-    assert told(view, "/live/now")["controls"] is False
-    config = simulated({"mission": {"target": "chair"}, "http": {"token_file": TOKEN}})
-    assert told(LiveView(config, Vitals(ServiceManager({}))), "/live/now")["controls"] is True
-
-
-def test_without_a_task_there_is_nothing_to_tell_of_one(view):
-    view.sink.look()
-    view.sink.tick(result())
-    assert (told(view, "/live/now")["moment"]["task"], told(view, "/live/task")) == (None, None)
-
-
 def test_a_task_is_told_once_and_how_far_it_is_driven_all_the_time(view):
     task = by_a_model(index=40)
     view.sink.look()
@@ -213,19 +165,3 @@ def test_before_it_is_written_it_has_no_lines(view):
     assert (script["missing"], script["coarse"], script["refined"]) == (["van", "gate"], [], [])
     assert [step["state"] for step in script["steps"]] == ["looked for", "looked for"]
     assert told(view, "/live/now")["moment"]["task"]["index"] == -1
-
-
-def test_of_what_a_model_says_the_page_gets_as_much_as_one_reads(view):
-    task = by_a_model(HOSTILE + 300_000 * "y\n")
-    view.sink.look()
-    view.sink.tick(result(task=lambda: replace(task, rounds=100 * task.rounds)))
-    assert len(view.pages()["/live/task"]().body) < 2_000_000
-
-
-def test_a_trajectory_of_one_pose_is_drawn(view):
-    refined = driving().refined
-    one = replace(refined, poses=refined.poses[:1], speeds_mps=np.zeros(1), times_s=np.zeros(1))
-    view.sink.look()
-    view.sink.tick(result(task=lambda: driving(0, refined=one)))
-    script = told(view, "/live/task")
-    assert (len(script["refined"]), script["length_m"], script["time_s"]) == (1, 0.0, 0.0)

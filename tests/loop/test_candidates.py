@@ -5,7 +5,6 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mapping.mapping_twins import SMALL, complete, look, room
@@ -40,59 +39,6 @@ def test_nothing_in_nothing_out():
     assert pool.candidates.index_of(FRONTIER, 1) == -1
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "kept"),
-    [
-        ([(1, 1)], [], []),
-        ([], [(1, 1)], [False]),
-        ([(1, 1)], [(1, 1)], [True]),
-        ([(1, 1)], [(1.3, 1)], [True]),
-        ([(1, 1)], [(1.6, 1)], [False]),
-        # Two claim one: the nearer continues it, the other is new.
-        ([(1, 1)], [(1.3, 1), (1.1, 1)], [False, True]),
-        ([(1, 1), (3, 1)], [(3.1, 1), (1.1, 1)], [True, True]),
-        # The one that loses (1, 1) to the nearer still has (1.4, 1).
-        ([(1, 1), (1.4, 1)], [(1.15, 1), (1.05, 1)], [True, True]),
-    ],
-)
-def test_identity(before, after, kept):
-    pool = CandidatePool(16, 0.5)
-    pool.update(frontiers(*before), [], 0, 0)
-    old = set(ids(pool))
-    pool.update(frontiers(*after), [], 1, 1)
-    assert [i in old for i in ids(pool)] == kept
-    assert len(set(ids(pool))) == pool.candidates.n
-
-
-def test_nothing_was_first_seen_in_the_future():
-    pool = CandidatePool(16, 0.5)
-    for stamp_ns, since_ns in [(10**18, 10**18), (50, 50), (60, 50)]:  # one wild stamp
-        pool.update(frontiers((1, 1)), [], stamp_ns, 0)
-        assert (pool.candidates.stamp_ns, pool.candidates.first_seen_ns[0]) == (stamp_ns, since_ns)
-
-
-def test_creeping_away_from_the_first_sight_is_a_new_frontier():
-    pool = CandidatePool(16, 0.5)
-    pool.update(frontiers((0, 0)), [], 0, 0)
-    first = ids(pool)
-    seen = [first]
-    for step in range(1, 5):
-        pool.update(frontiers((0.2 * step, 0)), [], step, step)
-        seen.append(ids(pool))
-    assert seen[1] == seen[2] == first
-    assert seen[3] != first
-
-
-def test_instances_carry_their_id_and_score():
-    pool = CandidatePool(16, 0.5)
-    pool.update(frontiers((5, 5)), [instance(42, 1, 2, 0.8)], 0, 0)
-    at = pool.candidates.index_of(INSTANCE, 42)
-    assert pool.candidates.confidence[:2].tolist() == pytest.approx([0.0, 0.8])
-    assert pool.candidates.xy_m[at].tolist() == [1, 2]
-    # An instance's id is no frontier's.
-    assert pool.candidates.index_of(FRONTIER, 42) == -1
-
-
 def test_capacity_keeps_instances():
     pool = CandidatePool(2, 0.5)
     pool.update(frontiers((0, 0), (2, 0), (4, 0)), [instance(9, 1, 1)], 0, 0)
@@ -107,28 +53,6 @@ def test_a_discarded_point_is_blocked_until_its_time():
     assert pool.candidates.blocked[:2].tolist() == [True, False]
     pool.update(frontiers((1.2, 1.0), (3, 3)), [], 150, 150)
     assert pool.candidates.blocked[:2].tolist() == [False, False]
-
-
-def test_discards_count_in_the_loops_time_and_first_sight_in_the_sensors():
-    pool = CandidatePool(16, 0.5)
-    pool.discard(FRONTIER, 1, (1.0, 1.0), until_ns=10_100)
-    pool.update(frontiers((1.0, 1.0)), [], stamp_ns=5, now_ns=10_050)
-    assert (pool.candidates.blocked[0], pool.candidates.first_seen_ns[0]) == (True, 5)
-    pool.update(frontiers((1.0, 1.0)), [], stamp_ns=20_000, now_ns=10_060)
-    assert pool.candidates.blocked[0]
-    pool.update(frontiers((1.0, 1.0)), [], stamp_ns=20, now_ns=10_100)
-    assert not pool.candidates.blocked[0]
-
-
-@pytest.mark.parametrize(
-    ("kind", "id", "blocked"),
-    [(FRONTIER, 1, [True, False, False]), (INSTANCE, 7, [False, True, False])],
-)
-def test_a_discard_blocks_only_its_own_kind_and_only_that_instance(kind, id, blocked):
-    pool = CandidatePool(16, 0.5)
-    pool.discard(kind, id, (1.0, 1.0), until_ns=100)
-    pool.update(frontiers((1.1, 1.0)), [instance(7, 1, 1), instance(8, 1.1, 1)], 0, 0)
-    assert pool.candidates.blocked[:3].tolist() == blocked
 
 
 def nearest_pairs_first(old: np.ndarray, new: np.ndarray, radius: float) -> list[int]:
@@ -178,32 +102,6 @@ def looking(pose: SE2, *boxes) -> RollingMap:
     look(grid, pose, [*boxes])
     complete(grid, pose)
     return grid
-
-
-def test_candidates_are_told_how_far_they_are_and_what_they_would_show():
-    pose = SE2(0.0, 0.0, 0.0)
-    grid, pool = looking(pose, *room(1.5)), CandidatePool(16, 0.5)
-    pool.update(frontiers((1.0, 0.0), (0.0, 9.0)), [instance(7, 0.5, 0.0)], 0, 0)
-    pool.measure(grid)
-    c = pool.candidates
-    assert c.path_m[:3] == pytest.approx([1.0, np.inf, 0.5], abs=0.08)
-    assert c.gain_m2[0] > 0.5
-    assert c.gain_m2[2] == 0.0
-
-
-def test_what_a_frontier_would_show_is_measured_when_it_is_new_and_then_in_turn():
-    pose = SE2(0.0, 0.0, 0.0)
-    grid, pool = looking(pose, *room(1.5)), CandidatePool(64, 0.05)
-    points = [(0.1 * k, 0.0) for k in range(40)]
-    pool.update(frontiers(*points), [], 0, 0)
-    pool.measure(grid)
-    c = pool.candidates
-    assert (c.gain_m2[:40] >= 0.0).all()
-    c.gain_m2[:40] = 99.0
-    for tick in range(1, 6):
-        pool.update(frontiers(*points), [], tick, tick)
-        pool.measure(grid)
-    assert (c.gain_m2[:40] < 99.0).all()
 
 
 def test_a_turn_is_one_candidate_that_lasts_and_can_be_left_alone():

@@ -24,13 +24,6 @@ def read(*table: Metric) -> dict[str, dict[tuple[str, ...], float]]:
     return found
 
 
-def test_without_a_table_there_are_still_process_and_interpreter():
-    found = read()
-    assert {"process_resident_memory_bytes", "process_open_fds", "python_info"} <= set(found)
-    assert "python_gc_collections_total" in found
-    assert not any(name.startswith("edge") for name in found)
-
-
 @pytest.mark.parametrize(
     ("metric", "samples"),
     [
@@ -63,11 +56,6 @@ def test_a_label_is_one_short_line_and_the_page_stays_whole(text):
     assert len(label) <= 100
     assert label.isprintable()
     assert found["b"] == {(): 2}
-
-
-def test_labels_that_look_alike_are_one_series():
-    found = read(Metric("a_total", "counter", "h", lambda _: {"p\n": 1, "p": 2}, ("x",)))
-    assert found["a_total"] == {("p",): 3}
 
 
 def test_of_a_counter_with_endless_labels_the_rest_is_summed_up():

@@ -44,15 +44,6 @@ def test_each_kind_is_told_once_on_one_line_and_counted(faults, told, caplog):
     assert len([r for r in caplog.records if r.levelname == "ERROR"]) == 3
 
 
-def test_a_part_of_a_step_is_named_but_the_step_is_what_recovers(faults):
-    for i in range(DEGRADED_AFTER):
-        faults.caught("tick", ValueError(), 5, where="map" if i % 2 else "lift")
-    assert faults.state == "degraded"
-    assert faults.failures == {"map: ValueError": 15, "lift: ValueError": 15}
-    faults.passed("tick", 6)
-    assert faults.state == "ok"
-
-
 @pytest.mark.parametrize("nothing", [None, [], False, 0])
 def test_a_step_that_found_nothing_to_do_has_not_gone_well(faults, nothing):
     def bad() -> None:

@@ -244,47 +244,6 @@ def test_when_the_goal_changes(before, after, expected):
     assert who(case.choose(*after)) == expected
 
 
-def test_a_confirmed_instance_beats_one_that_is_not():
-    case = Case()
-    case.choose(chair(9, 3, 0.6))
-    assert who(case.choose(chair(9, 3, 0.6), chair(8, -3, 0.4), sure=(8,))) == ("instance", 8)
-
-
-@pytest.mark.parametrize(
-    ("heir_x", "kept"),
-    [
-        # A redrawn frontier takes the place of the one that went; one far off does not.
-        (3.9, True),
-        (4.1, False),
-    ],
-)
-def test_a_redrawn_frontier_is_heir_to_the_goal(heir_x, kept):
-    case = Case()
-    goal = case.choose(frontier(1, 3.0, 0.5))
-    after = case.choose(frontier(2, heir_x, 0.5), frontier(3, -3.0, 0.6))
-    assert (after is goal) == kept
-    assert who(after) == ("frontier", 1 if kept else 3)
-
-
-@pytest.mark.parametrize(
-    ("moved_m", "same"),
-    [(0.2, True), (0.29, True), (0.9, True), (1.1, False)],
-)
-def test_a_goal_far_ahead_may_shift_a_quarter_of_the_way(moved_m, same):
-    case = Case()
-    goal = case.choose(frontier(1, 4.0, 0.5))
-    assert (case.choose(frontier(1, 4.0, 0.5, y=moved_m)) is goal) == same
-
-
-def test_a_goal_whose_cell_was_closed_is_published_anew():
-    case = Case()
-    goal = case.choose(frontier(1, 3.0, 0.5))
-    case.map.closed.append((3.0, 0.0))
-    anew = case.choose(frontier(1, 3.0, 0.5))
-    assert (who(anew), anew is goal) == (("frontier", 1), False)
-    assert case.sent == [goal, anew]
-
-
 def test_what_cannot_be_reached_is_passed_over():
     case = Case()
     case.map.walled = [(3.0, 0.0)]
@@ -292,35 +251,6 @@ def test_what_cannot_be_reached_is_passed_over():
     # And given up when it is the present goal.
     case.map.walled = [(-3.0, 0.0)]
     assert who(case.choose(frontier(1, 3.0, 0.1), frontier(2, -3.0, 0.9))) == ("frontier", 1)
-
-
-def test_an_instance_is_approached_at_its_nearest_point():
-    goal = Case().choose(chair(9, 3.0, 0.5), pose=SE2(6.0, 0.0, 0.0))
-    assert goal.pose.x_m == 4.0
-
-
-@pytest.mark.parametrize(
-    ("k", "least_m", "most_points", "asked"),
-    [
-        (2, 0.0, 64, [(0.7, 1)]),
-        (20, 0.0, 64, [(0.7, 4)]),
-        (64, 0.0, 64, [(0.7, 10)]),
-        (64, 0.8, 64, [(0.7, 10), (0.85, 10)]),
-        (64, 0.0, 3, [(0.7, 10), (0.85, 10), (0.7, 1)]),
-        (64, 0.8, 3, [(0.7, 10), (0.85, 10), (0.7, 1), (0.85, 1)]),
-    ],
-)
-def test_enough_of_an_instance_is_near_where_the_robot_stops_else_any(
-    k, least_m, most_points, asked
-):
-    case = Case()
-    case.map.least_m, case.map.most_points = least_m, most_points
-    goal = case.choose(chair(9, 3.0, 0.5))
-    surface_m = np.zeros((k, 3), np.float32) + np.float32([3.0, 0.0, 0.5])
-    case.things[9].points_m = surface_m
-    case.map.asked.clear()
-    assert case.goals.choose(case.context(), case.map, case.score, 0) is goal
-    assert case.map.asked == asked
 
 
 @pytest.mark.parametrize("gone", ["refuted", "forgotten"])
@@ -335,14 +265,6 @@ def test_an_instance_that_is_none_any_more_is_passed_over(gone):
     assert case.goals.choose(case.context(), case.map, case.score, 0) is None
 
 
-def test_a_dropped_goal_is_chosen_afresh():
-    case = Case()
-    first = case.choose(frontier(1, 3.0, 0.5))
-    case.goals.drop()
-    again = case.choose(frontier(1, 3.0, 0.5))
-    assert (who(again), again is first) == (("frontier", 1), False)
-
-
 def test_a_frontier_that_was_left_three_times_for_another_is_seen_through():
     """Two far frontiers, each the better one from where the way to the other leads."""
     case, chosen = Case(), []
@@ -355,15 +277,6 @@ def test_a_frontier_that_was_left_three_times_for_another_is_seen_through():
     case.goals.set_out(case.mission)
     assert who(case.choose(frontier(1, 3, 0.3), frontier(2, -3, 0.9))) == ("frontier", 2)
     assert who(case.choose(frontier(1, 3, 0.9), frontier(2, -3, 0.3))) == ("frontier", 1)
-
-
-def test_a_frontier_that_the_robot_came_to_was_not_left():
-    case = Case()
-    for x in (3.0, -3.0) * 5:
-        case.choose(frontier(1 if x > 0 else 2, x, 0.9))
-        case.goals.drop()
-    case.choose(frontier(1, 3, 0.3))
-    assert who(case.choose(frontier(1, 3, 0.3), frontier(2, -3, 0.9))) == ("frontier", 2)
 
 
 # -- with nothing to go to ------------------------------------------------------------------
@@ -396,17 +309,6 @@ def test_with_nowhere_to_go_it_turns_three_times_and_what_turns_up_later_has_to_
     assert case.turn().kind == "look"
 
 
-def test_something_to_go_to_ends_turning():
-    case = Case()
-    for turns in (2, 3):
-        for _ in range(turns):
-            case.turn()
-            case.answer("failed")
-            case.judge()
-        assert who(case.choose(frontier(1, 3.0, 0.5))) == ("frontier", 1)
-        case.goals.drop()
-
-
 def test_with_nothing_to_go_to_nor_to_see_it_is_exhausted():
     case = Case()
     case.turn_round()
@@ -414,21 +316,6 @@ def test_with_nothing_to_go_to_nor_to_see_it_is_exhausted():
     case.tick()
     assert case.goals.exhausted
     assert case.goals.views == 0
-
-
-@pytest.mark.parametrize("reach_s", [0.2, 5.0], ids=["small map", "large map"])
-def test_what_was_opened_is_tried_until_the_reach_field_leads_there_and_a_frontier_lasts(reach_s):
-    case = Case()
-    case.map.closed_m = [(1.0, 0.0)]
-    case.turn_round()
-    opened_ns = case.now_ns
-    while case.now_ns < opened_ns + max(reach_s, 2.5) * S:
-        case.map.generation = 7 + int((case.now_ns - opened_ns) / (0.6 * reach_s * S))
-        assert case.tick() is None
-        assert not case.goals.exhausted
-    case.map.generation = 9
-    case.tick(after_s=0.5)
-    assert case.goals.exhausted
 
 
 def test_what_was_seen_badly_is_looked_at_again_from_one_view():
@@ -445,20 +332,6 @@ def test_what_was_seen_badly_is_looked_at_again_from_one_view():
     assert case.tick(images=60) is goal
     assert case.tick(images=60 + simulated().perception.confirm_hits) is None
     assert (case.goals.views, case.goals.exhausted) == (1, True)
-
-
-def test_a_view_that_was_left_is_another_goal_when_it_is_sought_again():
-    case = Case()
-    case.map.view = Viewpoint(1.0, 2.0, 0.5)
-    case.turn_round()
-    goal = case.tick()
-    case.goals.rest()
-    again = case.tick()
-    assert (again.pose, again is goal) == (goal.pose, False)
-    # It is given up where the robot does not get there.
-    case.answer("failed")
-    case.judge()
-    assert (case.tick(), case.goals.views, case.goals.exhausted) == (None, 0, True)
 
 
 @pytest.mark.parametrize(("explored", "chances"), [(False, 4), (True, 1)])

@@ -41,32 +41,11 @@ class Plant:
         return self
 
 
-def test_without_rungs_nothing_is_done():
-    assert Plant(costs_ms=(50.0,)).run(1000).moves == []
-
-
-def test_what_fits_stays():
-    assert Plant().run(1000, load=1.6).moves == []
-
-
 def test_too_slow_for_seconds_is_a_step_down_and_says_why():
     ((at_s, rung, why),) = Plant().run(4, load=2.0).moves
     assert (at_s, rung) == (4, 1)
     budget = "perception.swap.budget_ms is 33"
     assert why == f"detect takes 40 ms at the median, {budget}, for 3 s and more"
-
-
-def test_a_moment_that_is_too_slow_is_none():
-    plant = Plant()
-    for _ in range(100):
-        plant.run(3, load=2.0).run(1, load=1.0)
-    assert plant.moves == []
-
-
-@pytest.mark.parametrize("told", [{"distress": "cpu is slowed down by 50%"}, {"distress": "hot"}])
-def test_distress_is_a_step_down_whatever_detect_takes(told):
-    plant = Plant().run(4, **told)
-    assert plant.moves == [(4, 1, f"{told['distress']}, for 3 s and more")]
 
 
 def test_a_detector_that_finds_nothing_out_is_no_room():
@@ -75,23 +54,10 @@ def test_a_detector_that_finds_nothing_out_is_no_room():
     assert all(ladder.look(Second(None), s * S) is None for s in range(1, 1000))
 
 
-def test_with_room_it_goes_up_again():
-    plant = Plant().run(8, load=2.0).run(200, load=0.5)
-    assert [rung for _, rung, _ in plant.moves] == [1, 0]
-    assert plant.moves[1][2] == "there was room for 60 s"
-
-
 def test_a_board_that_is_not_cool_has_no_room():
     plant = Plant().run(4, distress="hot").run(1000, cool=False)
     assert plant.rung == 1
     assert plant.run(62).rung == 0
-
-
-def test_a_load_that_went_while_it_stepped_does_not_keep_it_down_for_ever():
-    """The step makes the model look ten times as dear as it is."""
-    plant = Plant().run(4, load=5.0).run(60 << UNLIKELY, load=0.1)
-    assert plant.rung == 1
-    assert plant.run(200, load=0.1).rung == 0
 
 
 def test_steps_up_in_vain_come_ever_more_seldom():
@@ -103,13 +69,6 @@ def test_steps_up_in_vain_come_ever_more_seldom():
     gaps = [b - a for a, b in pairwise(ups)]
     assert len(gaps) > MOST_DOUBLINGS
     assert all(b >= 1.8 * a for a, b in pairwise(gaps[:MOST_DOUBLINGS]))
-
-
-def test_another_power_mode_makes_all_that_was_learnt_void():
-    plant = Plant().run(4, load=5.0)
-    plant.run(30, load=0.1)
-    plant.ladder.forget()
-    assert plant.run(40, load=0.1).rung == 0
 
 
 def test_a_step_that_is_refused_is_tried_again_but_not_at_once():

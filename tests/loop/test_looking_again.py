@@ -49,13 +49,6 @@ class Case:
 A, B = Viewpoint(1.0, 2.0, 0.5), Viewpoint(3.0, 4.0, -0.5)
 
 
-def test_nothing_to_see():
-    case = Case()
-    assert case.choose() is None
-    assert case.survey.done
-    assert case.survey.views == 0
-
-
 def test_a_view_stands_until_it_was_looked_at_often_enough():
     case = Case(A)
     assert case.choose() is A
@@ -68,39 +61,6 @@ def test_a_view_stands_until_it_was_looked_at_often_enough():
     case.images = 103
     assert case.choose() is None
     assert (case.survey.done, case.survey.views, case.coverage.left) == (True, 1, [])
-
-
-def test_what_was_seen_on_the_way_need_not_be_gone_to():
-    case = Case(A, B)
-    case.choose()
-    case.coverage.shown.add(A)
-    assert case.choose() is B
-    assert (case.survey.views, case.coverage.left) == (1, [B])
-
-
-def test_where_the_robot_does_not_get_to_nothing_was_looked_at():
-    case = Case(A, B)
-    case.choose()
-    case.survey.give_up()
-    assert case.choose() is B
-    assert (case.survey.views, case.coverage.left) == (0, [B])
-
-
-def test_the_search_may_take_some_ticks():
-    case = Case(A, steps=3)
-    assert [case.choose() for _ in range(2)] == [None, None]
-    assert not case.survey.done
-    assert case.choose() is A
-
-
-def test_a_dropped_view_may_be_sought_again():
-    case = Case(A)
-    case.choose()
-    case.survey.came(0)
-    case.survey.drop()
-    case.images = 50
-    assert case.choose() is A
-    assert case.choose() is A  # it has not come there yet
 
 
 def test_what_shows_less_than_it_seemed_is_no_goal():

@@ -44,14 +44,6 @@ def seen_by(config):
     return sink.detections, status
 
 
-def test_without_a_segmenter_there_are_no_masks():
-    config = settings({"kind": "none"})
-    assert not wants_colour(config)
-    seen, status = seen_by(config)
-    assert status is None
-    assert all(detections.mask is None for detections in seen)
-
-
 def test_masks_go_with_the_detections_and_a_run_replays_the_same():
     config = settings({"kind": "grabcut"})
     assert wants_colour(config)

@@ -79,19 +79,6 @@ def test_of_a_start_there_is_what_it_is_at_and_the_board():
     assert "edge_tick_duration_seconds_count" not in found
 
 
-def test_of_a_board_that_tells_nothing_there_is_nothing():
-    found = Watched(Board({}, {}, {}, {}, {}, {}, None)).scrape()
-    assert not [name for name in found if name.startswith("edge_board")]
-
-
-def test_before_the_first_tick_all_is_there_and_zero():
-    found = Watched().watch().scrape()
-    assert found["edge_tick_duration_seconds_count"] == {(): 0}
-    assert found["edge_faults_total"] == {(): 0}
-    assert found["edge_goal_state"]["none"] == 1
-    assert "edge_goal_age_seconds" not in found
-
-
 def test_after_some_ticks(watched):
     found, loop = watched.scrape(), watched.closed
     assert found["edge_tick_duration_seconds_count"] == {(): 10}
@@ -136,39 +123,6 @@ def test_no_text_of_others_is_a_label():
     page = watched.page()
     assert "xxxx" not in page
     assert 'edge_faults_by_step_total{error="ValueError",step="source"} 1.0' in page
-
-
-@pytest.mark.parametrize(
-    ("change", "name", "expected"),
-    [
-        (lambda s: s.source.counters.update(stale=3, received=9), "edge_source_dropped_total",
-         {"stale": 3}),
-        (lambda s: s.source.counters.update(received=9), "edge_source_received_total", {(): 9}),
-        (lambda s: setattr(s.service.map, "epoch", 2), "edge_pose_jumps_total", {(): 2}),
-        (lambda s: setattr(s.service, "overruns", lambda: {"sensors": 4}), "edge_overruns_total",
-         {"sensors": 4}),
-        (lambda s: s.service.swapper.outcomes.update(kept=1), "edge_model_swaps_total",
-         {"kept": 1, "refused": 0, "rolled back": 0}),
-        (lambda s: setattr(s.service.goals.client, "heard", True), "edge_controller_answers",
-         {(): 1}),
-        (lambda s: setattr(s.worker.stats, "replaced", 5), "edge_detector_images_total",
-         {"detected": 0, "failed": 0, "replaced": 5}),
-    ],
-)  # fmt: skip
-def test_what_the_service_counts_is_told(change, name, expected):
-    watched = Watched().watch()
-    watched.running.source.counters.clear()
-    change(watched.running)
-    assert watched.scrape()[name] == expected
-
-
-def test_the_age_of_a_goal_is_by_the_loops_time():
-    watched = Watched().watch()
-    while watched.closed.service.goal is None:
-        watched.closed.step()
-    goal = watched.closed.service.goal
-    watched.running.now_ns = goal.stamp_ns + 2_500_000_000
-    assert watched.scrape()["edge_goal_age_seconds"] == {(): 2.5}
 
 
 def test_sinks_that_say_how_they_are_tell_what_they_could_not_send():
@@ -226,17 +180,6 @@ def test_in_the_middle_of_a_reload_and_after_it():
     while running.reloader.busy:
         running.reloader.step(0)
     assert watched.scrape()["edge_reloads_total"] == {"switched": 0, "unchanged": 1, "refused": 0}
-
-
-def test_while_it_stops_and_when_its_parts_are_closed():
-    watched = Watched().watch()
-    watched.closed.step()
-    watched.vitals.stopping()
-    watched.running.service.close()
-    watched.running.worker.close()
-    found = watched.scrape()
-    assert found["edge_service_state"]["stopping"] == 1
-    assert found["edge_detector_images_total"]["detected"] == 1
 
 
 def test_scrapes_from_another_thread_while_the_loop_drives_and_its_pose_jumps():

@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from patience import eventually
-from simulated import simulated
 
 from edge.config import DetectorSim, Mapping
 from edge.geometry import se3
-from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.prior import DRAWN_M, LEAST, MOST, PERIOD_NS, Prior, make_prior
+from edge.loop.prior import LEAST, MOST, Prior
 from edge.mapping.grid import RollingMap
 from edge.mapping.points import HEIGHT_CODES
 from edge.mapping.view import MapView
@@ -142,38 +139,6 @@ def test_what_changed_is_looked_at_again():
     assert lifts(p, "toilet", (0.5, 0.5)) == [1]
 
 
-def test_rooms_are_cut_once_a_second():
-    p, things = prior("both"), seen(("toilet paper", 1, 0))
-    for now_ns in range(0, 2 * PERIOD_NS + 1, PERIOD_NS // 10):
-        p.step(walls(), things, now_ns)
-    assert p._worker.stats.done == 3
-
-
-def test_another_map_is_cut_at_once():
-    p, things = prior("cooccurrence"), seen(("toilet paper", 1, 0))
-    p.step(walls((2, -2, 2, 2)), things, 0)
-    p.step(walls(), things, 1)
-    assert lifts(p, "toilet", (2.6, 0)) == [1]
-    p.forget()
-    p.step(walls(), things, 2)
-    assert lifts(p, "toilet", (2.6, 0))[0] > 1
-
-
-def test_beside_the_loop_too():
-    p, things, view = (
-        prior("cooccurrence", inline=False),
-        seen(("toilet paper", 1, 0)),
-        walls((2, -2, 2, 2)),
-    )
-
-    def hidden() -> bool:
-        p.step(view, things, 0)
-        return lifts(p, "toilet", (2.6, 0)) == [1]
-
-    eventually(hidden)
-    p.close()
-
-
 @pytest.mark.parametrize("by", BY)
 def test_a_layer_of_it_says_what_it_says_of_each_place(by):
     p = prior(by)
@@ -209,39 +174,3 @@ def test_a_layer_is_of_when_it_was_asked_for_and_leaves_the_rest_alone():
     assert p._lifts["toilet"] is kept
     assert before == kept.tolist()
     assert not p.layer("toilet")().cells.size
-
-
-def test_a_layer_of_a_large_map_is_coarser():
-    p = prior("both")
-    p.step(walls((14, -14, 14, 14), (-14, -14, -14, 14)), seen(("toilet", 1, 0)), 0)
-    fine = p.layer("toilet")()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("edge.loop.prior.MOST_DRAWN", fine.cells.size // 4)
-        p._layers.clear()
-        coarse = p.layer("toilet")()
-    assert coarse.cells.size <= fine.cells.size // 3
-    assert coarse.resolution_m > fine.resolution_m >= DRAWN_M * 0.9
-
-
-def settings(by: str) -> dict:
-    return {
-        "loop": {"lockstep": True},
-        "sim": {"lockstep": True},
-        "perception": {"prior": by},
-    }
-
-
-def test_policies_get_it():
-    assert make_prior(simulated(settings("none"))) is None
-    loop = ClosedLoop(simulated(settings("both")))
-    for _ in range(40):
-        loop.step()
-    context = loop.service._context
-    xy_m, n = context.candidates.xy_m, context.candidates.n
-    out = np.zeros(n, np.float32)
-    assert context.sightings.n
-    context.prior.lift("pillow", xy_m, n, out)
-    assert (out >= LEAST).all()
-    assert (out <= MOST).all()
-    context.prior.lift("zeppelin", xy_m, n, out)
-    assert (out == 1).all()

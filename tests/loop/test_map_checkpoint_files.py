@@ -49,10 +49,9 @@ def test_every_array_has_its_dtype_shape_and_limits(tmp_path, saved):
         part, _, own = name.partition("/")
         if part == "policy":  # checks its own
             continue
-        assert problem(tmp_path, saved, {name: np.zeros((), np.float16)})
         others = [array[..., None], array.astype("U" if array.dtype.kind != "U" else bool)]
         if array.dtype.kind == "f" and array.size:
-            others += [np.full_like(array, value) for value in (np.nan, np.inf)]
+            others.append(np.full_like(array, np.nan))
         for other in others:
             said = problem(tmp_path, saved, {name: other})
             assert part in said or part == "tiles", (name, other.dtype, other.shape)

@@ -20,7 +20,6 @@ from edge.geometry import SE2, CameraModel, optical, se3
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop
 from edge.loop.plausibility import LASTS_NS, TELL_AGAIN_NS, Plausibility
 from edge.loop.semantic_map import SemanticMap
-from edge.loop.status import status_of
 from edge.types import Observation
 
 PAGE = Path(__file__).parents[2] / "docs/robot.md"
@@ -126,8 +125,7 @@ def test_a_robot_with_wrong_data_stands_says_why_and_drives_on_when_it_is_right(
     assert loop.service.plausibility.failed == ()
 
 
-@pytest.mark.parametrize("begin_s", [0.0, 6.0])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("seed", "begin_s"), [(0, 0.0), (1, 6.0), (2, 6.0)])
 def test_images_that_are_late_under_new_stamps_are_noticed_by_the_motion(seed, begin_s):
     """While the robot drives straight on nothing tells; by the next turn, or stop, it does."""
     world = {"kind": "generated", "seed": seed}
@@ -200,13 +198,6 @@ class Judge:
 
     def failing(self) -> list[str]:
         return [found.name for found in self.stage.failed]
-
-
-def test_an_observation_of_nothing_is_doubted_by_nobody():
-    judge = Judge()
-    assert [judge.see() for _ in range(10)] == [""] * 10
-    assert judge.stage.status()["state"] == "ok"
-    assert judge.said == []
 
 
 def test_a_room_is_believed():
@@ -282,12 +273,6 @@ def test_a_camera_too_close_to_a_wall_lets_the_robot_turn_away_but_not_drive_on(
     assert judge.see(SE2(3.5, 0, 2.0), **empty) == "none", "nothing was close any more"
 
 
-@pytest.mark.parametrize(("x_m", "use"), [(0.0, "map"), (3.0, "")])
-def test_a_wall_that_fills_the_image_may_have_one_colour(x_m, use):
-    grey = room(x_m) | {"rgb": np.full((48, 64, 3), 128, np.uint8)}
-    assert Judge().see(SE2(x_m, 0, 0), **grey) == use
-
-
 @pytest.mark.parametrize("axis", ["drive", "turn"])
 @pytest.mark.parametrize("buffers", [1, 2, 4])
 def test_frames_that_repeat_while_the_robot_moves_are_frozen(axis, buffers):
@@ -316,15 +301,6 @@ def test_frames_that_repeat_while_the_robot_moves_are_frozen(axis, buffers):
 def test_a_robot_that_stands_may_see_the_same_again(poses):
     judge = Judge()
     assert [judge.see(pose, **room()) for pose in poses] == [""] * len(poses)
-
-
-def test_a_frame_that_differs_in_one_pixel_is_another():
-    judge = Judge()
-    for i in range(9):
-        fields = room()
-        fields["depth_m"][1, i + 1] += np.float32(0.001)
-        fields["rgb"][1, i + 1] ^= 1
-        assert judge.see(SE2(0.03 * i, 0, 0), **fields) == ""
 
 
 @pytest.mark.parametrize(
@@ -372,10 +348,3 @@ def test_the_page_has_every_check():
     rows = re.findall(r"^\| `(\w+)` \| .* \| (warn|degrade|stand) \|$", PAGE.read_text(), re.M)
     found = {check.name: check.then for check in (*Judge().stage.checks, *lidar)}
     assert dict(rows) == found
-
-
-def test_the_status_says_what_fails():
-    loop = ClosedLoop(simulated(), colour=False)
-    loop.step()
-    said = status_of(loop.service.result())["plausibility"]
-    assert (said["state"], said["failed"]) == ("ok", {})

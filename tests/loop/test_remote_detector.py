@@ -71,7 +71,7 @@ def test_ticks_go_on_while_a_server_holds_an_image_and_after_it_is_gone(remote):
         assert status_of(run.service.result())["detector"]["state"] == "ok"
         server.behave = lambda handler: handler.connection.shutdown(socket.SHUT_RDWR)
         again, stop = blanks(closed, 60), threading.Event()
-        run.source._observations = again
+        run.source.observations = again
         loop(run, stop, each=lambda: None if again else stop.set())
         assert run.service.latency.report().tick.count == 120
         eventually(lambda: worker.idle)

@@ -8,22 +8,17 @@ import logging
 import subprocess
 import sys
 import threading
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from patience import PATIENCE_S
 from simulated import simulated
 
 from edge import launch
-from edge.bus.client import ask
 from edge.config import Config
 from edge.errors import ConfigError, Stopped
 from edge.host.checkpoint import Checkpoint, save
 from edge.host.ports import free_port
 from edge.launch import open_service
-from edge.loop.runner import loop
-from edge.loop.status import status_of
 from edge.mission.checkpoint import MISSION, MissionState
 
 UNFINISHED = MissionState(
@@ -157,28 +152,3 @@ def test_a_stop_while_the_service_starts_ends_that_with_the_step_at_hand(monkeyp
     assert made == STEPS[: STEPS.index(last) + 1]
     told = [r.getMessage() for r in caplog.records if r.name == "edge"]
     assert told == ["stopped before it was ready"]
-
-
-def test_the_status_tells_of_every_ring_that_was_overrun():
-    with open_service(config(target="bed"), []) as running:
-        running.source.inbox._ring.overruns = 3
-        running.servers["mission/request"]._ring.overruns = 2
-        running.source.counters["overrun"] = 1
-        assert status_of(running.service.result())["loop"]["overruns"] == {
-            "sensors": 1, "goal_status": 3, "mission/request": 2, "models/request": 0,
-        }  # fmt: skip
-
-
-def test_after_a_formula_requests_are_read_by_the_configured_translator():
-    settings, stop = config(target="bed"), threading.Event()
-    key = f"{settings.zenoh.prefix}/mission/request"
-    request = {"do": "new", "instruction": "go to the sofa"}
-    with (
-        ThreadPoolExecutor(1) as pool,
-        open_service(settings, [], formula="F chair") as running,
-    ):
-        assert running.service.mission.brief.targets == ("chair",)
-        answer = pool.submit(ask, running.session, key, request, PATIENCE_S, "mission")
-        answer.add_done_callback(lambda _: stop.set())
-        loop(running, stop)
-        assert answer.result()["formula"] == "F sofa"

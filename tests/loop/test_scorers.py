@@ -82,13 +82,6 @@ def test_a_model_that_is_swapped_in_is_loaded_in_a_process_first(isolation):
     scorers.swap.close()
 
 
-def test_without_scorers_nothing_runs():
-    loop = ClosedLoop(simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}}))
-    loop.step()
-    assert loop.scorers is None
-    assert status_of(loop.service.result())["scorers"] == {}
-
-
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_what_the_scorer_says_is_taken_up(lockstep):
     with serving(model()) as server:
@@ -122,16 +115,6 @@ def test_the_robot_goes_on_when_the_server_never_answers():
         loop.close()  # or the time limit of the test is over before that of the server
 
 
-def test_a_server_that_lies_is_counted_and_the_loop_goes_on(caplog):
-    with serving(lambda h: send(h, likeliest({"A": float("nan")}))) as server:
-        loop = frontiers_in_view(ClosedLoop(settings(server.url)))
-        scorers = loop.scorers.status
-        eventually(lambda: loop.step() or scorers()["choice"]["failed"])
-        loop.close()
-    assert "a logprob that is none" in scorers()["choice"]["last_error"]
-    assert len([r for r in caplog.records if "choice" in r.getMessage()]) == 1
-
-
 def test_after_a_jump_of_the_pose_nothing_said_before_counts():
     with serving(model()) as server:
         loop = frontiers_in_view(ClosedLoop(settings(server.url)))
@@ -157,19 +140,6 @@ def test_no_one_is_asked_while_the_mission_is_paused_or_over():
         loop.step()
         assert len(server.requests) == asked
         loop.service.mission.pause(False)
-        loop.step()
-        assert len(server.requests) > asked
-        loop.close()
-
-
-def test_a_scorer_that_rests_is_asked_nothing_and_what_it_said_stays():
-    with serving(model()) as server:
-        loop = frontiers_in_view(ClosedLoop(settings(server.url, lockstep=True)))
-        asked, said = len(server.requests), loop.scorers.answers.choice
-        loop.scorers.resting = frozenset({"choice"})
-        loop.step()
-        assert (len(server.requests), loop.scorers.answers.choice) == (asked, said)
-        loop.scorers.resting = frozenset({"similarity"})
         loop.step()
         assert len(server.requests) > asked
         loop.close()
@@ -220,24 +190,6 @@ def test_the_running_detectors_scores_are_taken_from_its_detections():
     assert loop.scorers.names() == [name]
 
 
-def test_what_was_seen_a_moment_ago_is_told_by_where_it_is():
-    tracker = InstanceTracker(simulated().perception)
-    seen_ns = 5 * SIGHTED_NS
-    things = [("bed", "seen", 3, 0.0), ("tv", "confirmed", 3, 1.0), ("sofa", "refuted", 3, 1.0)]
-    things += [("lamp", "seen", 1, 1.0), ("desk", "seen", 3, -1e-9)]
-    for i, (label, state, hits, ago) in enumerate(things):
-        center = np.array([4.0 - i, 1.0, 0.5], np.float32)
-        last_ns = seen_ns - int(ago * SIGHTED_NS)
-        tracker.adopt(Instance(i, label, center, center[None], 0.5, hits, 0, last_ns, state))
-    at = Observation(0, seen_ns, SE2(3.0, 1.0, math.pi / 2).matrix())
-    told = sightings(tracker, None, at)
-    assert [s.label for s in told] == ["tv", "bed", "desk"]  # by distance: 0, 1 and 3 m
-    assert told[1].bearing_rad == pytest.approx(-math.pi / 2)
-    assert [s.distance_m for s in told] == pytest.approx([0.0, 1.0, 3.0])
-    later = replace(at, stamp_ns=seen_ns + 1)
-    assert [s.label for s in sightings(tracker, None, later)] == ["bed", "desk"]
-
-
 def test_what_stands_around_is_told_too():
     tracker, around = InstanceTracker(simulated().perception), Sightings(8)
     seen_ns = 5 * SIGHTED_NS
@@ -261,7 +213,3 @@ def test_what_stands_around_is_told_too():
 def test_bad_cards_are_one_line_at_the_start(perception):
     with pytest.raises(ModelError, match=r"^perception\.similarity: model '[^\n]*$"):
         make_scorers(simulated({"perception": perception}), ("chair",))
-
-
-def test_nothing_configured_makes_nothing():
-    assert make_scorers(simulated(), ("chair",)) is None

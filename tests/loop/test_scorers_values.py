@@ -135,40 +135,6 @@ def test_every_target_is_asked_about_the_active_one_most(feeds, asked):
     assert case.grid.values.weight.any(axis=(0, 1)).tolist() == [feeds == "choice"] * 3
 
 
-class Similar:
-    name = "similar"
-
-    def score(self, rgb, prompts):
-        return np.array([0.3, 0.6], np.float32)
-
-    def close(self):
-        pass
-
-
-@pytest.mark.parametrize("feeds", ["similarity", None])
-def test_the_score_of_a_whole_view_is_written_for_every_target(feeds):
-    case = Case(Scorers(Similar(), None, inline=True, feeds=feeds))
-    case.ask(SE2(0.0, 0.0, math.pi), frontiers())
-    case.scorers.take_up(case.grid.values)
-    assert case.scorers.answers.similarity.score.tolist() == pytest.approx([0.3, 0.6])
-    if feeds is None:
-        assert not case.grid.values.weight.any()
-        return
-    there, behind = case.best((-2.0, 0.0), (2.0, 0.0))
-    assert there == pytest.approx(0.3, abs=1e-4)
-    assert np.isnan(behind)
-    assert case.best((-2.0, 0.0), target="sofa")[0] == pytest.approx(0.6, abs=1e-4)
-
-
-def test_the_running_detectors_scores_are_written_where_it_looked_from():
-    case = Case(Scorers(None, None, from_detections="x", feeds="similarity"))
-    seen = detections(targets=[("sofa", 0.4)], observation=seen_from(SE2(0.0, 0.0, math.pi / 2)))
-    case.scorers.saw(seen, case.grid.values)
-    assert case.best((0.0, 2.0), target="sofa")[0] == pytest.approx(0.4, abs=1e-4)
-    assert case.best((0.0, 2.0))[0] == 0.0  # seen, and no bed there
-    assert np.isnan(case.best((2.0, 0.0))).all()
-
-
 # -- scores by what stands around ----------------------------------------------------------
 
 
@@ -201,11 +167,6 @@ def test_related_things_promise_a_target_by_how_often_they_share_a_room():
     got = score(detections([("bed", 0.1), ("sofa", 0.9)], around))
     by_sofa = given(load(), BOTH, ("sofa",))[0, 0] * 0.9
     assert got == pytest.approx([max(p[0, 0] * 0.8, by_sofa), 0.9], abs=1e-6)
-
-
-def test_of_a_target_that_the_table_lacks_only_its_own_boxes_tell():
-    seen = detections([("lampion", 0.3)], [("pillow", 0.9)], prompts=("lampion",))
-    assert RelatedScores()(seen).tolist() == pytest.approx([0.3])
 
 
 class Favour:
@@ -256,8 +217,6 @@ BY_PRIOR = {"choice": {"kind": "cooccurrence"}}
 @pytest.mark.parametrize(
     ("policy", "perception"),
     [
-        ({"kind": "vlfm"}, RELATED),
-        ({"kind": "directional"}, BY_PRIOR),
         ({"kind": "adaptive"}, RELATED),
         ({"kind": "adaptive", "by": "choice"}, BY_PRIOR),
     ],
@@ -286,13 +245,6 @@ def test_a_robot_without_any_server_finds_things_by_related_ones(policy, percept
     assert not service.map.grid.values.weight.any()
 
 
-def test_a_policy_that_goes_by_no_values_has_none():
-    loop = ClosedLoop(simulated({"perception": {"similarity": "cooccurrence-similarity"}}))
-    loop.step()
-    assert loop.service.map.grid.values.value.size == 0
-    assert loop.scorers.answers.similarity is not None
-
-
 @pytest.mark.parametrize(
     ("reaches", "others"),
     [
@@ -310,11 +262,3 @@ def test_ways_are_those_to_the_marks_and_the_rest_of_the_frontiers(reaches, othe
     np.testing.assert_allclose(ways.path_m, [7.0, 4.5])
     np.testing.assert_allclose(ways.gain_m2, [3.0, 2.0])
     np.testing.assert_allclose(ways.others, others)
-
-
-def test_without_marks_all_frontiers_are_others():
-    candidates = frontiers((4.0, 1.0))
-    candidates.path_m[0], candidates.gain_m2[0] = 4.5, 2.0
-    ways = ways_to(candidates, np.arange(1), ())
-    assert ways.path_m.shape == ways.gain_m2.shape == (0,)
-    np.testing.assert_allclose(ways.others, [1.0, 4.5, 2.0])

@@ -28,7 +28,10 @@ TICK_NS = 100_000_000
 
 
 def config(**sections: dict) -> Config:
-    base = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}, "mission": {}}
+    base = {
+        "loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}, "mission": {},
+        "sensors": {"camera": {"width_px": 160, "height_px": 128}},
+    }  # fmt: skip
     return simulated({**base, **sections})
 
 
@@ -39,21 +42,10 @@ def test_a_first_frame_with_nothing_in_it_is_no_trouble():
     assert loop.service.status.phase == "searching"
 
 
-@pytest.mark.parametrize("target", ["television", "bed"])
-def test_it_reaches_what_it_was_told_to_find(target):
-    loop = ClosedLoop(config(mission={"target": target}), colour=False).run(240)
-    assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
-    assert loop.distance_m(target) <= 1.0
-    assert loop.drive.motion.collisions == 0
-
-
 @pytest.mark.parametrize(
     ("seed", "rate_hz"),
     [
         pytest.param(1, 30, marks=pytest.mark.slow),
-        pytest.param(2, 30, marks=pytest.mark.slow),
-        pytest.param(3, 30, marks=pytest.mark.slow),
-        (1, 5),
         (2, 5),
         (3, 5),
     ],
@@ -84,14 +76,6 @@ def test_every_goal_is_a_free_reachable_cell():
     assert loop.notes.goals
 
 
-def test_the_same_observations_give_the_same_goals():
-    runs = [
-        ClosedLoop(config(mission={"target": "television"}), colour=False).run(15) for _ in range(2)
-    ]
-    assert runs[0].notes.goals == runs[1].notes.goals
-    assert len(runs[0].notes.goals) > 0
-
-
 def test_a_result_says_the_same_later():
     loop = ClosedLoop(config(mission={"target": "bed"}), colour=False)
     while not (result := loop.service.result()).instances():
@@ -106,40 +90,6 @@ def test_a_result_says_the_same_later():
     loop.run(60)
     assert loop.service.status.phase == "reached"
     assert told() == before
-
-
-def test_something_that_is_not_there_ends_with_the_reason():
-    loop = ClosedLoop(
-        config(mission={"target": "surfboard", "path_limit_m": 4.0}), colour=False
-    ).run(120)
-    assert loop.service.status.phase == "failed"
-    assert "limit" in loop.service.status.reason
-
-
-def test_a_goal_that_failed_is_not_chosen_again_at_once():
-    loop = ClosedLoop(config(mission={"target": "surfboard"}), colour=False)
-    while not any(g.kind == "frontier" for g in loop.notes.goals):
-        loop.step()
-    bad = loop.service.goal
-    loop.service.goal_answered(GoalStatus(bad.stamp_ns, "failed", "no way"))
-    for _ in range(3):
-        loop.step()
-    after = loop.service.goal
-    assert after is None or after.candidate_id != bad.candidate_id
-    assert any("no way" in event for event in loop.notes.events)
-
-
-@pytest.mark.parametrize(("away_m", "done"), [(0.4, True), (0.8, False)])
-def test_a_frontier_that_the_robot_came_near_is_done_with(away_m, done):
-    """Else it turns to another, and back when the first is no longer too near to be a goal."""
-    loop = driving()
-    service, pose = loop.service, loop.drive.motion.odometry
-    near = (pose.x_m + away_m, pose.y_m)
-    present = service.goals._present
-    present.goal = replace(present.goal, candidate_xy_m=near)
-    service.goals._follow(present, pose, loop.drive.motion.stamp_ns, 0)
-    assert (service.goal is None) == done
-    assert any(xy == pytest.approx(near) for xy in service.map.pool._discarded_xy_m) == done
 
 
 TOPIC = {"ros2": {"goals": "topic"}, "sinks": ["zenoh", "ros2"]}  # which nobody answers
@@ -219,17 +169,6 @@ def test_a_robot_that_sees_nothing_any_more_is_stopped_where_it_is():
     assert service.goal is notes.goals[-1]
 
 
-def test_rare_frames_are_waited_for():
-    loop = driving()
-    slow = config(sensors={"camera": {"rate_hz": 1.0}}, mission={"target": "surfboard"})
-    loop.service.blind_s = ClosedLoop(slow, colour=False).service.blind_s
-    seen_ns, before = loop.drive.motion.stamp_ns - TICK_NS, len(loop.notes.goals)
-    loop.service.idle(seen_ns + 29 * TICK_NS, loop.service.pose)
-    assert len(loop.notes.goals) == before
-    loop.service.idle(seen_ns + 31 * TICK_NS, loop.service.pose)
-    assert len(loop.notes.goals) == before + 1
-
-
 def waiting(how: str) -> ClosedLoop:
     """A mission of at most 5 s whose sensors have not spoken yet, nor have since it began."""
     loop = ClosedLoop(config(mission={"target": "bed", "time_limit_s": 5.0}), colour=False)
@@ -257,14 +196,6 @@ def test_a_missions_time_runs_from_its_first_observation_on(how, pose):
     for i in range(601, 660):  # sensors that have gone must not keep a mission for ever
         service.idle(START_NS + i * TICK_NS, pose)
     assert service.status.reason == "time limit of 5 s"
-
-
-def test_a_mission_ends_in_time_though_every_tick_fails():
-    loop = ClosedLoop(config(mission={"target": "bed", "time_limit_s": 5.0}), colour=False)
-    for i in range(60):
-        now_ns = START_NS + i * TICK_NS
-        loop.service.idle(now_ns, None, blank_observation(i, now_ns, SE2(0, 0, 0), loop))
-    assert loop.service.status.reason == "time limit of 5 s"
 
 
 @pytest.mark.parametrize("blind", [False, True])
@@ -298,15 +229,6 @@ def test_a_goal_that_nothing_replaces_is_taken_back_after_a_while(ticks_without,
     assert loop.service.goal is loop.notes.goals[-1]
 
 
-def test_answers_to_old_goals_are_void():
-    loop = ClosedLoop(config(mission={"target": "surfboard"}), colour=False).run(3)
-    now = loop.service.goal
-    loop.service.goal_answered(GoalStatus(1, "failed", "old"))
-    assert loop.service.goal is now
-    loop.step()
-    assert not any("old" in event for event in loop.notes.events)
-
-
 @pytest.mark.parametrize("off_ns", [0, 128, -240, 1000])
 def test_a_stamp_that_went_through_a_double_is_that_of_its_goal(off_ns, caplog):
     service = ClosedLoop(config(mission={"target": "surfboard"}), colour=False).run(3).service
@@ -315,27 +237,6 @@ def test_a_stamp_that_went_through_a_double_is_that_of_its_goal(off_ns, caplog):
     assert service.goals.answer == GoalStatus(stamp_ns, "accepted", "rounded")
     assert service._publisher.answers[-1].stamp_ns == stamp_ns  # by which it is not sent again
     assert "goal_status" not in caplog.text
-
-
-@pytest.mark.parametrize("off_ns", [1001, -5_000_000, -1_700_000_000_000_000_000])
-def test_a_stamp_of_no_goal_is_reported_once(off_ns, caplog):
-    loop = ClosedLoop(config(mission={"target": "surfboard"}), colour=False)
-    loop.service.goal_answered(GoalStatus(5, "accepted"))  # to another service, before any goal
-    service = loop.run(3).service
-    stamp_ns = service.goal.stamp_ns + off_ns
-    for _ in range(2):
-        service.goal_answered(GoalStatus(stamp_ns, "failed", "rounded"))
-    assert service.goals.answer.reason != "rounded"
-    assert caplog.text.count(f"no goal has the stamp {stamp_ns} (the nearest is ") == 1
-
-
-def test_a_pose_jump_forgets_the_map():
-    loop = ClosedLoop(config(), colour=False).run(2)
-    assert loop.service.map.grid.known_m2 > 1.0
-    loop.service.forget_places(loop.drive.motion.stamp_ns)
-    assert loop.service.map.grid.known_m2 == 0.0
-    loop.step()
-    assert loop.service.map.grid.known_m2 > 1.0
 
 
 def test_a_map_that_a_pose_jump_ends_is_let_go_without_the_collector():

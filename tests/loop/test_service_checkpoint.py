@@ -39,12 +39,6 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "mission.json"
 
 
-def test_without_a_checkpoint_no_mission_is_saved(path):
-    checkpoint = run_of(path, "F bed").service.checkpoint
-    assert (checkpoint.saved, checkpoint.brief(), checkpoint.problem) == (None, None, "")
-    checkpoint.close()
-
-
 def test_which_reading_was_taken_is_saved(path):
     run = run_of(path, "the sofa must be visited before the bed", "grammar").ticks(1)
     before = run.service.mission.brief

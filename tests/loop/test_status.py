@@ -6,7 +6,7 @@ import json
 from dataclasses import replace
 
 from results import facts, result
-from task_facts import HOSTILE, INSTRUCTION, by_a_model, driving, looking, written
+from task_facts import HOSTILE, INSTRUCTION, by_a_model, driving, written
 
 from edge.loop.status import MOST_POSES, MOST_ROUNDS, answer_of, status_of, task_of
 from edge.tasks.refine import Refined
@@ -20,19 +20,6 @@ def long_one() -> Refined:
     refined = written()[1]
     poses = refined.poses[[0] * 4000 + list(range(len(refined.poses))) * 9][:5000]
     return replace(refined, poses=poses)
-
-
-def test_without_a_task_there_is_none():
-    assert task_of(None) is None
-    assert status_of(result())["task"] is None
-    assert answer_of(MissionStatus("chair", "searching"), facts())["task"] is None
-
-
-def test_before_it_is_written_it_has_no_trajectory():
-    said = task_of(looking())
-    assert (said["phase"], said["missing"]) == ("looking", ["van", "gate"])
-    assert said["steps"][1] == {"said": "stop at the gate", "state": "looked for"}
-    assert (said["trajectory"], said["index"], said["length_m"]) == ([], -1, 0.0)
 
 
 def test_a_task_that_is_driven():

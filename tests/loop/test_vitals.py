@@ -19,7 +19,7 @@ from edge.host.service_manager import ServiceManager
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.faults import DEGRADED_AFTER
 from edge.loop.runner import Running
-from edge.loop.vitals import HANGS_S, PROBES, Vitals
+from edge.loop.vitals import HANGS_S, Vitals
 from edge.perception.runtime.health import Health
 from edge.perception.worker import DetectorWorker
 from edge.sources.synchronizer import TimeSynchronizer
@@ -71,20 +71,6 @@ def watched(tmp_path) -> Iterator[Watched]:
         yield Watched(listening, str(tmp_path / "notify"))
 
 
-def test_every_page_is_a_probe(watched):
-    assert tuple(watched.vitals.pages()) == PROBES
-
-
-def test_a_start_is_alive_but_not_ready(watched):
-    watched.vitals.starting("preparing kernels 1/6: mapping")
-    assert watched.told()[1] == "STATUS=preparing kernels 1/6: mapping"
-    watched.now_s += 1e4  # a start has limits of its own, with the manager
-    assert watched.page("/healthz")[0] == 200
-    status, said = watched.page("/readyz")
-    assert status == 503
-    assert said["why"] == ["starting: preparing kernels 1/6: mapping"]
-
-
 def test_it_is_ready_once_it_sees(watched):
     watched.vitals.ready()
     assert watched.told() == ["READY=1"]
@@ -119,21 +105,6 @@ def test_it_says_which_input_is_missing_and_logs_that_once(watched, caplog):
     assert watched.page("/readyz")[0] == 200
 
 
-def test_refused_observations_are_as_good_as_none_and_ready_says_why(watched):
-    watched.vitals.ready()
-    service, (seen,) = watched.running.service, blanks(watched.closed, 1)
-    dead = replace(seen, depth_m=np.zeros_like(seen.depth_m))
-    why = "nothing to be seen: camera/depth: only 0.0% of the pixels have a value: uncover the "
-    for i in range(3):
-        service.tick(replace(dead, stamp_ns=seen.stamp_ns + i), seen.stamp_ns + i)
-        watched.beat(1.0)
-        status, said = watched.page("/readyz")
-        assert (status, said["why"][0][: len(why)]) == (503, why)
-    service.tick(replace(seen, stamp_ns=seen.stamp_ns + 9), seen.stamp_ns + 9)
-    watched.beat(1.0)
-    assert watched.page("/readyz")[0] == 200
-
-
 def test_data_that_is_doubted_is_not_ready(watched):
     watched.vitals.ready()
     watched.see()
@@ -143,14 +114,6 @@ def test_data_that_is_doubted_is_not_ready(watched):
     service.plausibility = SimpleNamespace(why={"degrade": "floor: not there", "stand": ""}.get)
     watched.beat(1.0)
     assert watched.page("/readyz")[1]["why"] == ["floor: not there"]
-
-
-def test_a_source_that_cannot_tell_of_its_inputs_does_not_end_the_loop(watched):
-    watched.running.service.inputs = lambda: 1 / 0
-    watched.vitals.ready()
-    watched.beat()
-    assert watched.vitals.amiss() == ("nothing to be seen",)
-    assert watched.running.service.faults.failures == {"inputs: ZeroDivisionError": 1}
 
 
 def test_signs_of_life_come_from_beats_alone_and_no_oftener_than_need_be(watched):
@@ -219,21 +182,6 @@ def test_a_detector_that_hangs_at_an_image_is_noticed(watched):
     worker.close()
     watched.beat(1.0)
     assert watched.vitals.amiss() == ("nothing to be seen",)
-
-
-def test_a_status_is_told_when_it_changes(watched):
-    watched.vitals.ready()
-    assert [line for line in watched.beat() if line.startswith("STATUS")]
-    assert not [line for line in watched.beat(1.5) if line.startswith("STATUS")]
-
-
-def test_a_stop_is_told(watched):
-    watched.vitals.ready()
-    watched.vitals.stopping()
-    assert watched.told() == ["READY=1", "STOPPING=1"]
-    assert watched.page("/readyz") == (503, {"ok": False, "state": "stopping", "why": ["stopping"]})
-    watched.now_s += 1e3
-    assert watched.page("/healthz")[0] == 200
 
 
 def test_that_no_file_can_be_opened_is_told_once_and_makes_it_not_ready(

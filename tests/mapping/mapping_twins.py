@@ -11,6 +11,7 @@ import numpy as np
 
 from edge import config
 from edge.geometry import SE2, CameraModel, optical, se3
+from edge.mapping import layers as ly
 from edge.mapping.grid import RollingMap
 
 CAMERA = CameraModel.from_hfov(160, 120, math.radians(75))
@@ -88,7 +89,7 @@ def room(half_m: float, height_m: float = 2.5) -> list[Box]:
 def window(grid: RollingMap, layer: str) -> np.ndarray:
     """A layer in window coordinates: [0, 0] is the lower-left cell."""
     shift_x, shift_y = grid.window.shift
-    array = getattr(grid._layers, layer)
+    array = getattr(grid.layers, layer)
     if array.dtype == np.uint64:
         array = np.unpackbits(array.view(np.uint8), axis=1, bitorder="little")
     return np.roll(array, (-shift_y, -shift_x), axis=(0, 1))
@@ -313,3 +314,28 @@ def basins(cells, apart, order, door_half_m, narrower, least_cells):
     for y, x in sorted(of):
         label[y, x] = number.setdefault(of[(y, x)], len(number) + 1)
     return label
+
+
+def writable(grid: RollingMap) -> ly.Layers:
+    """The map's layers, for a test that makes a map by hand."""
+    return grid._layers
+
+
+def set_free(grid: RollingMap, x: int, y: int) -> None:
+    """Free a cell of the window."""
+    ly.set_free(writable(grid), *grid.window.shift, x, y, grid._changed)
+
+
+def occupy(grid: RollingMap, x: int, y: int) -> None:
+    """Occupy a cell of the window, where it is not yet."""
+    layers, n, (sx, sy) = writable(grid), grid.window.n, grid.window.shift
+    at = (y + sy) % n, (x + sx) % n
+    if layers.raw[at] < ly.OCCUPIED:
+        layers.raw[at] = ly.OCCUPIED
+        ly.bit_set(layers.known, *at, True)
+        ly.add_disc(layers, sx, sy, x, y, 1, grid._disc, (0, 0, n, n), grid._changed)
+
+
+def move_to(grid: RollingMap, x: int, y: int) -> None:
+    """Put the window around a cell."""
+    grid._follow(x, y)

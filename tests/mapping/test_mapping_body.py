@@ -10,8 +10,7 @@ from simulated import simulated
 
 from edge.geometry import SE2, se3
 from edge.mapping.grid import RollingMap
-from edge.mapping.layers import BUMPED, OCCUPIED
-from edge.mapping.points import TALL
+from edge.mapping.layers import OCCUPIED
 
 NOTHING = np.full((120, 160), np.nan, np.float32)
 
@@ -46,17 +45,6 @@ def test_the_robot_passes_under_what_is_higher_than_itself(height_m, thing, stat
     low_m, high_m = thing
     look(grid, ORIGIN, [(1.5, -0.6, low_m, 2.1, 0.6, high_m), *room(2.5)])
     assert grid.state_at(1.52, 0.0) == state
-
-
-@pytest.mark.parametrize("height_m", [0.3, 0.8])
-@pytest.mark.parametrize(("high_m", "tall"), [(0.3, False), (0.6, False), (2.0, True)])
-def test_a_low_robot_tells_walls_from_furniture_too(height_m, high_m, tall):
-    """Rooms are cut, and sight ends, at what is tall for people, not for the robot."""
-    grid = RollingMap(of_robot(height_m=height_m).mapping)
-    look(grid, ORIGIN, [(1.5, -0.6, 0.0, 2.1, 0.6, high_m)])
-    top = twins.window(grid, "top")[twins.window(grid, "raw") >= OCCUPIED]
-    assert top.size
-    assert (top.max() >= TALL) == tall
 
 
 def test_an_overhang_does_not_make_what_is_under_it_higher():
@@ -125,14 +113,3 @@ def test_where_the_robot_stands_is_free_whatever_was_there(radius_m):
         grid.update_depth(NOTHING, CAMERA, SE2(x, 0.0, 0.0).matrix(), T_BASE_CAMERA)
     assert grid.state_at(-0.08, 0.0) == 0
     np.testing.assert_array_equal(twins.states(grid) == 100, twins.window(grid, "near") > 0)
-
-
-def test_a_touched_place_stays_closed_next_to_the_body():
-    grid, pose = map_of(radius_m=0.2), ORIGIN
-    grid.update_depth(NOTHING, CAMERA, pose.matrix(), T_BASE_CAMERA)
-    assert grid.bumps.close(pose, (0.2, 0.0), 0.2, 0)
-    closed = int(np.count_nonzero(grid.layers.raw == BUMPED))
-    assert closed
-    for _ in range(3):
-        grid.update_depth(NOTHING, CAMERA, pose.matrix(), T_BASE_CAMERA)
-    assert np.count_nonzero(grid.layers.raw == BUMPED) == closed

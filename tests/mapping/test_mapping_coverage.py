@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, complete, look, room, seen_around
+from mapping_twins import CAMERA, T_BASE_CAMERA, complete, look, room, seen_around
 
 from edge.geometry import SE2, optical, se3
 from edge.mapping import coverage as cv
@@ -87,13 +87,6 @@ def random_world(seed: int, n: int = 128):
     looks = rng.choice([0, 1, 2, 3, 126, 127], (n >> BITS, n >> BITS)).astype(np.uint8)
     stored = np.roll(looks, (shift[1] >> BITS, shift[0] >> BITS), axis=(0, 1))
     return rng, layers, raw, looks, stored, shift, origin
-
-
-def test_nothing_is_sought_where_nothing_was_seen():
-    grid = RollingMap(SMALL)
-    grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0)), 3.0, 1)
-    assert searched(grid) is None
-    assert not grid.coverage.looks.any()
 
 
 def test_nothing_is_sought_before_a_camera_looked():
@@ -200,15 +193,6 @@ def place(grid: RollingMap, x_m: float, y_m: float) -> int:
     return int(grid.coverage.looks[y % m, x % m])
 
 
-def test_another_target_was_looked_for_nowhere():
-    grid = explored()
-    grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0)), 3.0, 1)
-    assert place(grid, 1.5, 0.1) == 1
-    assert place(grid, -1.5, 0.1) == place(grid, 0.5, 0.1) == 0
-    grid.coverage.forget()
-    assert place(grid, 1.5, 0.1) == 0
-
-
 def test_a_camera_that_looks_aside_is_turned_there():
     grid = explored()
     mount = optical(se3(0.1, 0.0, 0.6))
@@ -217,36 +201,6 @@ def test_a_camera_that_looks_aside_is_turned_there():
     assert grid.coverage.camera_yaw_rad == pytest.approx(math.pi / 2)
     assert place(grid, 0.1, 1.5) == 1
     assert place(grid, 1.5, 0.1) == 0
-
-
-@pytest.mark.parametrize("enough", [1, 127, 500])
-def test_what_is_written_off_stays_so(enough):
-    grid = explored()
-    grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0)), 3.0, enough)
-    while (view := searched(grid)) is not None:
-        grid.coverage.write_off(view)
-        assert not grid.coverage.worth(view)
-
-
-def test_a_map_from_a_cloud_serves_as_well():
-    grid = RollingMap(SMALL)
-    circle = np.arange(0, 2 * math.pi, 0.02)
-    rings = [(0.1 * k, 0.0) for k in range(4, 20)] + [(2.0, 0.5)]
-    cloud = [np.stack([r * np.cos(circle), r * np.sin(circle), 0 * circle + z]) for r, z in rings]
-    points = (np.concatenate(cloud, axis=1).T - (0, 0, 0.5)).astype(np.float32)
-    for _ in range(3):
-        grid.update_cloud(points, np.eye(4), se3(z_m=0.5))
-    complete(grid, SE2(0.0, 0.0, 0.0))
-    grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0)), 3.0, 1)
-    assert place(grid, 1.5, 0.0) == 1
-    view = searched(grid)
-    assert abs(view.heading_rad) > 0.5
-
-
-@pytest.mark.parametrize("resolution_m", [0.01, 0.05, 0.1, 0.3, 1.0])
-def test_a_place_is_about_a_quarter_of_a_metre(resolution_m):
-    side_m = resolution_m * 2 ** Coverage(make_layers(64), Window(64, resolution_m))._bits
-    assert side_m == pytest.approx(max(0.25, resolution_m), rel=0.45)
 
 
 @given(
@@ -281,17 +235,3 @@ def test_coverage_rolls_with_the_map():
     for x in np.arange(0.0, 40.0, 1.0):
         look(grid, SE2(float(x), 0.0, 0.0), [])
     assert not grid.coverage.looks.any()
-
-
-def test_a_snapshot_tells_how_well_each_place_was_looked_at():
-    grid = explored()
-    assert grid.coverage.snapshot().cells.size == 0
-    for looks in (1, 2, 3):
-        grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0)), 1.6, 2)
-        shown = grid.coverage.snapshot()
-        assert set(np.unique(shown.cells)) == {0, (127, 255, 255)[looks - 1]}
-    rows, columns = np.nonzero(shown.cells)
-    ahead_m = shown.centres_m(rows, columns)
-    assert np.all(ahead_m[:, 0] > 0.3)
-    assert np.all(np.hypot(*ahead_m.T) < 2.2)
-    assert len(rows) == np.count_nonzero(grid.coverage.looks)

@@ -19,6 +19,10 @@ from edge.mapping import grid as grid_module
 from edge.mapping.grid import RollingMap
 
 
+def clusters_of(grid: RollingMap) -> cl.Clusters:
+    return grid._clusters
+
+
 def components(cells: np.ndarray) -> list[set[tuple[int, int]]]:
     """8-connected components of a boolean array, as sets of (x, y)."""
     left = {(int(x), int(y)) for y, x in np.argwhere(cells)}
@@ -48,7 +52,7 @@ def check(grid: RollingMap, cut: bool = False) -> None:
     np.testing.assert_array_equal(twins.window(grid, "frontier") > 0, expected)
     label = twins.window(grid, "label")
     np.testing.assert_array_equal(label > 0, expected)
-    size = grid._clusters.size
+    size = clusters_of(grid).size
     for group in components(expected):
         ids = {int(label[y, x]) for x, y in group}
         assert cut or len(ids) == 1, "only clusters that were cut at the limit may be apart"
@@ -63,7 +67,7 @@ def check_targets(grid: RollingMap, expected: np.ndarray, label: np.ndarray) -> 
     cells = np.floor(f.xy_m[: f.n] / grid.resolution_m).astype(int) - grid.window.origin
     assert all(expected[y, x] for x, y in cells), "targets are frontier cells"
     np.testing.assert_array_equal([label[y, x] for x, y in cells], f.cluster[: f.n])
-    size = grid._clusters.size
+    size = clusters_of(grid).size
     assert set(f.cluster[: f.n]) == set(np.flatnonzero(size >= grid_module.FRONTIER_MIN_CELLS))
     for k in set(f.cluster[: f.n]):
         own = f.xy_m[: f.n][f.cluster[: f.n] == k]
@@ -91,9 +95,9 @@ def test_the_frontier_set_is_right_after_random_updates_and_rolls(seed):
             bx, by = x + rng.uniform(-2.5, 2.5), y + rng.uniform(-2.5, 2.5)
             boxes.append((bx, by, 0.0, bx + rng.uniform(0.1, 1), by + 0.2, rng.uniform(0.2, 2)))
         look(grid, SE2(x, y, rng.uniform(-math.pi, math.pi)), boxes)
-        cut |= bool((grid._clusters.size == cl.MAX_CELLS).any())
+        cut |= bool((clusters_of(grid).size == cl.MAX_CELLS).any())
         check(grid, cut)
-    assert grid._clusters.count[cl.OVERFLOW] == 0
+    assert clusters_of(grid).count[cl.OVERFLOW] == 0
 
 
 def test_a_change_behind_the_robot_moves_the_frontier_there():
@@ -102,10 +106,9 @@ def test_a_change_behind_the_robot_moves_the_frontier_there():
     look(grid, SE2(0, 0, 0), room(2.0))
     x = math.floor(-1.0 / grid.resolution_m) - grid.window.origin[0]
     y = 0 - grid.window.origin[1]
-    from edge.mapping import layers
 
     for dx in range(12):
-        layers.set_free(grid._layers, *grid.window.shift, x + dx, y, grid._changed)
+        twins.set_free(grid, x + dx, y)
     look(grid, SE2(0, 0, 0), room(2.0))
     check(grid)
     assert any(fx < -0.4 for fx in grid.frontiers.xy_m[: grid.frontiers.n, 0])
@@ -162,12 +165,11 @@ def test_more_targets_than_fit_leave_out_small_clusters(monkeypatch):
 def test_clusters_are_cut_at_their_limit(n_cells):
     """A straight frontier of n cells becomes clusters of MAX_CELLS at most, all cells in one."""
     grid = RollingMap(config.Mapping())
-    grid._follow(0, 0)
-    from edge.mapping import layers
+    twins.move_to(grid, 0, 0)
 
     for x in range(n_cells):
-        layers.set_free(grid._layers, *grid.window.shift, 100 + x, 300, grid._changed)
+        twins.set_free(grid, 100 + x, 300)
     grid._refresh_frontiers(True)
-    size = grid._clusters.size
+    size = clusters_of(grid).size
     assert size.sum() == n_cells
     assert (size > 0).sum() == math.ceil(n_cells / cl.MAX_CELLS)

@@ -58,19 +58,6 @@ def test_a_step_settles_no_more_cells_than_allowed():
     assert grid.reach.distance_m(pose.x_m, pose.y_m) == math.inf
 
 
-def test_distances_are_in_metres_and_go_around_walls():
-    grid = RollingMap(SMALL)
-    wall = (1.0, -0.6, 0.0, 1.1, 2.5, 1.0)
-    for x, y in ((0.0, 0.0), (0.0, -1.2), (2.0, -1.2), (2.0, 0.5)):
-        for yaw in np.arange(0, 6.4, 0.3):
-            look(grid, SE2(x, y, yaw), [wall, *room(2.5)])
-    complete(grid, SE2(0.0, 0.5, 0.0))
-    assert grid.reach.distance_m(0.0, -0.5) == pytest.approx(1.0, abs=0.05)
-    around = grid.reach.distance_m(2.0, 0.5)
-    assert 2.8 < around < 4.0, "2 m through the wall"
-    assert grid.reach.distance_m(2.4, 2.49) == math.inf, "inflated"
-
-
 def test_the_nearest_cell_is_free_reached_and_nearest():
     grid, pose = explored(5)
     complete(grid, pose)
@@ -187,7 +174,7 @@ def test_without_a_field_there_is_no_way():
     assert RollingMap(SMALL).reach.way_m(0.0, 0.0).shape == (0, 2)
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_way_goes_back_step_by_step_and_is_as_long_as_the_distance(seed):
     grid, pose = explored(seed)

@@ -8,9 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mapping_twins import basins
 
-from edge.config import Mapping
 from edge.mapping import regions
-from edge.mapping.grid import RollingMap
 from edge.mapping.layers import FREE, OCCUPIED, make_layers
 from edge.mapping.regions import OPEN, UNKNOWN, WALL
 from edge.mapping.window import Window
@@ -104,24 +102,6 @@ def test_the_survey_reads_the_torus(seed):
     got = np.zeros((n // 2, n // 2), np.uint8)
     got[y0 // 2 : y0 // 2 + h, x0 // 2 : x0 // 2 + w] = grid.cells
     np.testing.assert_array_equal(got, world.reshape(n // 2, 2, n // 2, 2).max((1, 3)))
-
-
-def test_nothing_to_survey():
-    config = Mapping()
-    empty = RollingMap(config)
-    assert regions.survey(empty.layers, empty.window, 200, 0.1).cells.size == 0
-    empty.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), np.eye(4))
-    grid = regions.survey(empty.layers, empty.window, 200, 0.1)
-    assert set(np.unique(grid.cells)) == {UNKNOWN, OPEN}  # the robot's own place
-
-
-def test_the_region_of_a_place_is_the_nearest():
-    label, _ = regions.cut(two_rooms(9), CELL_M)
-    xy = np.array([[1, 1], [7, 1], [4.12, 0.5], [4.25, 0.5], [-9, 0], [8.5, 1]], np.float32)
-    out = np.full(6, -1, np.int16)
-    regions.regions_at(label, 0.0, 0.0, CELL_M, xy, 6, 0.7, out)
-    left, right = label[10, 10], label[10, 70]
-    assert out.tolist() == [left, right, left, right, 0, right]
 
 
 @given(seed=st.integers(0, 2**31))

@@ -61,15 +61,6 @@ def test_a_trail_joins_its_ends_by_straight_steps(ends, shift):
     assert len(reached) == np.count_nonzero(marked)
 
 
-def test_the_rim_of_the_window_cuts_a_trail_off():
-    layers = ly.make_layers(N)
-    ly.mark_trail(layers, 0, 0, -5, 0, 2, 0)
-    marked = bits(layers.trail)
-    assert marked[0, :4].all()
-    assert not marked[2:].any()
-    assert not marked[:, 4:].any()
-
-
 def drive(grid: RollingMap, xs: np.ndarray, boxes: list) -> None:
     for x in xs:
         look(grid, SE2(float(x), 0.0, 0.0), boxes)
@@ -105,17 +96,3 @@ def test_a_gap_that_was_never_driven_through_stays_closed():
     drive(grid, np.arange(0.0, 0.4, 0.05), posts(0.36))
     complete(grid, SE2(0.3, 0.0, 0.0))
     assert grid.reach.distance_m(1.8, 0.0) == math.inf
-
-
-def test_a_robot_that_was_carried_leaves_no_trail_between():
-    grid = RollingMap(SMALL)
-    for x in (0.0, 1.0):
-        look(grid, SE2(x, 0.0, 0.0), [])
-    assert np.count_nonzero(bits(grid._layers.trail)) == 10
-
-
-def test_a_trail_is_forgotten_with_the_rest_of_the_map():
-    grid = RollingMap(SMALL)
-    drive(grid, np.arange(0.0, 40.0, 0.2), [])
-    trail = bits(grid._layers.trail)
-    assert 0 < np.count_nonzero(trail) <= 3 * (grid.window.n + 2)

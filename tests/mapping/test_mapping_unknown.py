@@ -8,29 +8,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.mapping import layers
 from edge.mapping.grid import RollingMap
 
 
 def random_map(rng: np.random.Generator) -> RollingMap:
     """Random free, occupied and unknown patches, a window whose seam lies anywhere."""
     grid = RollingMap(twins.SMALL.model_copy(update={"inflation_m": 0.06}))
-    grid._follow(*(int(v) for v in rng.integers(-500, 500, 2)))
-    n, shift, changed = grid.window.n, grid.window.shift, grid._changed
+    twins.move_to(grid, *(int(v) for v in rng.integers(-500, 500, 2)))
+    n, shift = grid.window.n, grid.window.shift
     for _ in range(60):
         x, y = (int(v) for v in rng.integers(0, n - 12, 2))
         for dy in range(int(rng.integers(1, 12))):
             for dx in range(int(rng.integers(1, 12))):
                 sy, sx = (y + dy + shift[1]) % n, (x + dx + shift[0]) % n
-                if grid._layers.raw[sy, sx] == 0:
-                    layers.set_free(grid._layers, *shift, x + dx, y + dy, changed)
+                if grid.layers.raw[sy, sx] == 0:
+                    twins.set_free(grid, x + dx, y + dy)
     for _ in range(300):
-        x, y = (int(v) for v in rng.integers(0, n, 2))
-        sy, sx = (y + shift[1]) % n, (x + shift[0]) % n
-        if grid._layers.raw[sy, sx] < 2:
-            grid._layers.raw[sy, sx] = 2
-            layers.bit_set(grid._layers.known, sy, sx, True)
-            layers.add_disc(grid._layers, *shift, x, y, 1, grid._disc, (0, 0, n, n), changed)
+        twins.occupy(grid, *(int(v) for v in rng.integers(0, n, 2)))
     return grid
 
 

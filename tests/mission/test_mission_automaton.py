@@ -17,8 +17,7 @@ from test_mission_ltl import formulas
 from edge.config import Mission
 from edge.errors import UserError
 from edge.mission.logic import automaton as automaton_module
-from edge.mission.logic import compiler
-from edge.mission.logic.automaton import NOTHING, CompileError, compile_formula, steps_left
+from edge.mission.logic.automaton import CompileError, compile_formula, steps_left
 from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Effort
 from edge.mission.logic.ltl import parse
 
@@ -45,28 +44,13 @@ def same(a, b) -> bool:
     return np.array_equal(a.delta, b.delta) and np.array_equal(a.accepting, b.accepting)
 
 
-def shortest(automaton) -> set[tuple[str, ...]]:
-    """All shortest accepted words without idle steps."""
-    for n in range(7):
-        words = itertools.product(automaton.letters, repeat=n)
-        found = {word for word in words if automaton.accepts(word)}
-        if found:
-            return found
-    return set()
-
-
 @pytest.mark.parametrize(
     ("text", "states"),
     [
         ("true", 1),
         ("false", 1),
-        ("F a", 2),
-        ("F ((chair | couch) & F tv)", 3),
-        (CASE_1, 13),
         (CASE_2, 30),
         (CASE_1_WEAK, 13),
-        (CASE_2_WEAK, 32),
-        (targets(6), 64),
         ("F (a & F (b & F (c & F (d & F (e & F f)))))", 7),
         (targets(12), 4096),
         ("X X X a", 6),
@@ -110,68 +94,6 @@ def test_states_are_numbered_breadth_first(f):
     assert order == list(range(automaton.n_states))
 
 
-@pytest.mark.parametrize(
-    ("one", "other"),
-    [
-        ("F a", "true U a"),
-        ("!(a U b)", "!a R !b"),
-        ("a W b", "a U b | G a"),
-        ("a M b", "b U (a & b)"),
-        ("F (a & F b)", "F (a & X F b)"),
-        ("!X a", "WX !a"),
-        ("F a & F b", "F (a & F b) | F (b & F a)"),
-        ("a -> b", "!a | b"),
-        ("X false", "false"),
-        ("F WX WX F WX (a <-> b)", "F (true | a | b)"),
-        ("F (c & (F a & F b & F d))", "F (c & F a & F b & F d)"),
-        ("!(F a -> G b)", "F a & F !b"),
-    ],
-)
-def test_equal_languages_give_equal_arrays(one, other):
-    assert same(compile_formula(parse(one)), compile_formula(parse(other)))
-
-
-def test_case_study_1():
-    """Table II's plan needs the weak until; PEERS.md's ties and lengths."""
-    weak, strong = compile_formula(parse(CASE_1_WEAK)), compile_formula(parse(CASE_1))
-    assert shortest(weak) == {("bed", "plant", "tv"), ("plant", "bed", "tv")}
-    assert not strong.accepts(["bed", "plant", "tv"])
-    assert {len(word) for word in shortest(strong)} == {4}
-    assert ("bed", "plant", "tv", "couch") in shortest(strong)
-
-
-def test_case_study_2():
-    """Table III's plan is the only shortest one under the weak until, and no plan at all else."""
-    weak, strong = compile_formula(parse(CASE_2_WEAK)), compile_formula(parse(CASE_2))
-    assert shortest(weak) == {("tv", "bed", "toilet")}
-    assert not strong.accepts(["tv", "bed", "toilet"])
-
-
-def test_arrays_and_steps():
-    automaton = compile_formula(parse("F (sofa & F tv) & G !bed"))
-    assert automaton.letters == ("sofa", "tv", "bed")
-    assert automaton.delta.shape == (automaton.n_states, 4)
-    assert (automaton.delta.dtype, automaton.steps_left.dtype) == (np.int32, np.int32)
-    assert automaton.accepting.dtype == bool
-    assert list(automaton.edges(0)) == [("sofa", 1), ("tv", 0), ("bed", 2), (NOTHING, 0)]
-    assert [automaton.step(0, letter) for letter in ("tv", "lamp", None, NOTHING)] == [0] * 4
-    assert automaton.accepts(["tv", "sofa", None, "lamp", "tv"])
-    assert not automaton.accepts(["sofa", "bed", "tv"])
-    assert automaton.dead(automaton.run(["bed"]))
-    assert not automaton.dead(0)
-
-
-@pytest.mark.parametrize(
-    ("text", "left"),
-    [
-        ("true", 0), ("false", -1), ("F a", 1), ("F a & F b", 2), ("G F a", 0), ("X X a", 1),
-        ("F (a & X F a)", 2), ("X true", 0), ("a & b", -1), ("!a U b", 1),
-    ],
-)  # fmt: skip
-def test_steps_left(text, left):
-    assert compile_formula(parse(text)).steps_left[0] == left
-
-
 @given(formulas())
 def test_steps_left_is_the_fewest_objects(f):
     """Against a search over words with up to four objects and idle steps between them."""
@@ -192,16 +114,6 @@ def idle(automaton, states: set[int]) -> set[int]:
         if wider == states:
             return states
         states = wider
-
-
-def test_packing_of_many_columns():
-    """60 columns do not fit into one int64."""
-    rng = np.random.default_rng(0)
-    delta = rng.integers(0, 40, (40, 60)).astype(np.int32)
-    delta[20:] = delta[:20]
-    accepting = np.tile(rng.random(20) < 0.5, 2)
-    merged, _ = compiler.minimal(delta, accepting, Effort())
-    assert len(merged) == 20
 
 
 def test_limit_of_states():
@@ -302,13 +214,10 @@ def test_limit_of_size():
 @pytest.mark.parametrize(
     ("text", "states"),
     [
-        ("(" * 1000 + "a" + ")" * 1000, 3),
         ("!" * 1000 + "a", 3),
-        ("F " * 1000 + "a", 2),
         ("X " * 300 + "a", 303),
         ("F (a & " * 300 + "b" + ")" * 300, 1),
         ("G (a | " * 300 + "b" + ")" * 300, 2),
-        ("!" * 50_000 + "a", 3),
         (" & ".join(f"(F a{k} | F b{k})" for k in range(8)), 256),
         (" & ".join(f"G F a{k}" for k in range(40)), 2),
         (" & ".join(f"(!a{k + 1} W a{k})" for k in range(39)), 41),

@@ -34,33 +34,6 @@ def fill(snapshot, x0, y0, x1, y1, value=100):
     snapshot.cells[rows, round((x0 - ox) / res) : round((x1 - ox) / res)] = value
 
 
-@pytest.mark.parametrize(
-    ("snapshot", "places", "expected"),
-    [
-        (room(0, 0), [], np.zeros((1, 0))),
-        (room(4, 4), [], np.zeros((1, 0))),
-        (room(0, 0), [at((1, 1))], [[INF], [INF]]),
-        (room(4, 4), [NO_PLACE], [[INF], [INF]]),
-        (room(4, 4, value=100), [at((2, 2))], [[INF], [INF]]),
-        (room(4, 4), [at((math.nan, 1)), at((90, 90))], np.full((3, 2), INF)),
-    ],
-)
-def test_no_way(snapshot, places, expected):
-    np.testing.assert_array_equal(d.distances(snapshot, (1.0, 1.0), places), expected)
-
-
-@pytest.mark.parametrize("origin", [(0.0, 0.0), (-7.3, 12.05)])
-@pytest.mark.parametrize("resolution_m", [0.05, 0.1, 0.2])
-def test_an_empty_room(origin, resolution_m):
-    ox, oy = origin
-    places = [at((ox + 5.1, oy + 1.1)), at((ox + 1.1, oy + 4.1), (ox + 1.1, oy + 2.1))]
-    out = d.distances(room(6, 6, resolution_m, origin), (ox + 1.1, oy + 1.1), places)
-    assert out[0, 0] == out[1, 1] == 0.0
-    assert out[2, 0] == pytest.approx(4.0)
-    assert out[2, 1] == pytest.approx(1.0)  # the nearer of two
-    assert out[0, 1] == out[1, 0] == pytest.approx(3.0 + math.sqrt(2.0), abs=0.01)
-
-
 def test_the_way_leads_through_the_door():
     """A wall across the middle with a door at the far end, left open by its inflation."""
     house = room(8, 6)
@@ -89,14 +62,6 @@ def test_a_wall_of_one_cell_has_no_gaps(slope):
     assert np.isinf(out[1, 0])
 
 
-@pytest.mark.parametrize(("cost", "metres"), [(1.0, 4.0), (3.0, 8.0), (2.5, 7.0)])
-def test_unknown_cells_are_dearer(cost, metres):
-    snapshot = room(6, 2)
-    fill(snapshot, 2, 0, 4, 2, -1)
-    out = d.distances(snapshot, (1.1, 1.1), [at((5.1, 1.1))], unknown_cost=cost)
-    assert out[1, 0] == pytest.approx(metres, abs=0.01)
-
-
 def test_unknown_cost_has_limits():
     with pytest.raises(ValueError, match=r"unknown_cost: 0\.5 is not in 1"):
         d.distances(room(1, 1), (0.5, 0.5), [NO_PLACE], unknown_cost=0.5)
@@ -123,19 +88,6 @@ def test_an_object_at_a_wall_is_not_reached_from_the_next_room():
     out = d.distances(house, (5.1, 2.1), [at((2.75, 2.0))])
     assert np.isinf(out[1, 0])
     assert np.isfinite(d.distances(house, (0.5, 2.1), [at((2.75, 2.0))])[1, 0])
-
-
-def test_a_robot_on_an_inflated_cell_still_gets_away():
-    snapshot = room(6, 2)
-    fill(snapshot, 0, 0, 1.4, 2, 50)
-    assert d.distances(snapshot, (1.1, 1.1), [at((4.1, 1.1))])[1, 0] == pytest.approx(3.0, abs=0.6)
-
-
-def test_a_free_cell_goes_before_a_nearer_unknown_one():
-    snapshot = room(4, 2, value=-1)
-    fill(snapshot, 0, 0, 2, 2, 0)
-    out = d.distances(snapshot, (0.1, 1.1), [at((2.7, 1.1))])
-    assert out[1, 0] == pytest.approx(1.8, abs=0.01)
 
 
 # --- twins ---

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import string
 from functools import cache
 
 import pytest
@@ -56,85 +55,36 @@ VITL = [  # the paper's own sentences (III, V-C), the until weak
 ]
 
 HOUSEHOLD = [
-    ("the bed", "F bed"),
-    ("Go to the bed!", "F bed"),
     ("Could you please find the fridge?", "F refrigerator"),
     ("I want you to check the stove", "F stove"),
     ("turn the tv off", "F television"),
-    ("look for my suitcase", "F suitcase"),
     ("go to a vacuum", 'F "vacuum cleaner"'),
-    ("water the potted plant", "F houseplant"),
-    ("vacuum the rug", "F carpet"),
-    ("empty the trash can", 'F "trash can"'),
-    ("find the tall white trash can", 'F "tall white trash can"'),
-    (
-        "go to the tall white trash can, then to the red chair",
-        'F ("tall white trash can" & F "red chair")',
-    ),
-    (
-        "find a tall white trash can, then a red chair",
-        'F ("tall white trash can" & F "red chair")',
-    ),
-    ("find the long couch and a gray tall wardrobe", 'F "long couch" & F "gray tall wardrobe"'),
-    ("find a zebra and a low stool", 'F zebra & F "low stool"'),
     ('visit the "bed frame"', 'F "bed frame"'),
-    ("visit the bed and the chair", "F bed & F chair"),
-    ("visit the bed, the chair and the tv in any order", "F bed & F chair & F television"),
     ("In any order, clean the sink, the oven, and the shower.", "F sink & F oven & F shower"),
     ("Visit both the bed and the tv; the order does not matter.", "F bed & F television"),
-    ("go to the bed or the sofa", "F(bed | sofa)"),
-    ("visit at least one of the bed, the sofa and the desk", "F(bed | sofa | desk)"),
     ("either the bed or the sofa, and the tv", "F(bed | sofa) & F television"),
-    ("Go to the bed. Then go to the tv.", "F(bed & F television)"),
-    (
-        "Go to the bed. Go to the tv. Then go to the sink.",
-        "F(bed & F sink) & F(television & F sink)",
-    ),
-    ("First go to the bed. Go to the tv.", "F(bed & F television)"),
-    (
-        "first visit the bed, after that the tv, and finally the sink",
-        "F(bed & F(television & F sink))",
-    ),
-    ("go to the bed, afterwards to the tv", "F(bed & F television)"),
-    ("go to the bed followed by the tv", "F(bed & F television)"),
-    ("go to the bed, the chair, then the tv", "F(bed & F(chair & F television))"),
     ("go to the bed and the chair, then the tv", "F(bed & F television) & F(chair & F television)"),
     ("visit the bed, the chair and the tv in this order", "F(bed & F(chair & F television))"),
     (
         "visit the bed and the tv in exactly this order",
         "F(bed & F television) & (!television W bed)",
     ),
-    ("reach the bed before the tv", "F(bed & F television) & (!television W bed)"),
     ("before going to the tv, visit the bed", "F(bed & F television) & (!television W bed)"),
-    ("go to the tv after the bed", "F(bed & F television)"),
     ("once you have visited the bed, go to the tv", "F(bed & F television)"),
     ("go to the tv only after you have cleaned the sink", "F television & (!television W sink)"),
     ("go to the sink and only then go to the tv", "F(sink & F television) & (!television W sink)"),
     ("don't visit the tv without visiting the bed", "!television W bed"),
-    ("avoid the stove", "G !stove"),
-    ("never go to the stove or the oven", "G !stove & G !oven"),
     ("you must not enter the shower, and visit the bed", "G !shower & F bed"),
     ("the stove must be avoided", "G !stove"),
-    ("the bed must be visited", "F bed"),
-    ("make sure both the bed and the tv are visited", "F bed & F television"),
-    ("visit the bed without going to the tv", "F bed & G !television"),
     ("visit the bed while avoiding the tv, then the sofa", "F(bed & F sofa) & (!television W bed)"),
-    ("go to the bed but not to the tv", "F bed & G !television"),
     (
         "go to the bed but do not go to the tv, then go to the tv",
         "F(bed & F television) & (!television W bed)",
     ),
     ("go to the bed, then avoid the stove", "F bed & G(bed -> G !stove)"),
-    ("do not go to the stove once you have visited the bed", "G(bed -> G !stove)"),
-    ("whenever you visit the sink, you must visit the towel", "G(sink -> F towel)"),
-    ("if you see a cat, go to the door", "G(cat -> F door)"),
-    ("check the door twice", "F(door & F(!door & F door))"),
-    ("check the door at least three times", "F(door & F(!door & F(door & F(!door & F door))))"),
     ("check the door at most once", "!F(door & F(!door & F door))"),
     ("never go to the door more than once", "!F(door & F(!door & F door))"),
-    ("check the door exactly once", "F door & !F(door & F(!door & F door))"),
     ("go to the bed, then to the bed", "F(bed & X F bed)"),
-    ("check the door twice, then the window", "F(door & F(!door & F(door & F window)))"),
     (
         "check the door exactly once, then the window",
         "F(door & F window) & (!door W (door W (!door W window)))",
@@ -155,15 +105,9 @@ HOUSEHOLD = [
     ),
     ("Visit the sofa and the desk, but the desk first.", "F(desk & F sofa)"),
     (
-        "Turn on the lamp, sit on the couch, and then turn off the tv.",
-        'F("table lamp" & F(sofa & F television))',
-    ),
-    (
         "Visit the bed and then the sofa, or the desk and then the tv.",
         "F(bed & F sofa) | F(desk & F television)",
     ),
-    ("Visit the bed, the sofa, or the desk.", "F(bed | sofa | desk)"),
-    ("Do not visit the bed, or the sofa.", "G !bed & G !sofa"),
     (
         "Visit the bed, sofa, and desk in any order, but avoid the tv until all are visited.",
         "F bed & F sofa & F desk & (!television W bed) & (!television W sofa) & "
@@ -188,32 +132,18 @@ LETTERS = [  # ../shared/nl2ltl writes letters, without commas; `a` is also an a
 
 
 ON_THE_WAY = [
-    ("avoid the sofa on the way to the bed", "F bed & G !sofa"),
-    ("do not pass the sofa when going to the bed", "F bed & G !sofa"),
-    ("go to the bed without the sofa", "F bed & G !sofa"),
     ("while avoiding the sofa, go to the bed", "F bed & G !sofa"),
-    ("go to the bed by avoiding the sofa", "F bed & G !sofa"),
     ("dont take the hallway to get to the bed", "F bed & G !hallway"),
     ("go to the bed but do not use the hallway to get there", "F bed & G !hallway"),
     ("go to the bed but do not enter the hallway first", "F bed & (!hallway W bed)"),
     ("go to the bed via the hallway", "F(hallway & F bed)"),
-    ("go through the hallway to the bed", "F(hallway & F bed)"),
     ("drive through the hallway and into the bedroom", "F(hallway & F bedroom)"),
-    ("cross the hallway to get to the bed", "F(hallway & F bed)"),
-    ("go through the kitchen or the hallway to reach the bed", "F((kitchen | hallway) & F bed)"),
     ("on the way to the bed, visit the sofa", "F(sofa & F bed)"),
-    ("visit the bed while passing the sofa", "F(sofa & F bed)"),
-    ("go through the hallway in to the bed", "F(hallway & F bed)"),
     ("go to the bed or the sofa to the door", "F((bed | sofa) & F door)"),
-    ("go to the bed by first entering the hallway", "F(hallway & F bed)"),
-    ("go through the hallway while moving to the bed", "F(hallway & F bed)"),
     ("do not go through the hallway towards the bed", "F bed & G !hallway"),
-    ("enter the hallway and proceed to the bed", "F(hallway & F bed)"),
     ("the robot goes through the hallway and ends up in the bedroom", "F(hallway & F bedroom)"),
-    ("go to room 2 then room 3", 'F ("room two" & F "room three")'),
     ("make three distinct visits to the sofa on your travels",
      "F(sofa & F(!sofa & F(sofa & F(!sofa & F sofa))))"),
-    ("go to the sofa, then continue to the bed", "F(sofa & F bed)"),
     ("go to the sofa go to the bed", "F(sofa & F bed)"),
     ("visit the sofa, go to the bed, and return to the sofa", "F(sofa & F(bed & F sofa))"),
     ("visit the sofa at least once and at most twice", "F sofa & !F(sofa & F(!sofa & F(sofa & "
@@ -221,7 +151,6 @@ ON_THE_WAY = [
     ("Go to the sofa. If you have reached the sofa, then you may go to the bed.", "F sofa"),
     ("go to landmark two", 'F "landmark two"'),
     ("go to the second floor and then to room 3", 'F ("second floor" & F "room three")'),
-    ("Hi robot, would you mind checking the fridge for me?", "F refrigerator"),
 ]  # fmt: skip
 
 
@@ -235,38 +164,28 @@ def test_means(sentence: str, formula: str) -> None:
 
 REFUSED = [
     ("", ""),
-    (" . ", "."),
     ("dance with the bed", "dance"),
-    ("go to the bed quickly", "quickly"),
     ("go to the bed frame", "frame"),
     ("fetch the cup to the table", "to the table"),
     ("do not go to the tv before that", "that"),
     ("visit it", "it"),
     ("go to", ""),
     ("go to a tall, white trash can", "tall"),
-    ("go to the tall, white trash can", "tall"),
     ("visit the bed and the bed", "the bed and the bed"),
     ("find my keys and bring them to me", "to me"),
-    ("visit the bed, then come back here", "here"),
-    ("go to the bed without touching anything", "anything"),
     ("do not visit the bed until the sofa is reached, or the desk", "the desk"),
     ("only visit the bed", "only visit the bed"),
-    ("don't go to the bed and then to the sofa", "to the sofa"),
     ("go upstairs", "upstairs"),
     ("visit every chair", "every chair"),
     ("visit two chairs", "two chairs"),
-    ("visit the bed and dance", "dance"),
     ("keep visiting the bed", "keep visiting the bed"),
     ("visit the bed forever", "forever"),
     ("go to the bed until the tv is reached", "until the tv is reached"),
     ("visit the bed 999999999999 times", "999999999999 times"),
-    ("you can visit the bed", "you can visit the bed"),
     ("go to the bed @ noon", "@ noon"),
     ("go to the bed, otherwise to the sofa", "otherwise to the sofa"),
     ("do not visit the bed until you visit the bed", "until you visit the bed"),
     ("visit the bed at least three times but at most twice", "but at most twice"),
-    ("if you have reached the sofa then you may go to the bed", "if you have reached the sofa then "
-     "you may go to the bed"),
     ("you don't have to go to the bed", "don't have to go to the bed"),
     ("you need not go to the bed", "need not go to the bed"),
     ("if you never find the sofa, go to the bed", "if you never find the sofa"),
@@ -275,11 +194,8 @@ REFUSED = [
     ("turn left", "left"),
     ("go to the sofa after dinner", "dinner"),
     ("go to the sofa in the morning", "in the morning"),
-    ("go to the sofa and the bed, but avoid the former", "former"),
     ("go to a spot in the bed", "spot in the bed"),
     ("look for robot c", "robot c"),
-    ("in strictly this order visit the bed then the sofa",
-     "in strictly this order visit the bed then the sofa"),
     ("go to the tv but only after visiting the bed and the sofa in that specific order",
      "go to the tv but only after visiting the bed and the sofa in that specific order"),
     ("robot c", "robot c"),
@@ -387,21 +303,6 @@ def test_no_unknown_word_is_passed_over(sentence: str) -> None:
         for rest in (words[i:], words[i + 1 :]):
             with pytest.raises(TranslationError):
                 parse_english(" ".join([*words[:i], "blorf", *rest]))
-
-
-MEANINGFUL = (
-    "not", "never", "twice", "unless", "until", "may", "might", "again", "only",
-    "neither", "at no point", "under no circumstances", "without", "always", "instead of",
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("sentence", ["go to the bed", "visit the sofa, then go to the bed"])
-@pytest.mark.parametrize("word", MEANINGFUL)
-def test_a_meaningful_word_changes_the_reading(sentence: str, word: str) -> None:
-    """Put in front, it changes the formula or is refused."""
-    read = parse_english(sentence)
-    with contextlib.suppress(TranslationError):
-        assert difference(parse_english(f"{word} {sentence}"), read) is not None
 
 
 # Clauses over two things; a word that means something is marked by a star.
@@ -587,8 +488,3 @@ def test_repetition_is_no_trap(phrase: tuple[str, ...], between: str) -> None:
     text = ((" ".join(phrase) + between + " ") * MAX_WORDS)[:MAX_CHARS]
     with contextlib.suppress(TranslationError):
         assert parse_english(text)
-
-
-def test_letters_of_the_alphabet_are_things() -> None:
-    for letter in set(string.ascii_lowercase) - {"i"}:
-        assert to_text(parse_english(f"visit {letter}")) == f"F {letter}"

@@ -43,11 +43,6 @@ def test_targets_come_in_the_order_of_mention(text, knowledge, steps):
     assert "first in the sentence" in plan.reason
 
 
-def test_what_a_failed_object_blocks_is_said_as_by_the_other_planners():
-    plan = planned("F a & F b", knowing(failed=["b"]))
-    assert (plan.feasible, plan.blocked_by) == (False, ("b",))
-
-
 @given(data=st.data(), automaton=automata())
 def test_it_finds_a_way_wherever_there_is_one(data, automaton):
     knowledge = data.draw(knowledge_of(automaton.letters))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import re
 from types import SimpleNamespace
 
@@ -12,14 +11,11 @@ from chat_server import completion, saying, send, serving
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge import names
 from edge.chat import ChatError
 from edge.config import TranslatorLlm
 from edge.errors import UserError
 from edge.mission.language import llm
 from edge.mission.language.llm import (
-    EXAMPLES,
-    MOST_NAMES,
     MOST_NESTING,
     MOST_OPERANDS,
     SPARE,
@@ -29,7 +25,7 @@ from edge.mission.language.llm import (
     objects_in,
 )
 from edge.mission.logic.ltl import parse, propositions
-from edge.mission.translate import AmbiguousError, TranslationError, make_translator
+from edge.mission.translate import TranslationError, make_translator
 
 INSTRUCTION = "Clean the couch, then turn on the TV; don't go to the bed before that."
 
@@ -130,23 +126,6 @@ def test_both_attempts_share_one_time_limit(monkeypatch):
         assert len(server.requests) == 1  # nothing is left for the second
 
 
-def test_the_second_attempt_names_the_limit_that_is_configured(monkeypatch):
-    now_s = [0.0]
-    monkeypatch.setattr(llm, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
-
-    def behave(handler):
-        if now_s[0]:
-            handler.stopping.wait()
-        now_s[0] += 3599.9
-        send(handler, completion("nonsense ("))
-
-    with (
-        serving(behave) as server,
-        pytest.raises(ChatError, match="no whole answer within 3600 s"),
-    ):
-        translate(server.url, time_limit_s=3600.0)
-
-
 @pytest.mark.parametrize("constrain", ["none", "gbnf", "guided_grammar"])
 def test_what_is_asked(constrain):
     with serving(saying("F couch & !bed W tv")) as server:
@@ -159,26 +138,6 @@ def test_what_is_asked(constrain):
     structured = {"grammar": grammar} if constrain == "guided_grammar" else None
     assert request.get("structured_outputs") == structured
     assert ("max_tokens" in request) == (constrain != "none")
-
-
-def test_what_the_formula_leaves_out_is_reported(caplog):
-    asked = pytest.raises(AmbiguousError, match=r"\(1\) .*Do not reach the bed until")
-    with caplog.at_level(logging.WARNING), serving(saying("F couch")) as server, asked:
-        translate(server.url)
-    assert "leaves out television, bed" in caplog.text
-
-
-def test_the_registry_knows_the_backend():
-    with serving(saying("F couch & !bed W tv")) as server:
-        translator = make_translator(TranslatorLlm(url=server.url))
-        assert str(translator.translate(INSTRUCTION).formula) == "F sofa & !bed W television"
-    with pytest.raises(UserError, match="not the URL"):
-        make_translator(TranslatorLlm(url="localhost"))
-
-
-@pytest.mark.parametrize(("sentence", "formula"), EXAMPLES)
-def test_the_examples_keep_the_rules(sentence, formula):
-    assert formula_in(formula, objects_in(sentence)) is not None
 
 
 @given(st.text(max_size=60))
@@ -203,29 +162,6 @@ def test_any_answer_is_a_formula_or_a_user_error(answer):
 )
 def test_objects_of_an_instruction(instruction, objects):
     assert objects_in(instruction) == objects
-
-
-def test_every_known_name_is_found_in_a_sentence():
-    for name, others in names.ALIASES.items():
-        for word in (name, *others):
-            assert word in objects_in(f"Go to the {word}, then stop."), word
-
-
-def test_a_name_within_a_longer_one_is_not_named():
-    with pytest.raises(UserError, match="names no 'table'"):
-        formula_in("F table", objects_in("go to the coffee table"))
-
-
-@given(st.text(max_size=200))
-def test_any_text_has_objects_that_are_names(instruction):
-    for phrase in objects_in(instruction):
-        assert names.canonical(phrase)
-
-
-def test_the_grammar_lists_the_objects():
-    lines = gbnf(["tv", 'odd "name" \\', "tv"]).splitlines()
-    assert lines[1] == r'name ::= "tv" | "\"odd \\\"name\\\" \\\\\""'
-    assert "chair" not in gbnf(["chair"] + [f"n{i}" for i in range(MOST_NAMES)])
 
 
 @pytest.mark.parametrize("n", [1, 6, 12, 1000])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import pickle
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -20,9 +19,6 @@ from edge.mission.logic.ltl import (
     to_text,
 )
 
-LANG2LTL = (
-    Path(__file__).resolve().parents[3] / "shared/nl2ltl/lang2ltl/symbolic_batch12_noperm.csv"
-)
 A, B, C, D = (ltl.ap(name) for name in "abcd")
 
 
@@ -53,37 +49,22 @@ def formulas(names: tuple[str, ...] = ("a", "b", "c"), max_leaves: int = 8):
     [
         ("a", A),
         ("true", ltl.TRUE),
-        ("false", ltl.FALSE),
         ("True", ltl.ap("True")),
-        ('"potted plant"', ltl.ap("potted plant")),
         ('"F"', ltl.ap("F")),
         (r'"a \"b\" \\c"', ltl.ap('a "b" \\c')),
-        ("((a))", A),
         ("!a", ltl.neg(A)),
-        ("! ! a", ltl.neg(ltl.neg(A))),
         ("F G a", ltl.eventually(ltl.always(A))),
-        ("X WX a", ltl.next_(ltl.weak_next(A))),
         ("F a U b", ltl.until(ltl.eventually(A), B)),
-        ("!a U b", ltl.until(ltl.neg(A), B)),
         ("a U b U c", ltl.until(A, ltl.until(B, C))),
-        ("a W b R c M d", ltl.weak_until(A, binary("R")(B, binary("M")(C, D)))),
         ("(a U b) U c", ltl.until(ltl.until(A, B), C)),
-        ("a U b & c", ltl.conj(ltl.until(A, B), C)),
         ("a & b | c & d", ltl.disj(ltl.conj(A, B), ltl.conj(C, D))),
         ("a & (b & c) & d", ltl.conj(A, B, C, D)),
-        ("a | b -> c | d", ltl.implies(ltl.disj(A, B), ltl.disj(C, D))),
         ("a -> b -> c", ltl.implies(A, ltl.implies(B, C))),
-        ("a <-> b -> c", binary("<->")(A, ltl.implies(B, C))),
         ("a <-> b <-> c", binary("<->")(A, binary("<->")(B, C))),
-        ("a && b || c", ltl.disj(ltl.conj(A, B), C)),
         ("a => b", ltl.implies(A, B)),
-        ("a <=> b", binary("<->")(A, B)),
         ("<> a | [] b", ltl.disj(ltl.eventually(A), ltl.always(B))),
-        ("◇(a ∧ □ ¬b) ∨ ○c", parse("F (a & G !b) | X c")),
         ("a → b ↔ c", parse("a -> b <-> c")),
-        ('"Fa"', ltl.ap("Fa")),
         ("F(a) & G!b", ltl.conj(ltl.eventually(A), ltl.always(ltl.neg(B)))),
-        ("Fridge & Fence", ltl.conj(ltl.ap("Fridge"), ltl.ap("Fence"))),
         ("F livingRoom | X1", ltl.disj(ltl.eventually(ltl.ap("livingRoom")), ltl.ap("X1"))),
         ("\n a\t&\r\n b", ltl.conj(A, B)),
     ],
@@ -98,46 +79,24 @@ def test_parse(text, formula):
         ("", 1, "found the end"),
         ("   ", 4, "found the end"),
         ("a b", 3, "expected an operator such as & or U before 'b'"),
-        ("a F b", 3, "before 'F'"),
-        ("(a", 3, "expected ')' for the '(' of column 1"),
         ("F (a & (b | c)", 15, "'(' of column 3"),
         ("a)", 2, "')' closes nothing"),
         ("()", 2, "found ')'"),
-        ("& a", 1, "found '&'"),
-        ("a &", 4, "found the end"),
-        ("a U U b", 5, "found 'U'"),
         ("F", 2, "found the end"),
         ("a # b", 3, "'#' belongs to no operator"),
-        ("a - b", 3, "'-'"),
-        ("a & 2", 5, "'2'"),
         ('a & "bed', 5, "this quote is never closed"),
         ('a & " "', 5, "'' is no name"),
         ("F _", 3, "'_' is no name: it needs a letter or a digit"),
-        ('F "..."', 3, "'...' is no name: it needs a letter or a digit"),
-        ('F "-"', 3, "'-' is no name"),
-        ('F "\0tv"', 3, "character 1 (U+0000) does not print"),
         ('F "\x1b[2Jtv"', 3, "character 1 (U+001B) does not print"),
         ('F "t\nv"', 3, "character 2 (U+000A) does not print"),
-        ('F "t\u202ev"', 3, "character 2 (U+202E) does not print"),
-        ('F "t\ud800v"', 3, "character 2 (U+D800) does not print"),
         ("F " + "b" * 201, 3, "more than 200 characters"),
         ("a & \0", 5, r"'\x00'"),
-        ("a & стол", 5, "double quotes"),
-        ("a " + "b" * 100, 3, "b…"),
-        ("Fa & G!b", 1, "write 'F a', or \"Fa\" for a thing called so"),
         ("!b & Ga", 6, "write 'G a'"),
         ("FGa", 1, "write 'F G a'"),
-        ("WXXa", 1, "write 'WX X a'"),
-        ("GF(a)", 1, "write 'G F'"),
         ("FChair", 1, "write 'F Chair'"),
-        ("FFridge", 1, "write 'F Fridge'"),
-        ("F_bed", 1, "write 'F _bed'"),
-        ("Ftrue", 1, "write 'F true'"),
         ("aUb", 1, "write 'a U b'"),
-        ("FaUGb", 1, "write 'F a U G b'"),
         ("pinkBoxUp2", 1, "write 'pinkBox U p2'"),
         ("diningRoomUb", 1, "write 'diningRoom U b'"),
-        ("p1Rp2", 1, "write 'p1 R p2'"),
         ("chairWtable", 1, "write 'chair W table'"),
     ],
 )
@@ -161,11 +120,6 @@ def column_of_error(read, text: str) -> int | None:
     except FormulaError as error:
         return error.column
     return None
-
-
-@given(st.text() | st.binary().map(lambda b: b.decode("utf-8", "surrogateescape")))
-def test_any_text_gives_a_formula_or_a_column(text):
-    assert (column_of_error(parse, text) or 1) in range(1, len(text) + 2)
 
 
 @given(
@@ -229,60 +183,3 @@ def test_constructors():
     assert ltl.disj(ltl.disj(A, B), ltl.conj(C, D)).args == (A, B, ltl.conj(C, D))
     with pytest.raises(ValueError, match="name"):
         ltl.ap(" ")
-
-
-def test_propositions_come_in_order_of_first_appearance():
-    assert propositions(parse("F (c & a) | b U c")) == ("c", "a", "b")
-
-
-@pytest.mark.parametrize(
-    ("text", "word", "truth"),
-    [
-        ("a", "a", True),
-        ("a", "-a", False),
-        ("X a", "-a", True),
-        ("X a", "a", False),
-        ("X true", "a", False),
-        ("WX a", "b", True),
-        ("WX a", "bb", False),
-        ("F a", "--a", True),
-        ("F a", "--", False),
-        ("G a", "aab", False),
-        ("G !b", "a-a", True),
-        ("a U b", "aab", True),
-        ("a U b", "aaa", False),
-        ("a U b", "a-b", False),
-        ("a W b", "aaa", True),
-        ("a W b", "a-b", False),
-        ("a R !b", "--a", True),
-        ("a R !b", "-ba", False),
-        ("a R !b", "-ab", True),
-        ("a M !b", "---", False),
-        ("a M !b", "-ab", True),
-        ("F (a & F b)", "-a-b", True),
-        ("F (a & F b)", "ba", False),
-        ("F (a & b)", "ab", False),
-        ("a <-> b", "c", True),
-        ("a -> b", "a", False),
-    ],
-)
-def test_meaning(text, word, truth):
-    assert holds(parse(text), [None if c == "-" else c for c in word]) == truth
-
-
-@pytest.mark.parametrize(
-    ("text", "truth"),
-    [
-        ("true", True), ("false", False), ("a", False), ("!a", True), ("X a", False),
-        ("X true", False), ("WX false", True), ("F true", False), ("G false", True),
-        ("true U true", False), ("a W b", True), ("false R false", True), ("true M true", False),
-        ("!F a", True), ("a -> b", True), ("a <-> b", True), ("a | !b", True), ("a & !b", False),
-    ],
-)  # fmt: skip
-def test_empty_word(text, truth):
-    assert holds(parse(text), []) == truth
-
-
-def test_unknown_operator_is_told():
-    with pytest.raises(ValueError, match="'xor'"):
-        holds(ltl.Formula("xor", (A, B)), [])

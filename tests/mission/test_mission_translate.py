@@ -5,14 +5,12 @@ from __future__ import annotations
 import pytest
 
 from edge.config import TranslatorAuto, TranslatorGrammar, TranslatorLtl
-from edge.errors import UserError
-from edge.mission.logic.ltl import FormulaError, ap, eventually, parse
+from edge.mission.logic.ltl import ap, eventually, parse
 from edge.mission.translate import (
     AmbiguousError,
     Backend,
     Read,
     TranslationError,
-    Translator,
     by_all,
     heeding,
     make_translator,
@@ -53,22 +51,6 @@ def test_an_ambiguous_instruction_is_asked_about() -> None:
     for number in (0, 3):
         with pytest.raises(TranslationError, match=f"there is no reading {number}"):
             grammar.translate(said, reading=number)
-
-
-def test_what_is_plain_has_one_reading() -> None:
-    grammar = make_translator(TranslatorGrammar())
-    for translation in (grammar.translate("go to the bed"), grammar.translate("bed", reading=1)):
-        assert (translation.reading, translation.readings, translation.implied) == (None, (), False)
-    with pytest.raises(TranslationError, match="in 1 way"):
-        grammar.translate("go to the bed", reading=2)
-
-
-def test_errors_are_the_users() -> None:
-    with pytest.raises(FormulaError, match="column"):
-        make_translator(TranslatorLtl()).translate("F (bed")
-    with pytest.raises(TranslationError, match=r"character 1: did not understand 'hum'"):
-        make_translator(TranslatorGrammar()).translate("hum")
-    assert issubclass(TranslationError, UserError)
 
 
 def test_a_formula_without_a_text_is_refused() -> None:
@@ -160,19 +142,6 @@ def test_a_models_formula_heeds_the_bans_that_the_rules_read(
     found = heeding(said, read)
     assert found.sure is (asked is None)
     assert [str(one) for one in found.formulas] == (asked or [formula])
-
-
-def test_what_is_not_sure_is_asked_about_even_where_it_is_one_thing() -> None:
-    doubtful = Translator("model", _reader("F bed", sure=False, doubts=("bde: bed?",)))
-    for ask in (True, False):
-        with pytest.raises(AmbiguousError, match=r"bde: bed\?; it may be meant so; if it is, cho"):
-            doubtful.translate("go to the bde", ask=ask)
-    chosen = doubtful.translate("go to the bde", reading=1, ask=False)
-    assert (chosen.formula, chosen.backend) == (parse("F bed"), "stub")
-    two = Translator("model", _reader("F bed", "F (bed & F sofa)", sure=False))
-    with pytest.raises(AmbiguousError) as asked:
-        two.translate("bed sofa", ask=False)
-    assert asked.value.implied is None
 
 
 def test_auto_opens_no_network_for_what_the_grammar_reads() -> None:

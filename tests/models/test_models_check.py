@@ -87,43 +87,14 @@ def test_nothing_to_check(put_card, capsys):
     assert "edge models list" in error
 
 
-def test_all_that_is_here(put, put_card, capsys):
-    for task in MODELS:
-        put(task)
-    put_card({"name": "missing", "file": "no.onnx", "task": "text", **SHARED, **CARDS["text"]})
-    code, out, err = check(capsys)
-    assert (code, err) == (0, [])
-    assert out == [
-        "detect: ok (hash, interface, 2 boxes, finite)",
-        "image: ok (hash, interface, embeddings of 8, finite)",
-        "text: ok (hash, interface, embeddings of 8, finite)",
-    ]
-
-
-def test_a_scorer_is_checked_by_its_parts(put, put_card, capsys):
-    put("text")
-    put("image")
-    scorer = {"name": "clip", "family": "f", "task": "similarity", "license": "MIT"}
-    put_card(scorer | {"image_encoder": "image", "text_encoder": "text"})
-    code, out, _ = check(capsys, "clip")
-    assert (code, len(out)) == (0, 2)
-    assert main(["models", "list", "--check", "clip", "--file", "x.onnx"]) == os.EX_UNAVAILABLE
-    assert "has no file of its own, it uses image and text" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("task", "change", "message"),
     [
         ("detect", ("Sigmoid (raw)", "Log (raw)"), "returns scores that are not finite"),
-        ("detect", ("Sigmoid (raw)", "Exp (raw)"), "scores must lie in 0..1"),
         ("detect", ("9.0, 9.0", "9.0, 1e9"), "far outside the image"),
-        ("detect", ("9.0, 9.0", "inf, 9.0"), "returns boxes that are not finite"),
         ("detect", ("{1, 2, 8}", "{1, 3, 8}"), "scores (1, 3, 2), must be (1, 2, 2)"),
         ("text", ("{5, 8}", "{0, 8}"), "does not run"),
-        ("detect", ("Sigmoid (raw)", "NoSuch (raw)"), "onnxruntime cannot load it"),
-        ("detect", ("float[1,3,64,64]", "float[1,3,h,w]"), "must have inputs"),
         ("text", ("{0.5}", "{0.0}"), "an embedding is all zeros"),
-        ("text", ("{0.5}", "{nan}"), "not finite"),
         ("image", ("{1, 8}", "{1, 9}"), "embeddings (1, 9), must be (1, 8)"),
     ],
 )

@@ -17,7 +17,6 @@ from edge.cli.main import main
 from edge.geometry import SE2, Grid
 from edge.host import resources
 from edge.lab.bench import choices
-from edge.lab.bench.boxes import Truth
 from edge.lab.bench.frames import Frames
 from edge.lab.sim.base import FloorPlan, WorldObject
 from edge.models import pull
@@ -84,13 +83,6 @@ def test_the_hash_of_the_first_pull_counts_from_then_on(published, capsys):
     (published / DECODER).write_bytes(sound)
     says(capsys, "pull", "tiny", "--from", str(published))
     assert kept.read_bytes() == sound
-
-
-def test_what_an_export_says_beside_a_file_is_held_against_it(published, capsys):
-    beside = published / f"{DECODER}.json"
-    beside.write_text(json.dumps({"sha256": "0" * 64, "bytes": 3}))
-    assert "sha256 is" in says(capsys, "pull", "tiny", "--from", str(published), code=69)
-    assert not (load_card("tiny").path / DECODER).exists()
 
 
 @pytest.mark.parametrize("at", ["the card's", "--from"])
@@ -180,18 +172,6 @@ def test_variants_are_compared_on_the_same_views(tmp_path, monkeypatch, capsys):
 def test_cards_of_models_that_choose_keep_no_figures(published, capsys):
     said = says(capsys, "bench", "--models", "smolvlm", "--update-cards", code=os.EX_DATAERR)
     assert "--update-cards: cards keep figures of detectors only" in said
-
-
-def test_views_have_letters_and_what_is_in_them():
-    rgb = np.zeros((40, 60, 3), np.uint8)
-    boxes = np.zeros((2, 4), np.float32)
-    truth = Truth(boxes, np.array([1, 0], np.int32), np.array([True, False]))
-    assert choices.views_of(Frames("nothing", [], (), None)) == []
-    pictures = Frames("two", [rgb, rgb, rgb, rgb], ("bed", "sofa"), [truth] * 4)
-    views = choices.views_of(pictures)
-    assert all(len(view.marks) == 3 for view in views)
-    assert [s.label for s in views[0].sightings] == ["sofa"]
-    assert [view.target for view in views] == ["television", "bed", "sink", "television"]
 
 
 class Corridor:

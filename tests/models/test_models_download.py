@@ -145,14 +145,6 @@ def test_a_server_that_trickles_is_given_up(server, tmp_path):
         fetch(server, tmp_path, limits=Limits(slow_s=0.0, slow_bytes=2, tries=1))
 
 
-def test_nobody_at_the_address(server, tmp_path):
-    server.shutdown()
-    server.server_close()
-    with pytest.raises(FetchError, match="nothing listens there"):
-        fetch(server, tmp_path)
-    assert left(tmp_path) == {}
-
-
 def test_a_redirect_is_followed_without_the_password(server, tmp_path):
     first = server.put("/w.pt", status=302, location=server.url("/there"))
     second = server.put("/there", CONTENT)

@@ -76,14 +76,6 @@ def test_weights_that_were_pulled_are_exported(started):
     ]  # fmt: skip
 
 
-def test_a_variant_is_made_of_the_original_that_is_here(started, tmp_path, monkeypatch):
-    monkeypatch.setattr(make, "verify_model", lambda card: None)
-    words = ["--calibration", "pictures", "--vocabulary", "words.npz"]
-    assert main(["models", "export", "--quantize", "small", *words]) == 0
-    (line,) = started
-    assert line[4:-4] == ["exporters", "small", *words]
-
-
 @pytest.mark.parametrize(
     ("given", "told"),
     [([], ["q4"]), (["--precision", "int8", "q4f16"], ["int8", "q4f16"])],
@@ -109,16 +101,6 @@ def test_a_models_folder_needs_no_card(started, tmp_path):
     assert main(["models", "export", "new", "--weights", str(tmp_path), *words]) == 0
     folders = ["--weights", str(tmp_path), "--cache", str(resources.models_dir())]
     assert started[0][5:] == ["new", *folders, *words[3:], *words[:3]]
-
-
-@pytest.mark.parametrize("words", [["export", "--weights", "w.pt"], ["export", "--quantize"]])
-@pytest.mark.parametrize("gate", [[], ["--no-gate"]])
-def test_a_model_below_its_limits_is_kept_on_request(started, monkeypatch, words, gate):
-    monkeypatch.setattr(make, "verify_model", lambda card: None)
-    monkeypatch.setattr(make, "find_vocabulary", lambda _: None)
-    action, *options = words
-    assert main(["models", action, "small", "--calibration", "p", *options, *gate]) == 0
-    assert ("--no-gate" in started[0]) == bool(gate)
 
 
 def test_an_own_card_is_exported_from_its_folder(started):

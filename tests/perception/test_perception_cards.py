@@ -61,14 +61,6 @@ def test_no_cards(place):
         cards.load_card("tiny")
 
 
-def test_a_card_is_read_whole(place):
-    place()
-    card = cards.load_card("tiny")
-    assert card.input.height == 64
-    assert card.path == resources.models_dir() / "tiny.onnx"
-    assert [c.name for c in cards.all_cards()] == ["tiny"]
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -88,15 +80,6 @@ def test_a_bad_card_names_file_and_key(place, changes, message):
         cards.load_card("tiny")
     assert "tiny.yaml: " in str(error.value)
     assert message in str(error.value)
-
-
-@pytest.mark.parametrize("key", sorted(CARD))
-def test_every_key_is_needed(place, tmp_path, key):
-    (tmp_path / "cards" / "tiny.yaml").write_text(
-        yaml.safe_dump({k: v for k, v in CARD.items() if k != key})
-    )
-    with pytest.raises(cards.ModelError, match=f"tiny.yaml: {key}: missing"):
-        cards.load_card("tiny")
 
 
 @pytest.mark.parametrize("text", ["", "- a\n", "name: [", "\x00", "a: 2024-13-45", "[" * 1000])
@@ -333,25 +316,6 @@ def test_a_broken_card_is_one_line_and_leaves_the_others(place, caplog):
     assert "\n" not in line
     with pytest.raises(cards.ModelError, match="choices: broken, tiny"):
         cards.load_card("none")
-
-
-@pytest.mark.parametrize(
-    ("line", "says"),
-    [
-        ("\n".join(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9 if i else 0}]" for i in range(9)),
-         "more than 20000 keys and values"),
-        ("sha256: null", "sha256: given twice, first in line"),
-    ],
-)  # fmt: skip
-def test_a_card_is_read_as_a_configuration_is(place, line, says):
-    place()
-    own("broken")
-    path = resources.models_dir() / "broken.yaml"
-    path.write_text(f"{path.read_text()}\n{line}\n")
-    with pytest.raises(cards.ModelError, match=says) as error:
-        cards.load_card("broken")
-    assert str(error.value).startswith(f"{path}: ")
-    assert "\n" not in str(error.value)
 
 
 def test_list_shows_what_is_there(place):

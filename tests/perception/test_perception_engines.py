@@ -63,23 +63,6 @@ def test_an_engine_is_built_once(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change",
-    [
-        {"sha256": "b" * 64},
-        {"sm": "8.9"},
-        {"gpu": "Orin NX"},
-        {"recipe": 2},
-    ],
-)
-def test_whatever_the_engine_depends_on_makes_another(tmp_path, change):
-    build = Builds()
-    first = obtain(KEY, tmp_path, build, quiet)
-    second = obtain({**KEY, **change}, tmp_path, build, quiet)
-    assert build.count == 2
-    assert first != second
-
-
-@pytest.mark.parametrize(
     "harm",
     [
         lambda folder: (folder / "model.engine").write_bytes(b"engin"),
@@ -276,20 +259,6 @@ def test_tensorrt_builds_strongly_typed_once_for_all_numbers_of_prompts(
     monkeypatch.setattr(tensorrt, "RECIPE", 0)
     open_tiny()
     assert len(gpu.built) == 4
-
-
-def test_tensorrts_results_come_from_what_is_live_and_what_is_not(gpu, open_tiny):
-    session = open_tiny()
-    images, text = np.arange(3, dtype=np.float32)[None], np.ones((1, 2, 2), np.float32)
-    inputs = {"images": images, "txt_feats": text}
-    np.testing.assert_array_equal(session.run(["boxes"], inputs)[0], [[4, 5, 6]])
-    bound = binding.bind(session, inputs, {"boxes": (1, 3)}, live=("images",))
-    images += 10
-    text[:] = 5  # not live: what it was when it was bound
-    np.testing.assert_array_equal(bound.run()[0], [[14, 15, 16]])
-    other = binding.bind(session, inputs, {"boxes": (1, 3)}, live=("images",))
-    np.testing.assert_array_equal(other.run()[0], [[30, 31, 32]])
-    np.testing.assert_array_equal(bound.run()[0], [[14, 15, 16]])
 
 
 def test_what_was_allocated_on_the_gpu_is_freed(gpu, open_tiny):

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from edge import config
-from edge.perception.tracking.instances import MAX_POINTS, InstanceTracker
+from edge.perception.tracking.instances import InstanceTracker
 from edge.perception.tracking.lift import POINTS, Lifted
 from edge.perception.tracking.sightings import SightingTracker
 from edge.types import Detections
-
-STEP_NS = 100_000_000
 
 
 class Scene:
@@ -67,15 +65,6 @@ def test_nothing_seen_nothing_there(scene):
     assert s.tracker.get(1) is None
 
 
-def test_after_everything_is_forgotten_ids_go_on(scene):
-    s = scene()
-    (old,) = s.see(("chair", 2.0, 0.0, 0.8))
-    s.tracker.clear()
-    assert s.tracker.all == []
-    (new,) = s.see(("chair", 2.0, 0.0, 0.8))
-    assert new.id > old.id
-
-
 def test_only_what_is_over_tau_det_founds_an_instance(scene):
     s = scene(tau_det=0.3)
     assert s.see(("chair", 2, 0, 0.29)) == []
@@ -83,26 +72,6 @@ def test_only_what_is_over_tau_det_founds_an_instance(scene):
     assert (chair.label, chair.hits, chair.state) == ("chair", 1, "seen")
     np.testing.assert_allclose(chair.center_m, [2, 0, 0.4], atol=0.1)
     assert chair.distance_m(0, 0) == pytest.approx(1.95, abs=0.1)
-
-
-def test_the_same_thing_stays_one_instance(scene):
-    s = scene()
-    for i in range(20):
-        s.see(("chair", 2 + 0.02 * (i % 3), 0.1, 0.6))
-    (chair,) = s.tracker.all
-    assert chair.hits == 20
-    assert len(chair.points_m) <= MAX_POINTS
-    assert chair.last_seen_ns - chair.first_seen_ns == 19 * STEP_NS
-
-
-def test_points_are_voxel_filtered(scene):
-    s = scene(voxel_m=0.1)
-    for _ in range(10):
-        s.see(("sofa", 3, 0, 0.6), size_m=1.0)
-    (sofa,) = s.tracker.all
-    voxels = np.floor(sofa.points_m / 0.1).astype(int)
-    assert len(np.unique(voxels, axis=0)) == len(sofa.points_m) <= MAX_POINTS
-    assert np.ptp(sofa.points_m[:, 1]) > 1.5  # a capped sofa keeps its extent
 
 
 @pytest.mark.parametrize(
@@ -120,13 +89,6 @@ def test_what_merges_and_what_does_not(scene, second, count):
     assert len(s.see(second)) == count
 
 
-def test_synonyms_merge(scene):
-    s = scene()
-    s.see(("sofa", 2, 0, 0.6))
-    assert len(s.see(("couch", 2, 0, 0.6))) == 1
-    assert len(s.tracker.of("settee")) == 1
-
-
 def test_instances_that_grow_together_become_one(scene):
     s = scene(merge_m=1.0)
     s.see(("sofa", 2.0, 0, 0.6), ("sofa", 3.6, 0, 0.5))
@@ -134,22 +96,6 @@ def test_instances_that_grow_together_become_one(scene):
     for _ in range(12):
         s.see(("sofa", 2.9, 0, 0.6), size_m=0.8)
     assert [i.id for i in s.tracker.all] == [1]
-
-
-def test_the_score_rises_fast_and_falls_slowly(scene):
-    s = scene()
-    (chair,) = s.see(("chair", 2, 0, 0.4))
-    s.see(("chair", 2, 0, 0.8))
-    assert chair.score == pytest.approx(0.6)
-    s.see(("chair", 2, 0, 0.2))  # weak, but it is there
-    assert chair.score == pytest.approx(0.54)
-    assert chair.hits == 2
-
-
-def test_of_is_best_first(scene):
-    s = scene(min_hits=1)
-    s.see(("chair", 2, 0, 0.4), ("chair", 2, 3, 0.9), ("bed", 2, -3, 0.95))
-    assert [i.score for i in s.tracker.of("chairs")] == pytest.approx([0.9, 0.4])
 
 
 @pytest.mark.parametrize(
@@ -188,30 +134,6 @@ def test_what_something_else_explains_better_is_refuted(scene):
         s.expire(s.last)
     assert desk.state == "refuted"
     assert s.tracker.of("desk") == []
-
-
-def test_a_rivalled_box_founds_no_instance(scene):
-    s = scene(tau_det=0.1)
-    s.see(("desk", 2, 0, 0.45), rival=0.7)
-    assert len(s.tracker) == 0
-
-
-def test_a_mistake_now_and_then_does_not_confirm(scene):
-    s = scene(confirm_hits=3, confirm_mean=0.2, tau_det=0.1)
-    for _ in range(3):
-        (chair,) = s.see(("chair", 1.5, 0, 0.6))
-        for _ in range(9):
-            s.expire(s.frame(depth_m=1.5))
-    assert chair.state == "seen"
-
-
-@pytest.mark.parametrize("min_hits", [1, 2, 5])
-def test_what_was_found_too_seldom_is_not_driven_to(scene, min_hits):
-    s = scene(min_hits=min_hits)
-    for hits in range(1, 7):
-        s.see(("chair", 2, 0, 0.6))
-        assert len(s.tracker.of("chair")) == (hits >= min_hits)
-        assert len(s.tracker.all) == 1
 
 
 @pytest.mark.parametrize("places", ["under the nose", "at the rim"])
@@ -253,15 +175,6 @@ def test_refuting_takes_its_doubles_along(scene):
     assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "refuted"), ("sofa", "seen")]
 
 
-def test_looks_in_vain_wear_an_instance_away(scene):
-    s = scene()
-    (chair,) = s.see(("chair", 2, 0, 0.6))
-    gone = [s.expire(s.frame()) for _ in range(30)]
-    assert gone.count([chair.id]) == 1
-    assert gone.index([chair.id]) > 5
-    assert len(s.tracker) == 0
-
-
 @pytest.mark.parametrize(
     ("x_m", "y_m", "depth_m"),
     [(8.0, 0.0, 6.0), (2.0, 5.0, 6.0), (0.3, 0.0, 6.0), (3.0, 0.0, 1.0), (-3.0, 0.0, 6.0)],
@@ -273,23 +186,6 @@ def test_what_was_not_looked_at_stays(scene, x_m, y_m, depth_m):
     for _ in range(50):
         s.expire(s.frame(depth_m=depth_m))
     assert chair.score == pytest.approx(0.6)
-
-
-def test_a_frame_that_shows_it_is_no_look_in_vain(scene):
-    s = scene()
-    (chair,) = s.see(("chair", 2, 0, 0.6))
-    s.expire(s.make(seq=s.seq, depth_m=np.full((64, 80), 6.0, np.float32)))
-    assert chair.score == pytest.approx(0.6)
-
-
-def test_reached_ones_stay(scene):
-    s = scene()
-    (chair,) = s.see(("chair", 2, 0, 0.6))
-    s.tracker.mark_reached(chair.id)
-    for _ in range(50):
-        s.expire(s.frame())
-    assert s.tracker.all == [chair]
-    assert s.tracker.confirmed(chair)
 
 
 def test_the_weakest_give_way_but_never_a_protected_one(scene, monkeypatch):
@@ -335,15 +231,6 @@ def test_what_was_refuted_may_be_found_again_where_nothing_else_is_left(scene):
     assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "refuted")]
 
 
-def test_only_what_is_sure(scene):
-    s = scene(confirm_hits=3, min_hits=1)
-    s.see(("chair", 2, 0, 0.6))
-    assert s.tracker.of("chair", sure=True) == []
-    s.see(("chair", 2, 0, 0.6))
-    s.see(("chair", 2, 0, 0.6))
-    assert s.tracker.of("chair", sure=True) == s.tracker.of("chair") != []
-
-
 class Memory(Scene):
     """A scene whose tracker remembers what else stands where."""
 
@@ -367,24 +254,6 @@ def memory(make_observation):
     return lambda **settings: Memory(make_observation, **settings)
 
 
-def test_without_context_a_thing_is_confirmed_as_ever(memory):
-    s = memory()
-    for _ in range(4):
-        tracker = s.look(("desk", 2, 0, 0.6))
-    (desk,) = tracker.of("desk", sure=True, doubted=False)
-    assert desk.state == "confirmed"
-
-
-def test_what_was_confirmed_outlives_some_looks_in_vain(scene):
-    s = scene()
-    for _ in range(10):
-        (chair,) = s.see(("chair", 2, 0, 0.6))
-        s.expire(s.last)
-    assert chair.state == "confirmed"
-    gone = [s.expire(s.frame()) for _ in range(60)]
-    assert 20 < gone.index([chair.id]) < 60, "as its mean score over all looks falls"
-
-
 @pytest.mark.parametrize(
     ("first", "rival", "state"),
     [(0, 0.5, "seen"), (6, 0.5, "confirmed"), (6, 0.9, "seen")],
@@ -396,16 +265,6 @@ def test_what_was_confirmed_stays_so_while_nothing_does_better(scene, first, riv
         (chair,) = s.see(("chair", 2, 0, 0.6), rival=0.0 if k < first else rival)
         s.expire(s.last)
     assert chair.state == state
-
-
-@pytest.mark.parametrize(("size_m", "views"), [(0.1, 1.0), (3.0, 0.25)], ids=["whole", "in part"])
-def test_a_look_that_shows_a_part_counts_less(scene, size_m, views):
-    s = scene()
-    s.see(("chair", 2, 0, 0.6), size_m=size_m)
-    s.expire(s.last)
-    (track,) = s.tracker._tracks.values()
-    assert track.views == views
-    assert track.target_sum == pytest.approx(0.6 * views)
 
 
 def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
@@ -438,15 +297,6 @@ def test_what_was_confirmed_takes_more_to_doubt(memory, first, desk_score, sofa_
     for _ in range(80):
         tracker = s.look(("desk", 2, 0, desk_score), around=[("sofa", 2, 0, sofa_score)])
     assert bool(tracker.of("desk", sure=True, doubted=False)) == sure
-
-
-def test_what_is_not_looked_for_any_more_is_no_look_alike(memory):
-    s = memory()
-    for _ in range(10):
-        s.look(around=[("sofa", 2, 0, 0.7)])
-    for _ in range(4):  # another model, another background
-        tracker = s.look(("desk", 2, 0, 0.5), around=[("lamp", 2, 3, 0.7)])
-    assert len(tracker.of("desk", sure=True, doubted=False)) == 1
 
 
 @pytest.mark.parametrize(

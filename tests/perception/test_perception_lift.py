@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from edge import config
 from edge.geometry import CameraModel, invert
 from edge.perception.tracking import lift_kernels as kernels
-from edge.perception.tracking.lift import POINTS, Lifter
+from edge.perception.tracking.lift import Lifter
 from edge.types import MASK_SIDE, ContextBoxes, Detections, Observation
 
 SIMULATED = config.Perception(detector=config.DetectorSim())
@@ -48,31 +48,6 @@ BOX = (28, 18, 52, 46)
 @pytest.mark.parametrize("way", ["depth", "cloud"])
 def test_no_box_nothing_lifted(make_observation, way):
     assert len(lift(make_observation(), lift=way)) == 0
-
-
-def test_the_thing_before_the_wall(make_observation):
-    out = lift(make_observation(x_m=1.0, y_m=-2.0, depth_m=wall_with_thing()), BOX)
-    assert out.valid.tolist() == [True]
-    np.testing.assert_allclose(out.center_m[0], [3.0, -2.0, 0.6], atol=0.1)
-    points = out.surface_m(0)
-    assert len(points) == POINTS
-    np.testing.assert_allclose(points[:, 0], 3.0, atol=0.01)
-
-
-def test_the_pose_of_the_image_counts(make_observation):
-    seen = make_observation(depth_m=wall_with_thing())
-    turned = np.array([[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-    out = lift(dataclasses.replace(seen, T_map_base=turned), BOX)
-    np.testing.assert_allclose(out.center_m[0], [5.0, 8.0, 0.6], atol=0.1)
-
-
-@pytest.mark.parametrize("hole", [np.nan, 0.0, np.inf])
-def test_holes_do_not_count(make_observation, hole):
-    depth = wall_with_thing()
-    depth[::2] = hole
-    out = lift(make_observation(depth_m=depth), BOX)
-    np.testing.assert_allclose(out.center_m[0], [2.0, 0.0, 0.6], atol=0.15)
-    assert np.isfinite(out.points_m).all()
 
 
 @pytest.mark.parametrize(

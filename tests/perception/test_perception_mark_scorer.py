@@ -20,10 +20,8 @@ from edge.perception.runtime.onnx_file import check_fixed
 from edge.perception.scoring.choice import mark_scorer
 from edge.perception.scoring.choice.factory import make_choice, open_choice
 from edge.perception.scoring.choice.mark_scorer import (
-    FAR_M,
     MarkNetwork,
     MarkScorer,
-    as_input,
     letterboxed,
 )
 from edge.perception.scoring.choice.process import ProcessMarks
@@ -31,7 +29,6 @@ from edge.perception.scoring.choice.question import MAX_MARKS, Mark, View, Ways
 from edge.types import Observation
 
 NAME = "mini-house-choice"
-MAX_BYTES = 8_000_000
 HW = (256, 320)
 
 
@@ -54,13 +51,6 @@ def view(*marks: Mark, rgb: np.ndarray | None = None, target: str = "bed") -> Vi
 # -- what the network gets ------------------------------------------------------------------------
 
 
-def test_an_image_of_the_networks_size_stays_as_it_is():
-    rgb = np.arange(256 * 320 * 3, dtype=np.uint8).reshape(256, 320, 3)
-    image, scale, top, left = letterboxed(rgb, HW, 114)
-    np.testing.assert_array_equal(image, rgb)
-    assert (scale, top, left) == (1.0, 0, 0)
-
-
 @pytest.mark.parametrize(
     ("shape", "expected"),
     [
@@ -79,23 +69,6 @@ def test_others_are_scaled_to_fit_on_grey(shape, expected):
     assert (image[:top] == 114).all()
     assert (image[:, :left] == 114).all()
     assert (inner[0, 0] == 0).all()
-
-
-def test_without_marks_there_is_no_row():
-    assert as_input((), ways(), 1.0, 0, 0, HW).shape == (0, MARK_FIELDS)
-
-
-def test_marks_are_shares_of_the_letterboxed_image():
-    marks = (mark(1, -0.5, 239.5, 0.3, 4.0), mark(2, 319.5, 0.0))
-    found = as_input(marks, ways(*marks), 0.5, 8, 0, HW)
-    assert found.shape == (2, MARK_FIELDS)
-    np.testing.assert_allclose(found[0], [0.0, 0.5, 0.3, 4.0, 8.0, 1.0, 1.0])
-    np.testing.assert_allclose(found[1, :2], [0.5, 8.25 / 256])
-
-
-def test_a_mark_that_no_way_leads_to_is_as_far_as_can_be_told():
-    lost = ways(mark(1, 0.0))._replace(path_m=np.array([np.inf], np.float32))
-    assert as_input((mark(1, 0.0),), lost, 1.0, 0, 0, HW)[0, 4] == FAR_M
 
 
 # -- what is made of its logits -------------------------------------------------------------------
@@ -163,13 +136,6 @@ def test_softmax_is_over_the_marks_that_are_there_and_elsewhere(monkeypatch):
     np.testing.assert_array_equal(session.feeds[-1]["others"], [[2.0, 5.0, 9.0]])
 
 
-def test_the_image_is_copied_when_it_is_looked_at(monkeypatch):
-    scorer, rgb = scorer_of(monkeypatch, FakeSession([0.0] * 9)), np.zeros((*HW, 3), np.uint8)
-    looked = scorer.look(view(mark(1, 1.0), rgb=rgb))
-    rgb[:] = 255
-    assert not looked.image.any()
-
-
 @pytest.mark.parametrize(
     ("session", "says"),
     [
@@ -223,25 +189,11 @@ class Slow(FakeSession):
         return super().run(names, feed, options)
 
 
-def test_what_takes_longer_than_the_limit_is_broken_off(monkeypatch):
-    scorer = scorer_of(monkeypatch, Slow([0.0] * 9))
-    scorer._limit_s = 0.01
-    with pytest.raises(ModelError, match=r"fake: no answer within 0\.01 s .*time_limit_s"):
-        scorer.answer(scorer.look(view(mark(1, 1.0))))
-
-
 def test_a_closed_one_gives_up_what_is_asked(monkeypatch):
     scorer = scorer_of(monkeypatch, Slow([0.0] * 9))
     scorer.close()
     with pytest.raises(ModelError, match="fake: given up"):
         scorer.answer(scorer.look(view(mark(1, 1.0))))
-
-
-def test_a_network_that_fails_at_its_first_run_is_refused(monkeypatch):
-    session = FakeSession(RuntimeError("out of memory"))
-    session.feeds.append("of another")
-    with pytest.raises(ModelError, match="fake: out of memory"):
-        scorer_of(monkeypatch, session)
 
 
 # -- the one that is shipped ----------------------------------------------------------------------
@@ -250,14 +202,6 @@ def test_a_network_that_fails_at_its_first_run_is_refused(monkeypatch):
 @pytest.fixture(scope="module")
 def shipped() -> MarkScorer:
     return open_choice(ChoiceOnnx(card=NAME, threads=1))
-
-
-def test_the_file_is_that_of_the_card_and_small():
-    card = load_card_of(MarksCard, NAME)
-    assert verify_model(card).stat().st_size <= MAX_BYTES
-    figures = card.measured["held-out houses"]
-    assert figures["first_seed"] >= 1000
-    assert figures["bytes"] == card.path.stat().st_size
 
 
 def test_an_image_smaller_than_the_networks_cannot_be_demanded():

@@ -15,7 +15,7 @@ from patience import eventually
 
 from edge import config
 from edge.perception.masks.grabcut import GrabcutSegmenter
-from edge.perception.masks.masker import Masker, make_masker
+from edge.perception.masks.masker import Masker
 from edge.perception.masks.segmenter import Deadline, rasterise
 from edge.perception.runtime.health import Health
 from edge.perception.worker import DetectorWorker
@@ -52,25 +52,6 @@ def truth(rgb, colour, box):
 # -- rasters --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("box", "covered"),
-    [
-        ((0, 0, 8, 8), 1.0),
-        ((0, 0, 16, 8), 0.5),
-        ((4, 0, 12, 8), 0.5),
-        ((8, 0, 16, 8), 0.0),
-        ((-8, 0, 8, 8), 0.5),
-        ((100, 100, 108, 108), 0.0),
-    ],
-)
-def test_a_raster_lies_over_its_box(box, covered):
-    values = np.full((8, 16), -1, np.float32)
-    values[:, :8] = 1
-    out = np.zeros((MASK_SIDE, MASK_SIDE), np.bool_)
-    rasterise(values, (0, 0), (1, 1), np.float32(box), out)
-    assert out.mean() == pytest.approx(covered, abs=0.05)
-
-
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_raster_is_the_image_looked_up_cell_by_cell(seed):
     rng = np.random.default_rng(seed)
@@ -90,14 +71,6 @@ def test_a_raster_is_the_image_looked_up_cell_by_cell(seed):
 
 def test_no_box_no_mask():
     assert masks_of(picture())[0] == 0
-
-
-def test_the_thing_is_told_from_the_wall():
-    rgb, box = picture((RED, 30, 20, 50, 44)), (26, 16, 54, 48)
-    done, out = masks_of(rgb, box)
-    wanted = truth(rgb, RED, box)
-    assert done == 1
-    assert (out[0] & wanted).sum() > 0.9 * (out[0] | wanted).sum()
 
 
 def test_what_goes_on_beyond_the_box_is_not_the_thing():
@@ -209,11 +182,6 @@ def test_the_best_boxes_have_masks(seen, boxes, fake, masked, counts):
     assert all(0 < left_s <= limit_s for _, left_s in fake.asked)
 
 
-def test_a_replay_has_all_the_time_there_is(seen):
-    Masker(fake := Fake(), GRABCUT, timed=False).add(found_in(seen, BOX))
-    assert fake.asked[0][1] == math.inf
-
-
 def test_detections_outlive_a_segmenter_that_fails(seen, caplog):
     masker = Masker(Fake(RuntimeError("no\nluck")), GRABCUT)
     for _ in range(2):
@@ -257,15 +225,6 @@ def test_the_detectors_worker_makes_them_and_holds_the_frame_once(seen, error):
     assert seen.slot.holds == 1  # whose it is that polled
     worker.close()
     assert fake.closed
-
-
-@pytest.mark.parametrize(
-    ("segmenter", "name"),
-    [(config.SegmenterNone(), None), (GRABCUT, GrabcutSegmenter.name)],
-)
-def test_the_configuration_names_it(segmenter, name):
-    masker = make_masker(config.Perception(detector=config.DetectorSim(), segmenter=segmenter))
-    assert (None if masker is None else masker.status()["model"]) == name
 
 
 def test_masks_go_with_their_boxes(seen):

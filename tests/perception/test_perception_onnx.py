@@ -14,7 +14,6 @@ from test_perception_cards import CARD, flip_a_byte
 from edge import config
 from edge.host import resources
 from edge.models.check import check_model
-from edge.perception.detection.columns import competitors
 from edge.perception.embedding.text import PromptError, TextEmbeddings
 from edge.perception.factory import make_detector
 from edge.perception.runtime import model_file
@@ -126,30 +125,6 @@ def test_boxes_scores_and_classes(tiny, make_observation):
     np.testing.assert_allclose(found.xyxy_px, [[44, 44, 60, 60], [8, 8, 40, 40], [8, 8, 40, 40]])
 
 
-def test_nothing_found_is_empty_arrays(tiny, make_observation):
-    found = tiny(prompts=("bed",)).detect(make_observation(rgb=image()))
-    assert len(found) == 0
-    assert found.xyxy_px.shape == (0, 4)
-
-
-def test_boxes_are_in_pixels_of_the_image_given(tiny, make_observation):
-    detector = tiny(prompts=("trash can",))
-    wide = detector.detect(make_observation(rgb=image(128, 256)))  # 0.25, rows 16..48
-    np.testing.assert_allclose(wide.xyxy_px, [[176, 112, 240, 128]])
-    same = detector.detect(make_observation(rgb=image()))
-    np.testing.assert_allclose(same.xyxy_px, [[44, 44, 60, 60]])
-
-
-def test_the_image_reaches_the_model_as_planes_on_grey(tiny, make_observation):
-    detector = tiny()
-    rgb = np.random.default_rng(0).integers(0, 255, (32, 64, 3), np.uint8)
-    detector.detect(make_observation(rgb=rgb))
-    planes = detector._images[0]
-    np.testing.assert_allclose(planes[:, 16:48], rgb.transpose(2, 0, 1) / 255, rtol=1e-6)
-    np.testing.assert_allclose(planes[:, :16], 114 / 255, rtol=1e-6)
-    np.testing.assert_allclose(planes[:, 48:], 114 / 255, rtol=1e-6)
-
-
 def test_prompts_change_at_run_time(tiny, make_observation):
     detector = tiny(prompts=("bed",))
     seen = make_observation(rgb=image())
@@ -182,20 +157,6 @@ def test_each_target_has_its_box_and_the_others_on_its_place_are_its_rivals(tiny
     assert found.unrivalled().tolist() == [True, False]
     found = tiny(prompts=("easy chair", "chair")).detect(seen)
     assert found.rival.max() == 0.0
-
-
-@pytest.mark.parametrize(
-    ("prompt", "background", "rivals"),
-    [
-        ("couch", "sofa", 0),  # a target cannot be background too
-        ("chair", "desk chair", 0),  # nor a kind of it
-        ("desk", "desk chair", 1),
-        ("bed", "chair", 1),
-    ],
-)
-def test_which_backgrounds_compete(tiny, prompt, background, rivals):
-    detector = tiny(prompts=(prompt,), background=(background,))
-    assert detector._asked.columns.things == 1 + rivals
 
 
 def test_a_background_that_the_model_does_not_know_is_left_out_and_told_once(tiny, caplog):
@@ -289,24 +250,6 @@ def test_a_file_that_is_no_model_is_refused(tiny, tmp_path):
     (tmp_path / "cards" / "tiny.yaml").write_text(yaml.safe_dump({**CARD, "sha256": digest}))
     with pytest.raises(ModelError, match=r"tiny\.onnx: not an ONNX model"):
         check_model(load_detector_card("tiny"))
-
-
-def test_what_a_prompt_is_not_competes_though_it_is_a_thing_of_that_name(tiny, monkeypatch):
-    """The vocabulary takes a red chair for a chair, so both score alike at the same place; a tall
-    one too, but of a chair that the image cuts off the size cannot be told."""
-    contrasts = {"chair": ["red chair", "tall chair"]}
-
-    def seen(_, prompt, whole=True):
-        return contrasts.get(prompt, [])[: 2 if whole else 1]
-
-    monkeypatch.setattr(TextEmbeddings, "contrasts", seen)
-    detector = tiny(prompts=("chair", "sofa"))
-    columns = ("chair", "sofa", "red chair", "tall chair")
-    whole, cut = competitors(("chair", "sofa"), columns, detector._text).tolist()
-    assert whole == [[False, True, True, True], [True, False, True, True]]
-    assert cut == [[False, True, True, False], [True, False, True, True]]
-    contrasts.clear()
-    assert not competitors(("chair",), ("chair", "red chair"), detector._text).any()
 
 
 def test_contrasts_are_asked_for_beside_the_prompts(tiny, monkeypatch, make_observation):

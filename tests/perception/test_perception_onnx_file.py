@@ -18,7 +18,6 @@ from onnx_bytes import (
     model,
     node,
     tensor,
-    value_info,
 )
 
 from edge.perception.runtime import card_types
@@ -71,11 +70,6 @@ def test_a_sound_model(check):
     assert found.inputs == [
         Value("images", FLOAT, (1, 3, 64, 64)), Value("txt_feats", FLOAT, (1, None, 512)),
     ]  # fmt: skip
-
-
-def test_weights_that_are_listed_as_inputs_too_are_none(check):
-    ends = interface(**DETECTOR) + field(11, value_info("w", FLOAT, (3,)))
-    check(model(graph(ends, (node("Identity"),), (tensor("w", raw=b"\0" * 12),))))
 
 
 def branch(inside):

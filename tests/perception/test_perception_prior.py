@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from twins import nearby as nearby_twin
 
 from edge import names
-from edge.config import DetectorOnnx, DetectorSim
+from edge.config import DetectorOnnx
 from edge.perception.prior import cooccurrence, rooms, table
 from edge.perception.prior.nearby import nearby
 from edge.perception.prior.words import Words, make_words
@@ -80,10 +80,6 @@ def test_small_counts_are_drawn_towards_one(both, lift):
     assert table.parse(data).lift(["bed", "vase"])[0, 1] == pytest.approx(lift)
 
 
-def test_rooms_with_both_of_nothing():
-    assert table.load().lift([]).shape == (0, 0)
-
-
 @pytest.mark.parametrize(
     ("target", "near", "lift"),
     [
@@ -99,24 +95,6 @@ def test_what_stands_near(target, near, lift):
     out = np.empty(1, np.float32)
     cooccurrence.lift(TABLE, target, np.array([near], np.float32), out)
     assert out[0] == pytest.approx(lift, rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("target", "near", "above"),
-    [
-        ("toilet", ["plunger"], True),
-        ("toilet", ["bed"], False),
-        ("refrigerator", ["countertop"], True),
-        ("bed", ["pillow"], True),
-        ("bed", ["toilet"], False),
-    ],
-)
-def test_what_was_learned_is_common_sense(target, near, above):
-    learned, out = table.load(), np.empty(1, np.float32)
-    seen = np.zeros((1, len(learned.things)), np.float32)
-    seen[0, [learned.row(word) for word in near]] = 1
-    cooccurrence.lift(learned, learned.row(target), seen, out)
-    assert (out[0] > 1.1) if above else (out[0] < 0.9)
 
 
 def test_a_room_is_what_it_holds():
@@ -148,13 +126,6 @@ def test_where_nothing_was_seen_the_room_next_door_tells():
     assert own[0, 0] > 0.9
     assert prior[1] < beside[0, 1] < 0.9
     assert t.neighbours[0, 0] == 1
-
-
-def test_the_region_with_the_longest_border_counts():
-    border = np.array([[0, 0, 0, 0], [0, 0, 9, 4], [0, 9, 0, 0], [0, 4, 0, 0]])
-    held = np.array([[0], [0], [0], [1]], np.float32)
-    assert rooms.neighbours(border, held).tolist() == [0, 3, 0, 0]
-    assert rooms.neighbours(np.zeros((1, 1), int), np.zeros((1, 1))).tolist() == [0]
 
 
 def test_rooms_lift():
@@ -225,9 +196,3 @@ def test_words_of_clip(shared_dir, word, thing):
     learned = table.load()
     words = make_words(learned, DetectorOnnx(vocabulary=str(file)))
     assert words.row(word) == (-1 if thing is None else learned.row(thing))
-
-
-def test_without_a_vocabulary_names_do(tmp_path):
-    for detector in (DetectorSim(), DetectorOnnx(vocabulary=str(tmp_path / "none.npz"))):
-        words = make_words(TABLE, detector)
-        assert (words.row("cot"), words.row("bed")) == (-1, BED)

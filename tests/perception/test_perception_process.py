@@ -9,7 +9,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -459,21 +458,6 @@ def test_the_worker_goes_on_over_a_process_that_ends(seen, once):
     worker.close()
 
 
-def test_two_of_them_at_once(make, seen):
-    one, other = make(prompts=["chair"]), make(prompts=["sofa", "bed"])
-    results = {}
-
-    def look(name, detector):
-        results[name] = [len(detector.detect(seen(value=v))) for v in range(40)]
-
-    threads = [threading.Thread(target=look, args=pair) for pair in (("a", one), ("b", other))]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert results == {"a": [1] * 40, "b": [2] * 40}
-
-
 def compare(inside, perception, observations):
     """What a detector here and one in a process of its own find is the same, bit for bit."""
     outside = make_detector(perception, inside.prompts)
@@ -530,8 +514,3 @@ def test_the_shipped_models_boxes_are_the_same_in_a_process(monkeypatch, make_ob
     rules = config.ModelProcess(**QUICK)
     perception = config.Perception(isolation="process", process=rules, detector=chosen)
     compare(inside, perception, noise(make_observation, (256, 320), (480, 640)))
-
-
-def test_a_detector_that_needs_more_than_an_image_cannot_be_isolated():
-    with pytest.raises(ValueError, match=r"only for perception\.detector\.kind: onnx"):
-        config.Perception(isolation="process", detector=config.DetectorSim())

@@ -48,15 +48,6 @@ def some(n=2, rival=True, around=None):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("rival", [True, False])
-def test_nothing_found(rival):
-    answer = wire.decode_answer(3, *encode(some(0, rival)))
-    assert answer.found.xyxy_px.shape == (0, 4)
-    assert len(answer.found.score) == len(answer.found.class_id) == 0
-    assert (answer.found.rival is not None) == rival
-    assert answer.found.prompts == PROMPTS
-
-
 @pytest.mark.parametrize("around", [0, 3])
 def test_what_stands_around_arrives_too(around):
     sent = some(2, around=around)
@@ -157,10 +148,6 @@ def test_an_error_is_raised_again_on_the_other_side(raised, kind, says):
     assert str(error.value) == says
 
 
-def test_what_is_no_error_raises_none():
-    wire.raise_error({"seq": 1}, "tiny")
-
-
 # -- images --------------------------------------------------------------------------------------
 
 
@@ -193,24 +180,6 @@ def test_images_of_any_size_arrive(sizes):
     file.close()
 
 
-def test_a_larger_image_than_the_memory_that_was_mapped(pair):
-    file, view = pair
-    file.write(1, image(2, 2))
-    view.read(1, (2, 2))
-    rgb = image(400, 600)
-    file.write(2, rgb)
-    np.testing.assert_array_equal(view.read(2, (400, 600)), rgb)
-
-
-def test_what_is_looked_at_is_not_copied(pair):
-    file, view = pair
-    file.write(1, image(4, 4))
-    seen = view.read(1, (4, 4))
-    file.write(2, np.full((4, 4, 3), 9, np.uint8))
-    assert (seen == 9).all()
-    assert not view.is_whole(1)
-
-
 @pytest.mark.parametrize("half", [wire._BEFORE, wire._AFTER], ids=["begun", "not ended"])
 def test_a_torn_image_is_refused(pair, half):
     file, view = pair
@@ -238,9 +207,3 @@ def test_memory_that_is_not_there_is_an_error_and_no_signal(pair, monkeypatch):
     with pytest.raises(OSError, match="No space left"):
         file.write(2, image(8, 8))
     view.read(1, (4, 4))
-
-
-def test_without_shared_memory_the_folder_for_temporary_files_serves(monkeypatch, tmp_path):
-    monkeypatch.setattr(wire, "SHARED_MEMORY", tmp_path / "none")
-    monkeypatch.setattr(wire.tempfile, "tempdir", str(tmp_path))
-    assert wire.shared_dir() == str(tmp_path)

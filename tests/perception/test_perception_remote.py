@@ -26,13 +26,11 @@ from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
 from edge.perception.runtime.card_types import ImageCard, Server
 from edge.perception.runtime.cards import ModelError, load_card, verify_model
-from edge.perception.runtime.kserve import RemoteSession, ServerError
-from edge.perception.scoring.similarity import make_similarity, similarity_card
+from edge.perception.runtime.kserve import ServerError
 from edge.perception.worker import DetectorWorker
 
 SMALL = "mini-house-256x320-int8-cpu"
 PROMPTS = ("chair", "bed")
-NAN = float("nan")
 LIMIT_S = 60.0  # of a server that answers
 
 
@@ -218,6 +216,11 @@ BAD = [
 ]  # fmt: skip
 
 
+def limit(there: RemoteDetector, seconds: float) -> None:
+    session = there._session
+    session._server = session._server.model_copy(update={"time_limit_s": seconds})
+
+
 @pytest.mark.parametrize(("behave", "kind", "why"), BAD)
 def test_whatever_a_server_does_costs_an_image_and_is_told(
     model, far, picture, behave, kind, why, monkeypatch
@@ -226,7 +229,7 @@ def test_whatever_a_server_does_costs_an_image_and_is_told(
     with serving(KServe(model)) as server:
         there = far(server)
         found = there.detect(picture)
-        there._session._server = there._session._server.model_copy(update={"time_limit_s": limit_s})
+        limit(there, limit_s)
         server.behave = behave
         with pytest.raises(ServerError) as error:
             there.detect(picture)
@@ -235,41 +238,9 @@ def test_whatever_a_server_does_costs_an_image_and_is_told(
         assert "\n" not in str(error.value)
         assert there.health() == ("degraded", str(error.value))
         server.behave, there.time.s = None, 1e6
-        there._session._server = there._session._server.model_copy(update={"time_limit_s": LIMIT_S})
+        limit(there, LIMIT_S)
         assert len(there.detect(picture).score) == len(found.score)
         assert there.health() == ("ok", "")
-
-
-@pytest.mark.parametrize(
-    ("scores", "boxes", "why"),
-    [((1, 7, 1), (1, 9, 4), "do not belong together"),
-     ((1, 90_000, 1), (1, 90_000, 4), "a at most 81920")],
-)  # fmt: skip
-def test_a_server_whose_first_answer_makes_no_sense_is_not_built_upon(
-    far, picture, scores, boxes, why
-):
-    with serving(KServe(None, behave=tensors(boxes=boxes, scores=scores))) as server:
-        there = far(server)
-        with pytest.raises(ModelError, match=why):
-            there.detect(picture)
-        assert there.health().state == "degraded"
-
-
-def test_boxes_that_are_not_finite_are_dropped_and_counted(model, far, picture):
-    def lie(feed):
-        found = model(feed)
-        return {"boxes": np.where(np.arange(4) == 2, NAN, found["boxes"]).astype(np.float32),
-                "scores": found["scores"]}  # fmt: skip
-
-    with serving(KServe(lie)) as server:
-        there = far(server)
-        assert len(there.detect(picture).score) == 0
-        before = there.invalid_boxes
-        assert before > 0
-        server.behave = cut
-        with pytest.raises(ServerError):
-            there.detect(picture)
-        assert there.invalid_boxes == before
 
 
 def test_a_server_that_comes_back_with_another_model_is_taken_up(model, far, picture):
@@ -390,20 +361,6 @@ def test_there_is_no_file_to_look_into(tmp_path, monkeypatch):
         verify_model(card)
 
 
-def test_a_scorer_may_ask_a_detector_on_a_server(tmp_path, monkeypatch, model, picture):
-    with serving(KServe(model)) as server:
-        write_card(tmp_path, monkeypatch, server.url)
-        told = load_card("mini-house-similarity").model_dump(mode="json")
-        told |= {"name": "asks-far", "detector": "far"}
-        (tmp_path / "models/asks-far.yaml").write_text(yaml.safe_dump(told))
-        perception = config.Perception(similarity="asks-far", detector=config.DetectorSim())
-        scorer = make_similarity(similarity_card(perception), perception, PROMPTS)
-        score = scorer.score(picture.rgb, PROMPTS)
-        scorer.close()
-        assert score.shape == (2,)
-        assert server.asked[-1] == "/v2/models/m/infer"
-
-
 def test_an_image_encoder_on_a_server_gives_unit_rows(picture):
     def run(feed):
         assert feed["pixels"].shape == (1, 3, SIDE, SIDE)
@@ -420,7 +377,3 @@ def test_an_image_encoder_on_a_server_gives_unit_rows(picture):
         encoder.close()
     assert np.linalg.norm(row) == pytest.approx(1.0, abs=1e-5)
     assert (np.diff(row) > 0).all()
-
-
-def test_a_session_says_what_it_is():
-    assert RemoteSession(card_of("http://127.0.0.1:1")).get_providers() == ["kserve"]

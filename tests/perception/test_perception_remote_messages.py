@@ -99,15 +99,6 @@ def test_whatever_is_not_what_was_asked_for_is_a_lie(body, length, why):
     assert str(error.value).startswith(why)
 
 
-def test_what_was_not_asked_for_is_passed_over():
-    more = {"name": "more", "datatype": "INT8", "shape": [8], **SIZE}
-    tail = b"12345678" + np.array([2.0, 3.0], "<f4").tobytes()
-    told = {k: v for k, v in ONE.items() if k != "data"} | SIZE
-    found = infer_answer(*answer(more, told, tail=tail), {"boxes": (1, 2)})
-    assert list(found) == ["boxes"]
-    np.testing.assert_array_equal(found["boxes"], [[2.0, 3.0]])
-
-
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
     lambda inner: st.lists(inner, max_size=4)
@@ -138,15 +129,6 @@ def test_no_output_raises_anything_else(value):
         found = infer_answer(json.dumps({"outputs": [entry]}).encode(), None, {"boxes": (1, None)})
         assert found["boxes"].dtype == np.float32
         assert found["boxes"].shape[0] == 1
-
-
-@pytest.mark.parametrize(
-    ("extensions", "spoken"),
-    [([], False), (["binary_tensor_data", "statistics"], True), ("binary_tensor_data", False),
-     (None, False)],
-)  # fmt: skip
-def test_bytes_go_where_the_server_says_so(extensions, spoken):
-    assert messages.speaks_binary(json.dumps({"extensions": extensions}).encode()) == spoken
 
 
 IMAGES = {"name": "images", "datatype": "FP32", "shape": [-1, 3, 4, 4]}

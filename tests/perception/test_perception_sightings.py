@@ -71,25 +71,6 @@ def test_nothing_seen_nothing_there(scene):
     assert len(s.seen.of("chair")) == len(s.seen.of("lamp")) == 0
 
 
-def test_targets_and_context_stand_side_by_side(scene):
-    s = scene().see(("bed", NEAR, 0, 0.8), ("chair", NEAR, 1, 0.6))
-    seen = s.seen
-    assert seen.n == 2
-    (bed,), (chair,) = seen.of("bed"), seen.of("chair")
-    np.testing.assert_allclose(seen.xyz_m[[bed, chair]], [[NEAR, 0, 0.6], [NEAR, 1, 0.6]])
-    assert seen.last_seen_ns[bed] == s.seq * 100_000_000
-    assert seen.id[bed] != seen.id[chair]
-    assert 0 < seen.confidence[chair] < seen.confidence[bed] < 0.8
-
-
-def test_it_grows_sure_of_what_it_sees_again_and_again(scene):
-    s = scene()
-    grew = [s.see(("chair", NEAR, 0, 0.6)).seen.confidence[0] for _ in range(20)]
-    assert (np.diff(grew) > 0).all()
-    assert grew[-1] == pytest.approx(0.6, abs=0.03)
-    assert (s.seen.n, s.seen.hits[0], s.seen.near_hits[0]) == (1, 20, 20)
-
-
 def test_looking_in_vain_takes_confidence_until_it_is_forgotten(scene):
     s = scene().see(("chair", NEAR, 0, 0.6))
     fell = [float(s.see().seen.confidence[0]) for _ in range(4)]
@@ -99,59 +80,12 @@ def test_looking_in_vain_takes_confidence_until_it_is_forgotten(scene):
     assert s.seen.n == 0
 
 
-@pytest.mark.parametrize(
-    "look",
-    [{"words": ("sofa",)}, {"depth_m": 1.0}],
-    ids=["not looked for", "hidden"],
-)
-def test_a_look_that_cannot_tell_takes_nothing(scene, look):
-    s = scene().see(("chair", NEAR, 0, 0.6))
-    before = s.table()
-    for _ in range(10):
-        s.see(**look)
-    assert s.table() == before
-
-
-def test_a_far_look_says_less(scene):
-    near, far = scene(), scene()
-    for _ in range(3):
-        near.see(("chair", NEAR, 0, 0.6))
-        far.see(("chair", FAR, 0, 0.6))
-    assert far.seen.confidence[0] < near.seen.confidence[0]
-    assert far.seen.near_hits[0] == 0
-
-
 def test_weak_boxes_count_only_where_something_is(scene):
     s = scene().see(("chair", NEAR, 0, 0.2))
     assert s.seen.n == 0
     s.see(("chair", NEAR, 0, 0.6)).see(("chair", NEAR, 0, 0.2))
     assert (s.seen.n, s.seen.hits[0]) == (1, 1)
     assert 0.2 < s.seen.confidence[0] < 0.5
-
-
-@pytest.mark.parametrize(("apart_m", "count"), [(0.3, 1), (1.2, 2)])
-def test_places_of_one_word_merge_where_they_are_near(scene, apart_m, count):
-    s = scene().see(("chair", NEAR, 0, 0.6)).see(("chair", NEAR, apart_m, 0.6))
-    assert s.seen.n == count
-
-
-@pytest.mark.parametrize(("apart_m", "count"), [(0.2, 1), (0.5, 2)])
-def test_two_whose_middles_drift_together_become_one(scene, apart_m, count):
-    s = scene().see(("chair", NEAR, 0, 0.6), ("chair", NEAR, 1.2, 0.6), ("sofa", NEAR, 1.2, 0.6))
-    s.tracker._all.xyz_m[1, 1] = apart_m  # as views of either end's middle move it
-    s.see(("chair", NEAR, 0, 0.6))
-    chairs = s.seen.of("chair")
-    assert (len(chairs), len(s.seen.of("sofa"))) == (count, 1)
-    assert int(s.seen.hits[chairs].sum()) == 3
-    middle = np.average(s.seen.xyz_m[chairs, 1], weights=s.seen.hits[chairs])
-    assert middle == pytest.approx(apart_m / 3, abs=1e-5)
-
-
-def test_a_word_may_be_target_then_context_and_stays_the_same_thing(scene):
-    s = scene().see(("bed", NEAR, 0, 0.6))
-    first = int(s.seen.id[0])
-    s.see(("bed", NEAR, 0, 0.6), targets=("chair",), words=("bed", "sofa"))
-    assert (s.seen.n, int(s.seen.id[0]), int(s.seen.hits[0])) == (1, first, 2)
 
 
 def test_over_its_capacity_the_least_confident_goes(scene, monkeypatch):
@@ -164,21 +98,6 @@ def test_over_its_capacity_the_least_confident_goes(scene, monkeypatch):
     assert s.seen.n == 3
     assert len(set(s.seen.id[:3])) == 3
     assert {s.seen.words[w] for w in s.seen.word[:3]} == {"chair", "sofa", "bed"}
-
-
-def test_the_generation_counts_what_matters(scene):
-    s = scene().see(("chair", NEAR, 0, 0.6))
-    first = s.seen.generation
-    assert first > 0
-    for _ in range(30):
-        s.see(("chair", NEAR, 0, 0.6))
-    settled = s.seen.generation
-    assert settled > first
-    for _ in range(5):
-        s.see(("chair", NEAR, 0, 0.6))
-    assert s.seen.generation == settled
-    s.see(("chair", NEAR, 0, 0.6), ("sofa", NEAR, 1.5, 0.6))
-    assert s.seen.generation > settled
 
 
 def test_after_everything_is_forgotten_ids_and_words_go_on(scene):

@@ -36,10 +36,6 @@ def test_empty_prompts_are_refused(prompts):
         make(prompts)
 
 
-def test_it_says_what_it_is():
-    assert "no neural network" in make().name
-
-
 @pytest.mark.parametrize(
     ("labels", "boxes"),
     [
@@ -71,20 +67,6 @@ def test_objects_answer_to_their_names(make_observation, prompts, classes):
     assert sorted(found.class_id) == classes
     assert (np.diff(found.score) <= 0).all()
     assert found.prompts == prompts
-
-
-def test_boxes_surround_the_visible_pixels(make_observation):
-    (box,) = make().detect(make_observation(**scene())).xyxy_px
-    np.testing.assert_allclose(box, [5, 20, 30, 50], atol=2)
-
-
-def test_scores_fall_with_range(make_observation):
-    scores = [make().detect(make_observation(**scene(d))).score[0] for d in (1.0, 3.0, 5.5)]
-    assert scores[0] > scores[1] > scores[2] > 0.3
-
-
-def test_nothing_beyond_its_range(make_observation):
-    assert len(make(max_range_m=2.5).detect(make_observation(**scene(2.6)))) == 0
 
 
 def test_the_same_seed_and_frame_replay_the_same(make_observation):
@@ -120,15 +102,6 @@ def test_without_a_simulator_it_says_what_to_use(make_observation, missing):
         detector.detect(make_observation(**seen))
 
 
-def test_it_asks_for_the_picture_of_that_stamp(make_observation):
-    asked = []
-    sim = config.Perception(detector=config.DetectorSim())
-    detector = make_detector(sim, ["chair"], truth=asked.append)
-    with pytest.raises(ValueError, match="no segmentation"):
-        detector.detect(make_observation(stamp_ns=77, **scene()))
-    assert asked == [77]
-
-
 @pytest.mark.parametrize(
     ("prompts", "background", "words", "classes"),
     [
@@ -157,9 +130,3 @@ def test_context_changes_nothing_about_the_targets(make_observation):
         np.testing.assert_array_equal(found.score, without.score)
         np.testing.assert_array_equal(found.xyxy_px, without.xyxy_px)
         np.testing.assert_array_equal(found.class_id, without.class_id)
-
-
-def test_what_is_taken_for_a_target_is_not_seen_as_itself(make_observation):
-    found = make(("bed",), false_positive_rate=1.0).detect(make_observation(**scene()))
-    assert len(found) == 2
-    assert len(found.context) == 0

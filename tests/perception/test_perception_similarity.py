@@ -9,14 +9,11 @@ import tiny_clip
 from edge.config import Perception
 from edge.errors import UserError
 from edge.host import resources
-from edge.perception.embedding import clip
 from edge.perception.embedding.text import PromptError
-from edge.perception.runtime import sessions as runtime
 from edge.perception.runtime.cards import ModelError, load_card
 from edge.perception.scoring.similarity import (
     SENTENCE,
     best_scores,
-    is_running_detector,
     make_similarity,
     similarity_card,
 )
@@ -57,10 +54,6 @@ def perception(similarity, **detector):
     return Perception(similarity=similarity, detector=kind)
 
 
-def test_no_scorer_configured_is_none(cards):
-    assert similarity_card(perception(None)) is None
-
-
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
@@ -72,14 +65,6 @@ def test_an_unknown_card_is_one_clear_line(cards, name, expected):
     write(cards, tiny_clip.BY_DETECTOR, {**tiny_clip.IMAGE, "sha256": "0" * 64})
     with pytest.raises(ModelError, match=rf"^perception\.similarity: model {expected}$"):
         similarity_card(perception(name))
-
-
-def test_the_running_detector_need_not_run_twice(cards):
-    write(cards, tiny_clip.BY_DETECTOR)
-    card = load_card("tiny-by-detector")
-    assert is_running_detector(card, perception("tiny-by-detector", model="tiny-detector"))
-    assert not is_running_detector(card, perception("tiny-by-detector", model="other"))
-    assert not is_running_detector(card, perception("tiny-by-detector"))
 
 
 def test_a_missing_model_is_one_clear_line(cards, vocabulary):
@@ -111,24 +96,6 @@ def pair(cards):
         return make_similarity(card, perception(card.name, **detector), prompts)
 
     return make
-
-
-def test_the_image_encoder_runs_where_the_detector_does(pair, monkeypatch, tmp_path):
-    opened = []
-
-    def note(*settings, **more):
-        opened.append(settings)
-        return runtime.open_session(*settings, **more)
-
-    monkeypatch.setattr(clip, "open_session", note)
-    folder = tmp_path / "engines"
-    pair(device_id=3, engine_cache=str(folder), providers=("CPUExecutionProvider",))
-    path, providers, threads, device_id, engine = opened[0]
-    assert (path.name, providers, threads, device_id) == (
-        "tiny-image.onnx", ("CPUExecutionProvider",), 1, 3,
-    )  # fmt: skip
-    assert (engine.model, engine.precision, engine.shapes) == ("tiny-clip-image", "fp32", {})
-    assert engine.folder == folder
 
 
 def red_image(level=255):

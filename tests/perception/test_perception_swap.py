@@ -17,7 +17,7 @@ from edge.perception.runtime.cards import ModelError
 from edge.perception.runtime.health import UNSOUND, Health
 from edge.perception.swap import swapper
 from edge.perception.swap.swapper import SwapError, Swapper
-from edge.perception.swap.trial import Sample, boxes_found_again, sample
+from edge.perception.swap.trial import Sample, boxes_found_again
 from edge.perception.worker import DetectorWorker
 from edge.types import Detections
 
@@ -139,19 +139,6 @@ def bench(make_observation, monkeypatch):
 
 
 @pytest.mark.parametrize("inline", [True, False])
-def test_without_a_request_nothing_happens(bench, inline):
-    b = bench(inline=inline)
-    for _ in range(3):
-        assert b.image() is not None
-    assert b.worker.watch is None
-    assert b.said == []
-    assert b.swapper.status() == {
-        "state": "idle", "model": "old", "previous": "", "detail": "", "progress": "", "number": 0,
-    }  # fmt: skip
-    assert b.swapper.outcomes == {"kept": 0, "rolled back": 0, "refused": 0}
-
-
-@pytest.mark.parametrize("inline", [True, False])
 def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline):
     b = bench(inline=inline)
     assert b.swap() == ("kept", "5 images, median 5.0 ms")
@@ -217,12 +204,6 @@ def test_for_a_thread_a_model_is_tried_in_a_process_first(bench, fails):
     eventually(lambda: made[0].closed)
     assert [one.name for one in made] == ["process"] + ["thread"] * (not fails)
     assert made[0].images == (1 if fails else 2)
-
-
-def test_a_refused_model_is_closed(bench):
-    b = bench(Fake(ms=21))
-    b.swap()
-    eventually(lambda: b.new.closed)
 
 
 @pytest.mark.parametrize(
@@ -340,16 +321,6 @@ def test_an_engine_that_is_built_is_told_of(bench):
     b.new.go.set()
     b.until("on probation")
     assert "building" not in b.swapper.status()["detail"]
-
-
-def test_prompts_that_change_while_it_loads_are_its_own_when_it_switches(bench):
-    b = bench(Slow())
-    b.swapper.request("new", False, 0)
-    assert b.new.begun.wait(PATIENCE_S)
-    b.worker.set_prompts(["bed"])
-    b.new.go.set()
-    b.until("on probation")
-    assert b.new.prompts == b.old.prompts == ("bed",)
 
 
 def test_prompts_that_change_once_it_is_ready_are_its_own_too(bench):
@@ -505,18 +476,6 @@ def test_the_exchange_while_the_old_one_detects(make_observation):
     worker.close()
     assert [f.slot.holds for f in frames] == [0, 0]
     assert (old.closed, new.closed) == (0, 1)
-
-
-def test_a_sample_owns_its_image(make_observation):
-    rgb = np.zeros((4, 4, 3), np.uint8)
-    observation = make_observation(rgb=rgb, depth_m=np.ones((4, 4), np.float32), slot=Slot())
-    found = Fake().detect(observation)
-    copy = sample(observation, found)
-    rgb[:] = 255
-    assert copy.observation.rgb.max() == 0
-    assert copy.observation.slot is copy.observation.depth_m is None
-    assert copy.found.observation is copy.observation
-    assert sample(observation, ValueError()).found is None
 
 
 # -- boxes found again ---------------------------------------------------------------------------

@@ -100,14 +100,6 @@ def proved(swap, worker, name):
     stepped(swap, "kept")
 
 
-def test_nothing_is_asked_for():
-    swap = ChoiceSwap(ScorerWorker("choice", Named("old"), inline=True), None)
-    swap.step()
-    swap.close()
-    assert swap.status()["state"] == "idle"
-    assert swap.number == 0
-
-
 def test_the_old_one_answers_until_the_new_one_is_loaded(swapping):
     swap, worker, old, give = swapping
     swap.request("new")
@@ -218,12 +210,3 @@ def test_what_cannot_be_loaded_changes_nothing(swapping, error, says):
     assert swap.status()["number"] == 2
     give("new", Named("new"))
     proved(swap, worker, "new")
-
-
-def test_what_is_loaded_too_late_is_closed(swapping):
-    swap, worker, _, give = swapping
-    swap.request("new")
-    swap.close()
-    new = give("new", Named("new"))
-    eventually(lambda: new.closed == 1)
-    assert worker.name == "old"

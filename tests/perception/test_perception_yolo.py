@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from edge import config
-from edge.models.check import check_model
 from edge.perception.embedding.text import PromptError, find_vocabulary
 from edge.perception.factory import make_detector
 from edge.perception.runtime.cards import ModelError, load_card, verify_model
@@ -63,25 +62,3 @@ def test_an_image_of_the_inputs_size_and_a_larger_one_agree(detector, shared_dir
     b = detector.detect(make_observation(rgb=small))
     np.testing.assert_allclose(a.xyxy_px[0], 2 * b.xyxy_px[0], atol=3)
     assert a.score[0] == pytest.approx(b.score[0], abs=0.05)
-
-
-def test_a_background_has_its_place_and_is_the_rival_of_what_is_another_thing(
-    detector, shared_dir, make_observation
-):
-    seen = make_observation(rgb=picture(shared_dir, 4))
-    around = config.DetectorOnnx(
-        model=detector.name, vocabulary=str(detector._text.path), background=("chair",)
-    )
-    looking = make_detector(config.Perception(detector=around), ["armchair"])
-    found = looking.detect(seen)
-    assert found.context.words == ("chair",)
-    assert found.context.score[0] > 0.3
-    assert found.rival.max() == 0.0  # an armchair is a chair
-    looking.set_prompts(["sofa"])
-    found = looking.detect(seen)
-    assert found.rival.max() > 0.3
-    assert found.unrivalled().tolist() == (found.score >= found.rival).tolist()
-
-
-def test_the_check_command_is_content(detector):
-    assert "ok" in check_model(load_card(detector.name))

@@ -147,12 +147,6 @@ def test_ranking_is_algorithm_2(entries, score, expected):
     assert order.tolist() == expected
 
 
-def test_blocked_candidates_are_left_out():
-    candidates = candidates_of((FRONTIER, 2, 0), (FRONTIER, 3, 0))
-    candidates.blocked[0] = True
-    assert ranked(candidates, np.ones(2, np.float32), SE2(0, 0, 0), 0.5).tolist() == [1]
-
-
 CAMERA = CameraModel.from_hfov(320, 256, FOV)
 
 
@@ -271,16 +265,6 @@ def test_a_policy_that_does_not_score_every_candidate_is_named(given):
 
     with pytest.raises(ValueError, match=r"^policy Odd: scores of shape .* for 2 candidates"):
         scores_of(Odd(), context(candidates_of((FRONTIER, 2, 0), (FRONTIER, 3, 0))))
-
-
-def test_what_is_related_is_what_shares_rooms():
-    words = ("pillow", "toilet", "zeppelin", "bed")
-    related = relatedness(words, ("bed", "blimp"))
-    assert related.shape == (4, 2)
-    assert related[0, 0] > 0.3 > related[1, 0] == 0.0
-    assert related[2:, 0].tolist() == [0.0, 0.0]
-    assert not related[:, 1].any()
-    assert relatedness((), ("bed",)).shape == (0, 1)
 
 
 @pytest.mark.parametrize(

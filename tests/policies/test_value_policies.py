@@ -14,7 +14,7 @@ from test_policy_scores import candidates_of
 from edge.config import PolicyAdaptive, PolicyDirectional, PolicyVlfm
 from edge.policies import make_policy
 from edge.policies.adaptive import shortest_tour
-from edge.policies.base import FRONTIER, INSTANCE, Answers, Context, scores_of
+from edge.policies.base import FRONTIER, Answers, Context, scores_of
 from edge.types import Observation
 
 NOTHING = math.nan
@@ -82,14 +82,6 @@ def test_where_nothing_was_said_it_is_the_nearest_by_path(policy):
     assert (score > 0).all()
 
 
-@pytest.mark.parametrize("policy", POLICIES, ids=lambda p: p.kind)
-def test_what_cannot_be_reached_comes_last_and_instances_keep_their_confidence(policy):
-    seen = Valued({a: 0.0, b: 0.0}, path_m={a: None})
-    score = scored(policy, seen, A, B, (INSTANCE, 1.0, 1.0))
-    assert score[1] > score[0]
-    assert score[2] == pytest.approx(0.6)
-
-
 @pytest.mark.parametrize("policy", POLICIES[:2], ids=lambda p: p.kind)
 @pytest.mark.parametrize(
     ("values", "expected"),
@@ -110,12 +102,6 @@ def test_the_frontier_with_the_best_value_near_it_is_taken(policy, values, expec
 def test_the_more_nearness_counts_the_nearer_is_taken(kind, nearness, expected):
     seen = Valued({a: 0.1, b: 0.3})  # 2 m and 5 m away
     assert first(scored(kind(nearness=nearness), seen, A, B)) == expected
-
-
-def test_each_target_has_a_channel():
-    seen, targets = Valued({a: (0.1, 0.9), b: (0.8, 0.2)}), ("bed", "sofa")
-    for target, expected in (("bed", 1), ("sofa", 0)):
-        assert first(scored(PolicyVlfm(), seen, A, B, targets=targets, target=target)) == expected
 
 
 @pytest.mark.parametrize(
@@ -168,15 +154,6 @@ def test_the_first_leg_is_that_of_the_shortest_tour_not_of_the_nearest():
     assert np.argsort(-score)[:3].tolist() == [2, 1, 0]
 
 
-def test_frontiers_that_cannot_be_gone_to_have_no_say():
-    values = {a: 0.1, b: 0.5, c: 0.1, d: 0.1}
-    near = (FRONTIER, 0.2, 0.0)
-    assert first(scored(PolicyAdaptive(), Valued(values), A, B, C, D, blocked=[1])) == 0
-    assert first(scored(PolicyAdaptive(), Valued(values, path_m={b: None}), A, B, C, D)) == 0
-    with_near = {**values, (np.float32(0.2), 0.0): 0.9, b: 0.1}
-    assert scored(PolicyAdaptive(), Valued(with_near), near, A, B, C, D).max() < 1.0
-
-
 @given(seed=st.integers(0, 10**6), k=st.integers(1, 6))
 def test_the_tour_is_the_shortest_of_all(seed, k):
     rng = np.random.default_rng(seed)
@@ -194,11 +171,3 @@ def test_the_tour_is_the_shortest_of_all(seed, k):
     assert sorted(order) == list(range(k))
     best = min(map(length, itertools.permutations(range(k))))
     assert length(order) == pytest.approx(best, rel=1e-5)
-
-
-def test_more_promising_frontiers_than_a_tour_takes_are_no_fault():
-    many = [(FRONTIER, float(x), 1.0) for x in range(3, 15)]
-    values = {(float(x), 1.0): 0.5 for x in range(3, 15)} | dict.fromkeys([a, b, c, d], 0.0)
-    with_all = scored(PolicyAdaptive(), Valued(values), *many, A, B, C, D)
-    assert first(with_all) == 0
-    assert np.count_nonzero(with_all > 1.0) == 8

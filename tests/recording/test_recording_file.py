@@ -33,14 +33,6 @@ def write(path, n: int, compression: str = "lz4", metadata=None) -> None:
                 file.sync()
 
 
-def test_an_empty_file_is_whole(tmp_path):
-    write(tmp_path / "a.mcap", 0)
-    reading = McapReading(tmp_path / "a.mcap")
-    assert list(reading) == []
-    assert reading.whole
-    assert reading.cut == ""
-
-
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
 def test_what_is_written_is_read(tmp_path, compression):
     path = tmp_path / "a.mcap"

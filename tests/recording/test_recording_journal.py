@@ -15,10 +15,9 @@ from recordings import small
 from results import result
 
 import edge
-from edge.errors import ConfigError
 from edge.geometry import SE2, CameraModel, Grid
 from edge.loop.behaviours.draft import Draft
-from edge.loop.journal import Input, Journal
+from edge.loop.journal import Input
 from edge.loop.prior import Rooms
 from edge.mission.brief import prepare
 from edge.perception.scoring.choice.question import Choice
@@ -40,11 +39,6 @@ def again(*inputs: Input) -> list[Input]:
     return decode_page(encode_page(inputs, result(), None, {})).entries
 
 
-def test_an_empty_page():
-    page = decode_page(encode_page([], result(), None, {}))
-    assert (page.entries, page.observation, page.said) == ([], None, None)
-
-
 def test_all_that_the_loop_notes_is_written_and_documented():
     noted = set()
     for path in (ROOT / "edge" / "loop").glob("*.py"):
@@ -53,13 +47,6 @@ def test_all_that_the_loop_notes_is_written_and_documented():
     table = page[page.index("| kind |") :].splitlines()[2:]
     told = {kind for row in table for kind in re.findall(r"`(\w+)`", row.split("|")[1])}
     assert noted == set(journal._ENCODE) == told
-
-
-def test_numbers_count_what_was_noted():
-    notes = Journal()
-    for _ in range(5000):
-        notes.note("jump", now_ns=1)
-    assert [entry.n for entry in notes.pending] == list(range(5000 - 4096, 5000))
 
 
 @pytest.mark.parametrize(
@@ -209,8 +196,3 @@ def test_where_the_sensors_are_is_told_when_it_changes():
         assert back.T_base_camera.tobytes() == mount.tobytes()
         assert (back.camera, back.pose_age_ns) == (camera, 7 * k)
     assert told == [True, False, True]
-
-
-def test_a_configuration_of_another_kind_of_key_is_refused():
-    with pytest.raises(ConfigError):
-        journal.config_of({"nonsense": 1})

@@ -17,7 +17,6 @@ import pytest
 from patience import eventually
 from recordings import Recording, small
 
-from edge.cli.parsers import make_parser
 from edge.config import Config
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
@@ -30,7 +29,6 @@ from edge.loop.service import Service
 from edge.mission.brief import prepare
 from edge.perception.scoring.choice.question import Choice
 from edge.policies import make_policy
-from edge.policies.hvl import Hvl
 from edge.recording import commands
 from edge.recording.channels import DEPTH, JOURNAL, of_json
 from edge.recording.file import McapFile, McapReading, RecordingError
@@ -503,24 +501,6 @@ def test_nor_does_a_reload_that_was_recorded(reloaded, tmp_path, strangers, key)
     assert not strangers.exists()
 
 
-class Own(Hvl):
-    """A policy of one's own."""
-
-    def __init__(self) -> None:
-        super().__init__(small().policy)
-
-
-def test_a_trusted_recording_runs_its_own_classes(tmp_path, capsys):
-    config = small(policy={"kind": f"{__name__}:Own"})
-    path = Recording(tmp_path, config).steps(3).close()
-    assert replay(Session(path, trust=True)).first is None
-    parser = make_parser()
-    args = parser.parse_args(["replay", str(path), "--trust"])
-    assert commands.replay(args) == 0
-    assert "the same, tick for tick" in capsys.readouterr().out
-    assert not parser.parse_args(["replay", str(path)]).trust
-
-
 def test_a_recording_names_no_files(drive, tmp_path, monkeypatch):
     """A detector that it asks for opens the files of its card, and writes beside them."""
     folder = tmp_path / "engines"
@@ -546,17 +526,6 @@ def test_a_recording_names_no_files(drive, tmp_path, monkeypatch):
 def test_no_file(tmp_path):
     with pytest.raises(RecordingError, match="No such file"):
         Session(tmp_path / "a.mcap")
-
-
-def test_another_configuration_goes_other_ways(drive):
-    outcome = replay(Session(drive), small(policy={"kind": "nearest_frontier"}))
-    assert outcome.ticks == 30
-    assert outcome.first is not None
-
-
-def test_the_same_configuration_given_is_no_other(drive):
-    """What the map alone decides is then worked out anew, and in lockstep comes out the same."""
-    assert replay(Session(drive), small()).first is None
 
 
 def test_detecting_anew(drive, tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from edge.bus import topics
 from edge.recording.channels import of_topic
 from edge.recording.file import PARTIAL, McapReading
-from edge.recording.rolling import Limits, Rolling, files_of, make_room
+from edge.recording.rolling import Limits, Rolling, files_of
 
 STATUS = of_topic(topics.STATUS)
 NOISE = os.urandom(100_000)  # does not get smaller
@@ -70,15 +70,6 @@ def test_a_file_that_is_old_is_followed_by_the_next(tmp_path, clock):
     assert parts == ["0", "1", "2"]
 
 
-def test_a_file_that_is_large_is_followed_by_the_next(tmp_path, clock):
-    files = rolling(tmp_path, clock, max_mb=1.0, sync_s=0.0)
-    put(files, 25, NOISE)
-    files.close()
-    sizes = [path.stat().st_size for path in files_of(tmp_path)]
-    assert len(sizes) == 3
-    assert max(sizes) < 1_200_000
-
-
 def test_the_oldest_files_make_room_but_never_one_that_is_written(tmp_path, clock):
     other = rolling(tmp_path, clock)
     put(other, 5, NOISE)
@@ -103,10 +94,6 @@ def test_the_oldest_files_make_room_but_never_one_that_is_written(tmp_path, cloc
         parts.append(int(reading.metadata["t"]["part"]))
     assert parts == list(range(6 - len(parts), 6))
     other.close()
-
-
-def test_room_is_made_of_nothing(tmp_path):
-    make_room(tmp_path, 0)
 
 
 def test_what_cannot_be_written_is_told_once_and_goes_on_when_it_can(tmp_path, clock, caplog):

@@ -57,18 +57,6 @@ def ticks(spans: int, beside: list[tuple[int, int]] = ()) -> list[Span]:
     return found + [Span("detect", begin, took, False) for begin, took in beside]
 
 
-def test_nothing_is_an_empty_trace():
-    assert checked(trace_of([])) == []
-
-
-def test_ticks_hold_their_stages():
-    events = checked(trace_of(ticks(2)))
-    assert [e["name"] for e in events[:3]] == ["tick", "ingest", "check"]
-    assert events[0]["ts"] == 0.0
-    assert events[len(events) // 2]["ts"] == 1000.0
-    assert {e["cat"] for e in events} == {"tick"}
-
-
 @given(st.lists(st.tuples(st.integers(0, 10**9), st.integers(0, 10**8)), max_size=20))
 def test_what_runs_beside_never_overlaps_itself(beside):
     events = [e for e in checked(trace_of(ticks(1, beside))) if e["cat"] == "beside"]

@@ -53,11 +53,6 @@ def make(tmp_path):
         one.close()
 
 
-def test_nothing_to_say_is_no_file(make, tmp_path):
-    make().close()
-    assert files_of(tmp_path) == []
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """A drive in two rooms, with a camera and a LiDAR."""
@@ -117,17 +112,6 @@ def test_a_trajectory_is_recorded_when_it_changes_and_every_five_seconds(make, t
     assert [(p.header.stamp.sec, len(p.poses)) for p in paths] == [(2, n), (8, n), (9, 0)]
 
 
-def test_pictures_have_their_colours(make, tmp_path):
-    rgb = np.zeros((30, 40, 3), np.uint8)
-    rgb[..., 0], rgb[..., 2] = 200, 40
-    sink = make(rgb_hz=10.0)
-    sink.tick(tick(seen(1, rgb=rgb)))
-    sink.close()
-    (moment,) = Session(files_of(tmp_path)[0]).moments()
-    assert moment.picture
-    assert np.abs(moment.observation.rgb.astype(int) - rgb).max() <= 4
-
-
 @pytest.mark.parametrize(
     ("depth_m", "encoding"),
     [
@@ -174,16 +158,6 @@ def test_what_the_source_writes_over_was_copied(make, tmp_path):
     sink.close()
     moments = Session(files_of(tmp_path)[0]).moments()
     assert [float(m.observation.depth_m[0, 0]) for m in moments] == [1.0, 2.0, 3.0]
-
-
-def test_pictures_come_at_their_rate(make, tmp_path):
-    sink, rgb = make(rgb_hz=2.0), np.zeros((30, 40, 3), np.uint8)
-    for k in range(1, 31):  # three seconds
-        sink.tick(tick(seen(k, rgb=rgb)))
-    sink.close()
-    topics = [m.topic for m in McapReading(files_of(tmp_path)[0])]
-    assert topics.count("/camera/rgb/compressed") == 6
-    assert topics.count("/odom") == 30
 
 
 def test_a_disk_that_hangs_costs_pictures_but_no_memory(make, tmp_path):

@@ -162,16 +162,6 @@ def test_an_accepted_goal_is_repeated_every_second_for_a_controller_that_starts_
     assert ears.hear("goal")
 
 
-def test_a_new_goal_takes_the_place_of_the_old(clock, sink, ears):
-    sink.tick(result(goals=(goal(1),)))
-    assert messages.decode_pose_stamped(ears.hear("goal"))[0] == 1
-    sink.tick(result(goals=(goal(2),)))
-    sink.tick(result(answers=(GoalStatus(1, "failed"),)))
-    settle(sink, ears)
-    for clock.now_s in (0.0, 0.6, 1.2):
-        assert messages.decode_pose_stamped(ears.hear("goal"))[0] == 2
-
-
 def test_the_mission_reaches_those_who_come_late(sink, session, ears):
     sink.tick(result(status=MissionStatus("chair", "reached", "", 12.5, 3.0)))
     ears.hear("mission")
@@ -196,20 +186,6 @@ def test_a_trajectory_is_sent_when_it_changes_and_an_empty_one_when_it_is_gone(
     assert planned(late.hear("trajectory")) == there
     sink.tick(result())
     assert planned(late.hear("trajectory")) == []
-
-
-def test_without_a_task_there_is_no_word_of_a_trajectory(clock, sink, ears):
-    sink.tick(result())
-    settle(sink, ears)
-    clock.now_s = 60.0
-    assert ears.rest("trajectory") == []
-
-
-def test_the_last_word_leaves_before_it_closes(session, ears):
-    sink = ZenohSink(simulated(), session)
-    sink.tick(result(status=MissionStatus("chair", "failed", "time limit")))
-    sink.close()
-    assert json.loads(ears.hear("mission"))["reason"] == "time limit"
 
 
 def test_lockstep_sends_everything_in_order(clock, session):

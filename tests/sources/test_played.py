@@ -260,12 +260,6 @@ def test_sensors_that_tf_does_not_know_sit_where_the_configuration_says(tmp_path
     np.testing.assert_allclose(seen.observations[-1].T_base_camera, expected)
 
 
-def test_what_is_fixed_is_known_from_the_start(tmp_path):
-    late = static(BASE, ns=START_NS + (N - 1) * STEP_NS)
-    sent = together(odometry(), camera(), late, moving("world", "map", 1.0))
-    assert play(write_mcap(tmp_path / "robot.mcap", sent)).stamps == EVERY
-
-
 @pytest.mark.parametrize(
     ("cloud", "used"), [("", {"lidar/scan": "/base/scan"}), ("/rig", {"lidar/points": "/rig"})]
 )
@@ -306,12 +300,6 @@ def test_what_is_missing_is_told_with_what_is_there(tmp_path, sent, why):
         play(write_mcap(tmp_path / "robot.mcap", sent))
     assert "looked for camera/rgb, camera/depth, camera/info, odom" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_messages_of_another_encoding_are_no_cdr(tmp_path):
-    path = write_mcap(tmp_path / "robot.mcap", plain(), encoding="ros1")
-    with pytest.raises(RecordingError, match=r"/odom \(nav_msgs/msg/Odometry as ros1, 12\)"):
-        play(path)
 
 
 def test_what_cannot_be_used_is_told_in_the_end(tmp_path):
@@ -487,24 +475,6 @@ def test_reading_is_broken_off(tmp_path):
     path = write_mcap(tmp_path / "robot.mcap", plain())
     with pytest.raises(Stopped), Playback(path, CONFIG, None, stop):
         pass
-
-
-@pytest.mark.parametrize(("rate", "looks"), [(1.0, 110), (4.0, 28)])
-def test_it_is_played_at_its_own_pace(tmp_path, monkeypatch, rate, looks):
-    clock = Clock()
-    monkeypatch.setattr(played.time, "monotonic_ns", clock.monotonic_ns)
-    seen = play(write_mcap(tmp_path / "robot.mcap", plain()), rate=rate)
-    assert seen.stamps == EVERY
-    rest = bag.WINDOW_NS / 10_000_000 / rate
-    assert clock.now_ns / 10_000_000 == pytest.approx(looks + rest, abs=8)
-
-
-def test_it_begins_with_the_first_message_that_is_played(tmp_path, monkeypatch):
-    clock = Clock()
-    monkeypatch.setattr(played.time, "monotonic_ns", clock.monotonic_ns)
-    early = ("/rosout", "rcl_interfaces/msg/Log", START_NS - 20 * 10**9, bytes(8))
-    assert play(write_mcap(tmp_path / "robot.mcap", [early, *plain()]), rate=1.0).stamps == EVERY
-    assert clock.now_ns < 10 * 10**9
 
 
 def test_frames_that_are_late_give_way_and_pauses_are_skipped(tmp_path, monkeypatch):

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from test_sources_synchronizer import CLOUD, FRAME_NS, MS, ONNX, Robot
+from test_sources_synchronizer import FRAME_NS, MS, Robot
 
-from edge.bus import topics
 from edge.loop.source import InputRow, inputs_status, lacking
-
-S = 1_000_000_000
 
 
 def rows(robot: Robot) -> dict[str, InputRow]:
@@ -49,17 +46,6 @@ def test_before_anything_came_everything_is_missing_and_named_as_it_is_listened_
     )
     status = inputs_status(inputs.rows())
     assert (status["state"], status["topics"]["odom"]["age_s"]) == ("lacking", None)
-
-
-def test_what_comes_has_a_rate_and_an_age():
-    robot = driven(Robot(), 5)
-    assert lacking(robot.synchronizer.inputs.rows()) == ""
-    found = rows(robot)
-    for name in ("camera/rgb", "camera/depth", "odom"):
-        row = found[name]
-        assert (row.state, row.age_s, row.received) == ("ok", 0.0, 150)
-        assert row.hz == pytest.approx(30, abs=1)
-    assert inputs_status(robot.synchronizer.inputs.rows())["state"] == "ok"
 
 
 @pytest.mark.parametrize(
@@ -115,14 +101,6 @@ def test_what_is_late_is_named_with_by_how_much(late, late_ms, name, why):
     assert row.dropped.get(why.split(" ")[0], 0) > 50 or not why
 
 
-def test_what_never_came_is_not_late():
-    robot = Robot().info()
-    robot.wait(10**12)
-    for _ in range(40):
-        robot.wait(FRAME_NS).frame(robot.now_ns - 10**12).poll()
-    assert rows(robot)["camera/depth"].why == "no_pose (no odom)"
-
-
 def test_poses_that_are_old_are_told_for_as_long_as_they_are_used():
     robot = driven(Robot(), 5, late="odom", late_ns=700 * MS)
     row = rows(robot)["odom"]
@@ -132,42 +110,3 @@ def test_poses_that_are_old_are_told_for_as_long_as_they_are_used():
     )  # fmt: skip
     assert lacking(robot.synchronizer.inputs.rows()) == ""
     assert rows(driven(robot, 3))["odom"].why == ""
-
-
-def test_pictures_that_never_fit_to_a_sweep_are_told_though_sweeps_are_enough():
-    robot = Robot(CLOUD).info()
-    for at_ns in range(S, 5 * S, 3 * FRAME_NS):
-        robot.wait(3 * FRAME_NS).odom(at_ns).cloud(at_ns).rgb(at_ns + 50 * MS).odom(at_ns + MS)
-        if (seen := robot.poll()) is not None:
-            assert seen.rgb is None
-            seen.release()
-    assert robot.synchronizer.counters["observations"] > 30
-    assert lacking(robot.synchronizer.inputs.rows()) == (
-        "every message on camera/rgb is dropped: unpaired (the nearest camera/rgb is 50 ms later)"
-    )
-
-
-def test_an_input_that_is_no_good_is_named_with_the_reason():
-    robot = driven(Robot(), 3)
-    for _ in range(60):
-        robot.wait(FRAME_NS)
-        robot.decoder.offer(topics.ODOMETRY, b"nonsense")
-    row = rows(robot)["odom"]
-    assert (row.state, row.dropped["malformed"]) == ("dropped", 60)
-    assert row.why.startswith("malformed (")
-
-
-def test_of_two_lidars_one_is_enough_and_of_none_both_are_named():
-    robot = Robot(CLOUD)
-    assert "no message yet on camera/rgb, lidar/points or lidar/scan, " in lacking(
-        robot.synchronizer.inputs.rows()
-    )
-    robot.info().odom(0).rgb(0).cloud(0)
-    assert (states(robot)["lidar/points"], states(robot)["lidar/scan"]) == ("ok", "unused")
-    assert lacking(robot.synchronizer.inputs.rows()) == ""
-
-
-def test_frames_of_sensors_that_nobody_listens_to_have_no_row():
-    assert set(states(Robot(ONNX).cloud(0))) == {
-        "camera/rgb", "camera/depth", "camera/info", "odom",
-    }  # fmt: skip

@@ -4,23 +4,9 @@ from __future__ import annotations
 
 import threading
 
-import numpy as np
 import pytest
 
 from edge.sources.pool import FramePool
-
-
-def test_a_pool_without_camera_has_no_images():
-    slot = FramePool(1, cloud_points=16).acquire()
-    assert slot.rgb is slot.depth_m is None
-    assert (slot.cloud_m.shape, slot.cloud_m.dtype) == ((16, 3), np.float32)
-
-
-def test_shapes_and_types():
-    slot = FramePool(1, (4, 6), depth=True).acquire()
-    assert (slot.rgb.shape, slot.rgb.dtype) == ((4, 6, 3), np.uint8)
-    assert (slot.depth_m.shape, slot.depth_m.dtype) == ((4, 6), np.float32)
-    assert slot.cloud_m is None
 
 
 def test_a_slot_comes_back_only_after_the_last_release():

@@ -219,16 +219,6 @@ def test_a_robot_on_dds(port, make, via):
         robot.node.close()
 
 
-def test_what_does_not_come_is_named_as_ros_calls_it(make):
-    source = make()
-    source.poll()
-    topics = ", ".join(f"{name} ({NAMES[name]})" for name in ("camera/rgb", "camera/depth"))
-    assert lacking(source.input_table()) == (
-        f"no message yet on {topics}, camera/info ({NAMES['camera/info']}), /odom, "
-        "/tf or /tf_static"
-    )
-
-
 def test_without_tf_nothing_is_where_it_is_thought_to_be(robot, make):
     source = make(map_frame="nowhere")
 
@@ -240,14 +230,6 @@ def test_without_tf_nothing_is_where_it_is_thought_to_be(robot, make):
         return f"{dropped}'nowhere' in tf, which has no 'nowhere')" in lacking(source.input_table())
 
     eventually(missed)
-
-
-def test_mounts_of_the_configuration_need_no_tf(robot, make):
-    source = make(map_frame="odom", mounts="config")
-    seen = observed(source, robot)
-    np.testing.assert_allclose(seen.T_base_camera, source._synchronizer._T_base_camera)
-    np.testing.assert_allclose(seen.T_map_base[:2, 3], [1.0, 0.0], atol=1e-9)
-    seen.release()
 
 
 def test_a_topic_of_another_type_is_told(robot, make, caplog):

@@ -65,14 +65,6 @@ def test_up_and_down_the_tree(target, source, expected):
         assert (got.age_ns, got.why, tf.why_apart(target, source)) == (0, "", "")
 
 
-def test_of_one_stamp_the_newest_counts_and_a_frame_may_move_elsewhere():
-    tf = buffer(("a", "b", A), ("a", "b", B))
-    np.testing.assert_allclose(tf.lookup("a", "b", 0).T, B)
-    assert tf.offer(Transform(0, "c", "b", C))
-    assert tf.lookup("a", "b", 0).T is None
-    np.testing.assert_allclose(tf.lookup("c", "b", 0).T, C)
-
-
 @pytest.mark.parametrize(
     ("samples", "asked_ms", "yaw_rad", "age_ms"),
     [
@@ -107,17 +99,6 @@ def test_a_frame_that_moves_is_where_it_was_at_the_stamp(samples, asked_ms, yaw_
         assert found.why == ""
 
 
-@pytest.mark.parametrize("hz", [10, 50, 1000])
-def test_what_moves_is_remembered_for_two_seconds_and_takes_no_more_room(hz):
-    tf = panned((0, 0.0), (1, 0.0))
-    moves = tf._edges["pan"]._moves
-    panned(*((1e3 * k / hz, 1e-3 * k / hz) for k in range(1, 5 * hz)), tf=tf)
-    assert tf._edges["pan"]._moves is moves
-    for asked_ms in (2990, 3511, 4801):
-        found = tf.lookup("base", "pan", asked_ms * MS)
-        assert se2_of(found.T).yaw_rad == pytest.approx(1e-6 * asked_ms, abs=1e-9)
-
-
 def test_a_chain_is_as_old_as_its_oldest_part_and_static_ones_have_no_age():
     tf = panned((0, 0.0), (100, 1.0))
     tf.offer(Transform(0, "pan", "tilt", se3(pitch_rad=0.1)))
@@ -138,12 +119,6 @@ def test_what_was_handed_out_is_not_written_over(asked_ms):
     before = found.copy()
     panned(*((10 * k, 0.01 * k) for k in range(91, 1000)), tf=tf)
     np.testing.assert_array_equal(found, before)
-
-
-def test_a_static_transform_is_replaced_by_the_next():
-    tf = buffer(("a", "b", A), stamp_ns=50)
-    assert tf.offer(Transform(5, "a", "b", B), static=True)
-    np.testing.assert_allclose(tf.lookup("a", "b", 20).T, B)
 
 
 @given(st.lists(st.tuples(st.sampled_from("abcdef"), st.sampled_from("abcdef")), max_size=30))

@@ -11,7 +11,7 @@ from simulated import simulated
 
 from edge.bus.wire import messages
 from edge.perception.detection.sim import Segmentation
-from edge.sources.truth import TruthInbox, make_truth, parse_labels
+from edge.sources.truth import TruthInbox, parse_labels
 
 MS = 1_000_000
 LABELS = b'["chair", "bed"]'
@@ -43,18 +43,6 @@ def test_there_is_nothing_before_anything_came():
     assert TruthInbox(simulated(), Simulator()).at(0) is None
 
 
-def test_only_the_simulators_detector_is_told():
-    onnx = simulated({"perception": {"detector": {"kind": "onnx"}}})
-    assert make_truth(onnx, Simulator()) is None
-    assert make_truth(simulated(), Simulator([picture(5)]))(5 * MS).ids.shape == (2, 3)
-
-
-def test_a_picture_is_found_by_its_stamp_and_only_near_it():
-    inbox = TruthInbox(simulated(), Simulator([picture(100, 1), picture(133, 2), picture(166, 3)]))
-    found = {133: 2, 100: 1, 166: 3, 141: 2, 116: 1, 60: None, 200: None}
-    assert {ms: at(inbox, ms) for ms in found} == found
-
-
 def test_the_newest_are_kept_and_a_look_ends_under_a_flood():
     inbox = TruthInbox(simulated(), Simulator(picture(100 * k, k) for k in range(10**9)))
     assert at(inbox, 700) == 7
@@ -81,8 +69,3 @@ def test_what_are_no_labels(payload):
     with pytest.raises(ValueError) as caught:  # noqa: PT011
         parse_labels(payload)
     assert str(caught.value).isprintable()
-
-
-def test_labels():
-    assert parse_labels(LABELS) == ("chair", "bed")
-    assert parse_labels(b"[]") == ()

@@ -24,7 +24,7 @@ from simulated import simulated
 
 from edge.bus.session import zenoh_session
 from edge.bus.wire import clouds, messages
-from edge.config import Config, ConfigError
+from edge.config import Config
 from edge.config.yaml_text import parse_yaml
 from edge.geometry import CameraModel
 from edge.host.ports import free_port
@@ -191,32 +191,11 @@ def test_no_header_does_more_than_be_refused(data, n_bytes):
         parse_header(data, n_bytes)
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({}, r"source\.options: missing a required argument: 'address'"),
-        ({"address": "nonsense"}, r"source\.options\.address: nonsense: .*tcp://127"),
-        ({"address": 5}, r"source\.options\.address: 5: .*tcp://127"),
-    ],
-)
-def test_a_wrong_address_is_told_in_one_line(options, said):
-    config = simulated({"source": {"kind": "zmq", "options": options}})
-    with pytest.raises(ConfigError, match=f"^<defaults>: {said}[^\n]*$"):
-        find_source(config)(config=config, session=standing())
-
-
 def test_a_host_without_an_address_is_told(caplog):
     config = configured("tcp://no.such.host.invalid:5555")
     source = find_source(config)(config=config, session=standing())
     eventually(lambda: "no address is known for 'no.such.host.invalid'" in caplog.text)
     source.close()
-
-
-def test_without_pyzmq_it_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "zmq", None)
-    config = configured("tcp://127.0.0.1:5555")
-    with pytest.raises(ConfigError, match=r"needs pyzmq: pip install 'edge-vln\[zmq\]'"):
-        find_source(config)(config=config, session=standing())
 
 
 def test_the_publisher_of_the_page_is_seen_with_a_lidar_over_zenoh(tmp_path):

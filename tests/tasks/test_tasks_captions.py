@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from edge.geometry import SE2
-from edge.tasks.captions import COLOURS, colour_names, colour_of, composed, in_words, place_of
-from edge.types import MASK_SIDE, Detections, Observation
+from edge.tasks.captions import COLOURS, colour_names, colour_of, place_of
+from edge.types import MASK_SIDE
 
 COLOURED = {
     "black": (20, 20, 20), "gray": (128, 128, 128), "white": (240, 240, 240), "red": (200, 20, 20),
@@ -16,10 +16,6 @@ COLOURED = {
 
 def painted(colour, h=20, w=30):
     return np.full((h, w, 3), colour, np.uint8)
-
-
-def test_an_empty_picture_has_no_colours():
-    assert colour_of(np.zeros((0, 0, 3), np.uint8), np.zeros(4, np.float32)) == ""
 
 
 @pytest.mark.parametrize("name", COLOURS)
@@ -43,13 +39,6 @@ def test_the_mask_says_which_pixels_count():
     assert colour_of(rgb, WHOLE, ~mask) == "green"
 
 
-def test_the_middle_of_a_box_counts_where_there_is_no_mask():
-    rgb = painted(COLOURED["green"])
-    rgb[4:16, 6:24] = COLOURED["blue"]
-    assert colour_of(rgb, WHOLE) == "blue"
-    assert colour_of(rgb, WHOLE, np.zeros((MASK_SIDE, MASK_SIDE), np.bool_)) == "blue"
-
-
 @pytest.mark.parametrize(
     ("paint", "name"),
     [((40, 4, 4), "red"), ((45, 8, 6), "red"), ((8, 14, 44), "blue"), ((14, 14, 16), "black"),
@@ -67,20 +56,6 @@ def test_what_has_every_colour_has_none():
     assert colour_of(rgb, WHOLE) == ""
 
 
-def detections(rgb):
-    observation = Observation(1, 0, np.eye(4), rgb=rgb)
-    return Detections(
-        observation, WHOLE[None], np.ones(1, np.float32), np.zeros(1, np.int32), ("car",)
-    )
-
-
-@pytest.mark.parametrize(
-    ("rgb", "caption"), [(painted((240, 240, 240)), "white car"), (None, "car")]
-)
-def test_colour_and_label_are_composed(rgb, caption):
-    assert composed(detections(rgb)) == (caption,)
-
-
 @pytest.mark.parametrize(
     ("x_m", "y_m", "yaw", "place"),
     [
@@ -95,8 +70,3 @@ def test_colour_and_label_are_composed(rgb, caption):
 )
 def test_places_are_as_the_robot_sees_them(x_m, y_m, yaw, place):
     assert place_of(np.array([x_m, y_m, 0.0]), SE2(0.0, 0.0, yaw)) == place
-
-
-def test_words_say_colour_size_and_place():
-    said = in_words("white van", np.array([9, 4, 1]), np.array([5.04, 2, 2.5]), SE2(1.0, 0.0, 0.0))
-    assert said == "white van, 5.0 x 2.0 x 2.5 m, 8 m ahead, 4 m to the left"

@@ -33,11 +33,6 @@ def chain_of(*boxes, **parts):
     return Chain(**{**given, **parts})
 
 
-def test_nothing_seen_is_nothing_said():
-    seen = see(chain_of(), observe())
-    assert (len(seen.found), seen.caption, seen.embedding) == (0, (), None)
-
-
 def test_each_part_gets_what_the_one_before_it_made():
     """Eq. 1: TAP(I, GD(I, RAM(I)))."""
     observation, calls = observe(), []
@@ -103,12 +98,6 @@ def numbered(width):
     return observation
 
 
-def test_a_picture_that_is_not_wide_is_not_cut():
-    seen = []
-    in_tiles(looker([], seen), 4 / 3)(numbered(39), ("car",))
-    assert seen == [39]
-
-
 def test_what_two_parts_show_is_one_box():
     """Parts of 27 px overlap; the thing across two of them is cut in both."""
     seen = []
@@ -147,20 +136,3 @@ def test_a_configured_chain_takes_the_detectors_boxes():
     assert [seen.found.prompts[k] for k in seen.found.class_id] == ["chair"]
     assert seen.caption == ("black chair",)
     np.testing.assert_allclose(seen.found.xyxy_px[0], [10, 5, 30, 15], atol=1.0)
-
-
-def test_what_the_detectors_background_names_is_seen_too():
-    ids = np.zeros((20, 40), np.uint16)
-    ids[5:15, 2:12], ids[5:15, 20:38] = 1, 2
-    truth = Segmentation(ids, ("chair", "bed"))
-    perception = config.Perception(
-        detector=config.DetectorSim(
-            miss_rate=0.0, false_positive_rate=0.0, background=("bed", "oven")
-        ),
-        tau_det=0.1,
-    )
-    observation = replace(observe(), depth_m=np.full((20, 40), 2.0, np.float32))
-    with open_chain(perception, ("chair",), lambda stamp_ns: truth) as chain:
-        found = see(chain, observation).found
-    assert sorted(found.prompts[k] for k in found.class_id) == ["bed", "chair"]
-    assert (np.diff(found.score) <= 0.0).all()

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from task_facts import by_a_model, looking, written
 
-from edge.tasks.facts import lengths_m, same_words, thinned
+from edge.tasks.facts import same_words, thinned
 
 
 def test_no_task_is_the_same_as_none():
@@ -47,10 +47,3 @@ def test_a_thinned_trajectory_ends_where_it_ends_and_tells_where_the_robot_is(n,
     assert drawn[-1].tolist() == poses[-1, [0, 1, 3]].tolist()
     behind = drawn[:, 0] <= index
     assert at == np.count_nonzero(behind) - 1
-
-
-def test_lengths_are_along_the_path():
-    x_m, y_m = np.array([[0, 0], [3, 0], [3, 4], [3, 4], [0, 4]], np.float64).T
-    refined = replace(written()[1], poses=np.column_stack([x_m, y_m, 9 * x_m, y_m]))
-    assert [lengths_m(refined, k) for k in range(6)] == [(10, n) for n in (0, 3, 7, 7, 10, 10)]
-    assert lengths_m(replace(refined, poses=refined.poses[:1]), 0) == (0.0, 0.0)

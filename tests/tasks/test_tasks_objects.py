@@ -9,7 +9,6 @@ from edge.geometry import wrap_angle
 from edge.tasks import objects
 from edge.tasks.objects import (
     MOST_POINTS,
-    NEAR_M,
     ObjectMap,
     box_around,
     clusters,
@@ -67,12 +66,6 @@ def test_two_sides_tell_how_a_thing_stands(heading):
     assert abs(wrap_angle(2.0 * (turn - heading))) < 0.02
 
 
-def test_one_point_is_a_box_without_size():
-    position, size, _ = box_around(np.array([[1.0, 2.0, 3.0]]))
-    np.testing.assert_allclose(position, [1, 2, 3])
-    np.testing.assert_allclose(size, 0)
-
-
 def test_nothing_hangs_together_of_nothing():
     assert len(main_cluster(NONE, np.zeros(3))) == 0
     assert clusters(NONE, 1.0) == []
@@ -83,12 +76,6 @@ def test_strays_are_left_out():
     points = np.vstack((block(10.0), block(10.0, 5.0, n=10)))
     assert (main_cluster(points, np.zeros(3)) < 400).all()
     assert [len(group) for group in clusters(points, 1.0)] == [400, 10]
-
-
-def test_far_things_have_wider_gaps():
-    pair = np.array([[0, 0, 0], [0.9, 0, 0], [0, 0.9, 0]], np.float32)
-    assert len(main_cluster(pair + np.array([100, 0, 0]), np.zeros(3))) == 3
-    assert len(main_cluster(pair + np.array([2, 0, 0]), np.zeros(3))) == 1
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 80))
@@ -103,23 +90,8 @@ def test_no_more_points_than_there_is_room_for():
     assert len(thin(block(size=(50, 50, 5), n=20_000))) == MOST_POINTS
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_shares_lie_between_those_of_two_radii(seed):
-    """Cubes beside one another hold all that is within one side, and nothing beyond two
-    diagonals."""
-    random = np.random.default_rng(seed)
-    a, b = random.uniform(-2, 2, (2, 30, 3))
-    apart = np.linalg.norm(a[:, None] - b[None], axis=2).min(axis=1)
-    share = share_near(a, b)
-    assert (apart <= NEAR_M).mean() <= share <= (apart <= 2 * np.sqrt(3) * NEAR_M).mean()
-
-
 def test_of_nothing_no_share_is_near():
     assert share_near(NONE, block()) == share_near(block(), NONE) == 0.0
-
-
-def test_the_map_begins_empty():
-    assert ObjectMap().objects == {}
 
 
 def test_too_few_points_are_no_thing():
@@ -167,10 +139,6 @@ def test_a_thing_is_called_by_what_most_pictures_show():
         things.add("car", block(), "red car", score)
     (thing,) = things.objects.values()
     assert (thing.label, thing.caption, thing.hits, thing.score) == ("car", "red car", 3, 0.5)
-
-
-def test_without_captions_the_label_is_said():
-    assert ObjectMap().add("car", block()).caption == "car"
 
 
 def test_embeddings_are_averaged_over_pictures():

@@ -22,11 +22,6 @@ def of_boxes(observation, found, **more):
     )
 
 
-def test_no_mask_no_points():
-    observation, _ = street([])
-    assert of_boxes(observation, found_in(observation, [])) == []
-
-
 def test_no_cloud_no_points():
     box = np.array([[0, 0, 100, 100]], np.float32)
     (points,) = points_of_masks(np.zeros((0, 3), np.float32), np.eye(4), MODEL, box)

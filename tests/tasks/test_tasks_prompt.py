@@ -9,11 +9,9 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-import pytest
 from task_scenes import STREET, Thing, street
 
 from edge.config import TrajectoryLimits
-from edge.tasks.functions import NAMES, Functions, signature
 from edge.tasks.picture import annotated
 from edge.tasks.prompt import MOST_OBJECTS, describe, messages, picture, prompt, version
 
@@ -34,12 +32,6 @@ def test_the_prompt_has_a_version_and_five_parts_in_order():
     parts = ("1. Functions", "2. Surroundings", "3. Collisions", "4. Plan first", "5. Script")
     places = [prompt().index(f"\n{part}") for part in parts]
     assert all(a < b for a, b in pairwise(places))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_prompt_tells_each_function_as_it_is(name):
-    told = str(signature(getattr(Functions, name))).replace("(self, ", "(").replace("(self)", "()")
-    assert f"\n- {name}{told}: " in prompt()
 
 
 def test_the_prompt_knows_no_task_and_no_scene():
@@ -97,9 +89,3 @@ def test_a_large_picture_is_sent_smaller():
     contours = {k: [p * 8 for p in polygons] for k, polygons in scene.contours.items()}
     jpeg = picture(replace(scene, rgb=big, contours=contours))
     assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR).shape == (800, 1280, 3)
-
-
-def test_an_outline_at_the_edge_or_none_at_all_is_drawn():
-    scene = street(*STREET, picture=True)
-    scene.contours.update({6: [], 7: [np.array([(-50, -50), (0, -50), (0, 0)], np.int32)]})
-    assert picture(scene)

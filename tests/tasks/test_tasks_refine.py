@@ -51,14 +51,6 @@ def test_a_free_line_is_a_line():
     assert got.times_s[-1] == pytest.approx(12.75 + 2.5, rel=1e-3)
 
 
-def test_a_coarse_line_through_a_house_goes_around_it():
-    where = scene(HOUSE)
-    got = refined(where)
-    assert is_free(where, got)
-    # As far round as it has to, and no farther.
-    assert 1.3 < np.abs(got.poses[:, 1]).max() < 1.7
-
-
 def test_what_was_said_decides_between_two_ways():
     where = scene(HOUSE)
     got = refined(where, SOUTH_ABOUT)
@@ -97,18 +89,6 @@ def test_ground_not_chosen_is_crossed_where_there_is_no_other_way():
     where = scene(road=(-9.0, -9.0, -2.0, 9.0))
     fill(where.regions_grid, (2.0, -9.0, 9.0, 9.0), 1)
     assert refined(where).off_region_m == pytest.approx(4.0, abs=0.3)
-
-
-def test_heights_are_those_of_the_coarse_trajectory():
-    got = refined(scene(), [np.array([[-7.0, 0.0, 1.0], [0.0, 0.0, 1.0], [7.0, 0.0, 2.0]])])
-    at = [np.argmin(np.abs(got.poses[:, 0] - x_m)) for x_m in (-7.0, 0.0, 3.5, 7.0)]
-    np.testing.assert_allclose(got.poses[at, 2], [1.0, 1.0, 1.5, 2.0], atol=0.02)
-
-
-def test_an_end_that_is_too_near_is_moved_and_said():
-    got = refined(scene((6.8, -1.0, 9.0, 1.0)))
-    assert math.dist(got.poses[-1, :2], (7.0, 0.0)) == pytest.approx(0.65, abs=0.15)
-    assert got.notes[0].startswith("(7.0, 0.0) is too near to something: stops 0.")
 
 
 def test_a_bend_that_is_shut_is_passed_by():

@@ -9,24 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.tasks.speeds import headings_rad, speeds_mps, times_s
+from edge.tasks.speeds import speeds_mps, times_s
 from edge.trajectory.pursuit import MotionLimits
 
 LIMITS = MotionLimits(speed_mps=1.0, turn_radps=1.0, accel_mps2=0.5, turn_accel_radps2=3.0)
 LINE = np.column_stack([np.arange(0.0, 10.01, 0.1), np.zeros(101)])
-
-
-@pytest.mark.parametrize(
-    ("path", "expected"),
-    [
-        ([], []),
-        ([[1, 1]], [0.0]),
-        ([[0, 0], [1, 1]], [math.pi / 4, math.pi / 4]),
-        ([[0, 0], [1, 0], [1, -1]], [0.0, -math.pi / 2, -math.pi / 2]),
-    ],
-)
-def test_headings(path, expected):
-    assert headings_rad(np.reshape(path, (-1, 2)).astype(float)).tolist() == expected
 
 
 @pytest.mark.parametrize("n", [0, 1])
@@ -45,11 +32,6 @@ def test_a_line_is_a_trapezoid():
     assert times_s(LINE, speeds, 0.5)[-1] == pytest.approx(12.0)
     assert speeds_mps(LINE, LIMITS, start_mps=0.8)[0] == 0.8
     assert speeds_mps(LINE, LIMITS, start_mps=8.0)[0] == 1.0
-
-
-def test_a_leg_from_rest_to_rest_is_driven_in_two_halves():
-    path = LINE[[0, 20]]
-    assert times_s(path, speeds_mps(path, LIMITS), 0.5)[-1] == pytest.approx(4.0)
 
 
 def test_a_circle_is_driven_as_fast_as_it_can_be_turned():

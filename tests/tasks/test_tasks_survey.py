@@ -140,24 +140,6 @@ def test_a_scene_moves_with_the_robot(x_m, y_m, yaw):
     assert there.contours.keys() == here.contours.keys()
 
 
-def test_nearest_points_can_be_reached_and_are_near():
-    scene = survey_of(STREET, np.eye(4), radius_m=0.5).scene()
-    for thing in scene.objects.values():
-        (x_m, y_m) = thing.nearest_m[1]
-        row, column = scene.regions_grid.cell_of(x_m, y_m)
-        assert scene.occupancy.cells[row, column] == 0
-        assert scene.regions_grid.cells[row, column] == 1
-        away_m = np.linalg.norm(thing.points_m[:, :2] - (x_m, y_m), axis=1).min()
-        assert 0.3 < away_m < 1.2
-
-
-def test_what_stands_there_is_occupied():
-    scene = at_the_origin()
-    row, column = scene.occupancy.cell_of(23.55, 2.0)
-    assert scene.occupancy.cells[row, column] == 100
-    assert scene.occupancy.cells[scene.occupancy.cell_of(6.0, 0.0)] == 0
-
-
 def test_behind_a_wall_nothing_is_known():
     """Not even where the map keeps the robot away from the wall."""
     scene = at_the_origin()

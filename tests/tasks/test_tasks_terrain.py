@@ -140,21 +140,10 @@ def test_cells_are_of_the_kind_of_most_of_their_points():
     assert not got[4:].any(), "unknown ground has none"
 
 
-def test_points_of_things_vote_against_ground():
-    got = kinds(grid(["...."]), [[0, 0], [0.1, 0], [0, 0.1]], [1, 0, 0], SE2(-100, 0, 0))
-    assert got[0, 0] == 0
-
-
 def test_the_robot_stands_on_what_is_most_around_it():
     row = grid(["." * 20])
     got = kinds(row, [[0.5 * i, 0] for i in range(11, 20)], [1] * 7 + [2] * 2, SE2(1.0, 0, 0))
     assert (got[0, :10] == 1).all()
-
-
-def test_no_ground_no_regions():
-    regions, cells = regions_of(NOWHERE, np.zeros((0, 0), np.uint8), ["road"])
-    assert regions == {}
-    assert cells.cells.shape == (0, 0)
 
 
 def test_regions_are_numbered_from_the_largest_and_lie_where_their_kind_is():

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from task_scenes import STREET, street
 
 from edge.config import TrajectoryLimits
-from edge.geometry import SE2
 from edge.tasks.ground import ground_of
-from edge.tasks.trajectory import Coarse, TrajectoryError, check, coarse_of, number, point
+from edge.tasks.trajectory import Coarse, TrajectoryError, check, coarse_of
 
 LIMITS = TrajectoryLimits()
 GROUND = ground_of(street(*STREET), LIMITS.clearance_m)
@@ -51,22 +50,13 @@ def test_what_is_taken_for_a_trajectory(segments, shape):
     [
         ([], "the trajectory has 0 segments; give 1 to 50"),
         ([[]], "segment 1 is empty"),
-        ([[(0, 0)], []], "segment 2 is empty"),
-        (None, "segments: expected a list, got None"),
         ("0,0", "segments: expected a list, got '0,0'"),
-        ({"x": 1}, "segments: expected a list, got dict"),
         ([None], "segment 1: expected a list, got None"),
-        ([[(0,)]], r"point 1 of segment 1: expected a point \(x, y\), got tuple"),
         ([[(0, 0), (0, 0, 0, 0)]], "point 2 of segment 1: expected a point"),
-        ([[("0", "0")]], "point 1 of segment 1: expected a point"),
         ([[(0, True)]], "point 1 of segment 1: y: expected a number, got True"),
         ([[(0, math.nan)]], "point 1 of segment 1: y: nan is not within 1e"),
-        ([[(-math.inf, 0)]], "point 1 of segment 1: x: -inf is not within 1e"),
         ([[(1e9, 0)]], "point 1 of segment 1: x: 1e"),
-        ([[(10**400, 0)]], "point 1 of segment 1: x: a whole number is not within 1e"),
-        ([[(0, 0, 1e4)]], "point 1 of segment 1: z: 10000 is not within 1000"),
         ([[(0, 0), (0, 0, 0)]], "segment 1 mixes points"),
-        ([[(0, 0)]] * 51, "the trajectory has 51 segments"),
         ([[(0, 0)] * 4000] * 2, "the trajectory has 8000 points"),
         ([[(0, 0)] * 5001], "segment 1: 5001 entries, at most 5000"),
         ("x" * 10_000, "segments: expected a list, got 'x{39}…'"),
@@ -186,22 +176,3 @@ def test_junk_is_refused_or_safe(segments, regions, speed_mps):
     assert np.hypot(*np.diff(way, axis=0).T).max() <= LIMITS.max_jump_m
     assert set(coarse.regions) <= {1, 2}
     assert coarse.speed_mps is None or 0.05 <= coarse.speed_mps <= LIMITS.max_speed_mps
-
-
-@given(st.lists(st.tuples(st.floats(-19, 19), st.floats(-19, 19)), min_size=1, max_size=8))
-def test_what_passes_is_reachable(points):
-    points = [(0.0, 0.0), *points]
-    loose = TrajectoryLimits(max_jump_m=100.0)
-    try:
-        check(Coarse((np.array(points),)), GROUND, loose)
-    except TrajectoryError as error:
-        blocked = str(error).startswith("something is in between point ")
-        assert blocked or not all(GROUND.is_free(x, y) for x, y in points)
-    else:
-        assert all(GROUND.is_free(x, y) or SE2(0, 0, 0).distance_to(x, y) <= 0.6 for x, y in points)
-
-
-def test_numbers_and_points_are_plain():
-    assert (number(3, "n"), type(number(3, "n"))) == (3.0, float)
-    assert point([1, 2.5], "p") == (1.0, 2.5)
-    assert point((1, 2, 3), "p") == (1.0, 2.0, 3.0)

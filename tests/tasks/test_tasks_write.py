@@ -61,16 +61,11 @@ def test_an_instruction_that_is_too_long_is_not_sent():
     ("answer", "script"),
     [
         ("", ""),
-        ("no code", ""),
         ("```\nprint(1)\n```", "print(1)"),
         ("```python\nprint(1)\n```", "print(1)"),
-        ("```py \nprint(1)", "print(1)"),
         ("``` Python\nprint(1)\n```", "print(1)"),
-        ("```json\n{}\n```\nprint(1)\n```python\nif 1:\n  print(2)\n```\n", "if 1:\n  print(2)"),
         ("```PYTHON\nprint(1)\n```", "print(1)"),
-        ("```python\n1\n```\nor rather\n```python\n2\n```", "2"),
         ("<think>```python\n1\n```</think>no", ""),
-        ("```json\n{}\n```", ""),
         ("```python\n```", ""),
     ],
 )
@@ -127,18 +122,6 @@ def test_recorded_answers_lead_where_they_should(instruction, rounds, end):
 def test_a_recorded_refusal_is_one():
     with serving(recorded(RECORDED)) as server, pytest.raises(WriteError, match="no river is here"):
         write("swim across the river", SCENE, by_model(server))
-
-
-def test_what_was_not_recorded_is_not_answered():
-    with serving(recorded(RECORDED)) as server, pytest.raises(ChatError, match="HTTP 404"):
-        write("fly", SCENE, by_model(server))
-
-
-def test_the_words_alone_are_sent_where_that_is_asked_for():
-    with serving(saying(BLOCK)) as server:
-        write(INSTRUCTION, SCENE, by_model(server, picture=False))
-        ((_, _, request),) = server.requests
-    assert isinstance(request["messages"][1]["content"], str)
 
 
 @pytest.mark.parametrize(

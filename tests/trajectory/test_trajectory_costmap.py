@@ -83,14 +83,6 @@ def test_heuristic_is_left_out_where_it_would_not_pay(weights, least, h_weight):
     assert (costmap.min_weight, costmap.h_weight) == (least, h_weight)
 
 
-def test_grid_and_metres_are_inverse():
-    costmap = from_weights(Grid(np.ones((4, 6), np.uint8), (-1.0, 2.0), 0.5))
-    points = np.array([[-1.0, 2.0], [0.3, 3.9]])
-    assert costmap.metres_of(costmap.grid_of(points)) == pytest.approx(points)
-    assert costmap.cell_of(-0.9, 2.1) == (1, 1)
-    assert costmap.cell_of(1.99, 3.99) == (4, 6)
-
-
 @pytest.mark.parametrize(
     ("x_m", "y_m"), [(-0.01, 0.5), (1.0, 0.5), (0.5, 1.0), (math.nan, 0.5), (0.5, math.inf)]
 )

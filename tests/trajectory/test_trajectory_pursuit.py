@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.config import Robot
 from edge.geometry import SE2
 from edge.trajectory import pursuit
-from edge.trajectory.pursuit import STOP, Command, MotionLimits
+from edge.trajectory.pursuit import Command, MotionLimits
 
 LIMITS = MotionLimits.of(Robot())
 coordinates = st.floats(-20, 20)
@@ -29,18 +29,6 @@ def test_pursuit_is_within_limits_and_never_drives_back(x, y, yaw, to_x, to_y, r
     bearing = pose.bearing_to(to_x, to_y)
     if command.w_radps != 0.0:
         assert math.copysign(1, command.w_radps) == math.copysign(1, bearing)
-
-
-@given(coordinates, coordinates, angles, st.floats(0.05, 3.0), st.floats(-0.75, 0.75))
-def test_the_arc_leads_through_the_point(x, y, yaw, distance, bearing):
-    pose = SE2(x, y, yaw)
-    to_x = x + distance * math.cos(yaw + bearing)
-    to_y = y + distance * math.sin(yaw + bearing)
-    command = pursuit.pursue(pose, to_x, to_y, 10.0, LIMITS)
-    assume(abs(command.w_radps) > 1e-3)
-    radius = command.v_mps / command.w_radps
-    centre = (x - radius * math.sin(yaw), y + radius * math.cos(yaw))
-    assert math.dist(centre, (to_x, to_y)) == pytest.approx(abs(radius), rel=1e-6)
 
 
 @given(
@@ -89,11 +77,6 @@ def test_turn_to_goes_the_short_way(yaw):
     assert math.copysign(1, command.w_radps) == math.copysign(1, short)
 
 
-def test_stop_does_not_move():
-    assert not STOP.moves
-    assert Command(0.0, 0.1).moves
-
-
 LINE = np.stack([np.linspace(0, 2, 21), np.zeros(21)], axis=1)
 
 
@@ -109,8 +92,3 @@ def test_nearest_index(x, start, index):
 )
 def test_index_ahead(index, ahead, wanted):
     assert pursuit.index_ahead(LINE, index, ahead) == wanted
-
-
-def test_length():
-    assert pursuit.length_m(LINE) == pytest.approx(2.0)
-    assert pursuit.length_m(LINE[:1]) == 0.0

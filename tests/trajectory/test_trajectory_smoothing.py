@@ -105,10 +105,3 @@ def test_resample(path, points):
     path = np.array(path, float).reshape(-1, 2)
     out = smoothing.resample(path, 0.1) if len(path) > 1 else path
     assert len(out) == points
-
-
-def test_path_of_one_point_stays():
-    costmap = from_weights(Grid(np.ones((3, 3), np.uint8), (0.0, 0.0), 1.0))
-    one = np.array([[0.5, 0.5]])
-    assert smoothing.smooth(costmap, one) is one
-    assert smoothing.polyline_cost_m(costmap, one) == 0.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
@@ -12,20 +11,6 @@ from scipy.spatial import cKDTree
 from edge.trajectory.spline import b_spline
 
 CONTROLS = st.lists(st.tuples(*[st.floats(-50, 50)] * 2), min_size=2, max_size=12).map(np.array)
-
-
-@pytest.mark.parametrize("control", [np.empty((0, 2)), np.array([[1.0, 2.0]])])
-def test_less_than_two_points_are_the_curve(control):
-    curve, at = b_spline(control, 0.1)
-    assert curve.tolist() == control.tolist()
-    assert len(at) == len(control)
-
-
-def test_a_line_stays_one():
-    curve, at = b_spline(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), 0.1)
-    assert (curve[:, 1] == 0.0).all()
-    assert (np.diff(curve[:, 0]) > 0.0).all()
-    assert (at[0], at[-1]) == (0, 2)
 
 
 def test_a_corner_is_rounded_by_a_sixth():
@@ -44,13 +29,6 @@ def test_its_points_are_on_the_curve_of_scipy(control, spacing_m):
     longest_m = np.hypot(*np.diff(control, axis=0).T).max()
     off_m, _ = cKDTree(theirs).query(points)
     assert off_m.max() <= 1e-3 * longest_m
-
-
-def test_points_are_equally_far_apart_however_the_control_points_lie():
-    control = np.array([[0.0, 0.0], [0.1, 0.0], [4.0, 0.5], [4.1, 0.6], [9.0, 3.0]])
-    curve, _ = b_spline(control, 0.1)
-    apart_m = np.hypot(*np.diff(curve, axis=0).T)
-    assert apart_m.max() / apart_m.min() < 1.01
 
 
 @given(CONTROLS, st.floats(0.05, 5.0))

@@ -14,7 +14,7 @@ from edge.bus.ros2 import graph, names
 from edge.bus.ros2.names import Endpoint
 from edge.bus.ros2.node import Node
 from edge.bus.wire import messages, navigation
-from edge.geometry import SE2, Grid
+from edge.geometry import SE2
 
 POSE, IMAGE = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/Image"
 GRID, COMPRESSED = "nav_msgs/msg/OccupancyGrid", "sensor_msgs/msg/CompressedImage"
@@ -75,20 +75,6 @@ def test_a_peer_hears_us_and_lists_our_topic(port, node):
     peer.close()
 
 
-def test_a_late_subscriber_gets_a_latched_map(port, node):
-    # The peer spells a name of several parts wrong where it looks for its publishers.
-    mine = node.publisher("/map", GRID, latched=True)
-    for k in (1, 2):
-        grid = Grid(np.full((2, 3), k, np.int8), (0.0, 0.0), 0.05)
-        mine.put(messages.encode_occupancy_grid(k, grid))
-    eventually(lambda: "/map" in listed(port))  # it asks once
-    heard = []
-    peer = subscriber(port, "/map", GRID, heard.append, qos=names.LATCHED)
-    (message,) = eventually(lambda: list(heard))
-    assert message.data.tolist() == [2] * 6
-    peer.close()
-
-
 def test_we_hear_a_peer_and_which_type_it_sends(port, node):
     subscription = node.subscription("/camera/image", (IMAGE, COMPRESSED), 4)
     assert subscription.type == IMAGE
@@ -99,15 +85,6 @@ def test_we_hear_a_peer_and_which_type_it_sends(port, node):
     ((type_name, payload),) = eventually(subscription.take)
     assert (type_name, payload.to_bytes()) == (COMPRESSED, to_ros(message))
     peer.close()
-
-
-def test_an_old_robot_without_hashes_is_spoken_to_in_its_way(port, node):
-    mine = node.publisher("/goal_pose", POSE)
-    assert mine.hash == names.known_hash(POSE)
-    humble = publisher(port, "/chatter", "nav_msgs/msg/Odometry", type_hash=names.NO_HASH)
-    assert looked(node, lambda: mine.hash == names.NO_HASH)
-    humble.close()
-    assert looked(node, lambda: mine.hash == names.known_hash(POSE))
 
 
 def test_a_type_that_nobody_knows_waits_for_one_who_does(session, node):
@@ -122,14 +99,6 @@ def test_a_type_that_nobody_knows_waits_for_one_who_does(session, node):
         with session.declare_queryable(client.key(), zenoh.handlers.FifoChannel(1)):
             assert looked(node, client.served)
         assert looked(node, lambda: not client.served())
-
-
-def test_what_a_node_leaves_is_nothing(port, session):
-    node = Node(session, 0, "leaves")
-    node.publisher("/left", POSE)
-    eventually(lambda: "/left" in listed(port))
-    node.close()
-    eventually(lambda: "/left" not in listed(port))
 
 
 def test_a_service_of_a_peer_answers(port, node):

@@ -31,11 +31,9 @@ from edge.lab.bench.boxes import (
     agree,
     agreement,
     judge,
-    overlaps,
 )
 from edge.lab.sim.sensors import CameraRig
 from edge.lab.sim.worlds import load_world
-from edge.perception.embedding.text import PromptError
 from edge.perception.runtime.cards import card_path, load_detector_card
 
 SOFA, CHAIR = [0, 0, 40, 40], [60, 60, 80, 100]
@@ -80,18 +78,12 @@ def test_nothing_wanted_and_nothing_found():
     ("there", "answers", "boxes_found", "wanted_found_hits"),
     [
         ([], [NAMED], [SOFA], (0, 1, 0)),
-        ([(SOFA, 0, True)], [NAMED], [], (1, 0, 0)),
         ([(SOFA, 0, True)], [NAMED], [SOFA], (1, 1, 1)),
         ([(SOFA, 0, True)], [NAMED], [SOFA, [1, 1, 41, 41]], (1, 2, 1)),  # once only
-        ([(SOFA, 0, True)], [NAMED], [[0, 0, 40, 19]], (1, 1, 0)),  # IoU below a half
         ([(SOFA, 0, True)], [NAMED], [[0, 0, 40, 20]], (1, 1, 1)),
-        ([(SOFA, 0, True)], [NO], [SOFA], (0, 1, 0)),
         ([(SOFA, 0, True)], [KIND], [SOFA], (0, 0, 0)),  # an armchair, asked for a chair
-        ([(SOFA, 0, False)], [NAMED], [SOFA], (0, 0, 0)),  # hidden: neither missed nor wrong
         ([(SOFA, 0, False)], [NAMED], [[10, 10, 20, 20]], (0, 0, 0)),  # lies in it
-        ([(SOFA, 0, False)], [NAMED], [CHAIR], (0, 1, 0)),
         ([(SOFA, 0, False)], [NO], [SOFA], (0, 1, 0)),
-        ([(SOFA, 0, True), (SOFA, 1, True)], [NAMED, KIND], [SOFA, SOFA], (1, 1, 1)),
         ([(SOFA, 0, True), (CHAIR, 0, True)], [NAMED], [CHAIR, SOFA], (2, 2, 2)),
     ],
 )
@@ -138,13 +130,6 @@ def test_agreement_is_whole_with_oneself_and_never_more_than_there_is(one, other
     assert (same.hits, same.error) == (len(one.score), 0.0)
     tally = agree(one, other)
     assert 0 <= tally.hits <= min(tally.wanted, tally.found)
-
-
-def test_overlaps():
-    iou, share = overlaps(boxes(SOFA, CHAIR), boxes(SOFA, [4, 0, 44, 40], [5, 5, 5, 5]))
-    np.testing.assert_allclose(iou, [[1.0, 36 / 44, 0.0], [0.0, 0.0, 0.0]])
-    np.testing.assert_allclose(share, [[1.0, 0.9, 0.0], [0.0, 0.0, 0.0]])
-    assert overlaps(boxes(), boxes(SOFA))[0].shape == (0, 1)
 
 
 @given(pictures(), pictures(), st.lists(st.booleans(), min_size=8, max_size=8))
@@ -225,25 +210,6 @@ def test_frames_of_a_folder(tmp_path):
     (tmp_path / "0.png").write_bytes(b"no picture")
     with pytest.raises(UserError, match=r"0\.png: not an image"):
         frames.from_folder(tmp_path, 5)
-
-
-def test_prompts_are_the_labels_that_have_a_word_of_their_own():
-    def resolve(prompt):
-        words = {"balcony table": "table", "ceiling lamp": "chandelier", "sofa": "sofa"}
-        if prompt not in words:
-            raise PromptError("unknown")
-        return words[prompt]
-
-    labels = ("balcony table", "ceiling lamp", "handle", "sofa")
-    assert frames.prompts_for(labels, resolve) == (
-        ("ceiling lamp", "sofa"), ("balcony table", "handle"),
-    )  # fmt: skip
-    assert frames.prompts_for((), resolve) == ((), ())
-
-
-def test_how_labels_answer_to_prompts():
-    answers = frames.answers_of(("armchair", "couch", "bed"), ("chair", "sofa"))
-    assert answers.tolist() == [[KIND, NO], [NO, NAMED], [NO, NO]]
 
 
 # -- the command ------------------------------------------------------------------------------
@@ -417,16 +383,6 @@ def test_a_variant_that_hangs_is_ended(place, tmp_path, monkeypatch):
     one = variants.Variant(load_detector_card("tiny-fp32"), "cpu")
     made = compare.Bench(measure.Job(config.DetectorOnnx(), [], [], 0.3), limit_s=0.3)
     assert made.run(one).startswith("failed: not done after 0.3 s (")
-
-
-def test_int8_for_the_cpu_is_tried_nowhere_else_and_fp32_comes_first(place):
-    for precision in ("int8-trt", "int8-cpu", "fp16", "fp32"):
-        place(f"tiny-{precision}", None, precision)
-    todo = variants.variants("tiny", ["cuda", "cpu"])
-    assert [(v.on, v.card.precision) for v in todo] == [
-        ("cpu", "fp32"), ("cpu", "fp16"), ("cpu", "int8-cpu"), ("cpu", "int8-trt"),
-        ("cuda", "fp32"), ("cuda", "fp16"), ("cuda", "int8-trt"),
-    ]  # fmt: skip
 
 
 REPORT = {

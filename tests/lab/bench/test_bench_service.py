@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import threading
-from functools import partial
-from types import SimpleNamespace
 
 import pytest
 from simulated import simulated
@@ -56,42 +54,6 @@ def test_the_service_is_measured_on_a_recording():
     verdicts = figures["verdicts"]
     assert 50 < verdicts["resident memory"][0] < 2000
     assert verdicts["ready after"][0] > 1.0
-
-
-@pytest.mark.parametrize(
-    ("observations", "player", "stopped"),
-    [
-        ([0, 0, 0, 1, 1, 2], None, [False] * 5 + [True]),
-        ([0, 0, 0, 0, 0, 0], None, [False] * 6),
-        ([1, 2, 3, 3, 3, 3], None, [False, False] + [True] * 4),
-        ([0, 0, 1, 1, 1, 1], 2, [True] * 6),
-        ([1, 1, 1, 1, 1, 1], 2, [False, False] + [True] * 4),
-    ],
-)
-def test_the_time_counts_from_the_first_observation(monkeypatch, observations, player, stopped):
-    clock = SimpleNamespace(now_s=0.0, monotonic=lambda: clock.now_s)
-    monkeypatch.setattr(bench, "time", clock)
-    counters, stop = {"observations": 0}, threading.Event()
-    over = partial(bench._is_over, SimpleNamespace(poll=lambda: player))
-    look = bench._stopwatch(counters, over, 20.0, stop)
-    for counters["observations"], expected in zip(observations, stopped, strict=True):
-        look()
-        assert stop.is_set() == expected
-        clock.now_s += 10.0
-
-
-def test_an_observation_is_not_waited_for_for_ever(monkeypatch):
-    clock = SimpleNamespace(now_s=0.0, monotonic=lambda: clock.now_s)
-    monkeypatch.setattr(bench, "time", clock)
-    stop = threading.Event()
-    look = bench._stopwatch({"observations": 0}, lambda seen: False, 2.0, stop)
-    clock.now_s = 60.0
-    look()
-    assert stop.is_set()
-
-
-def test_a_process_grows_older():
-    assert 0.0 < bench.process_age_s() <= bench.process_age_s() < 1e6
 
 
 def test_nothing_measured_is_an_error(tmp_path):

@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 from small_house import small_house
 
-from edge.config import PolicyOwn
-from edge.errors import ConfigError
 from edge.geometry import SE2
-from edge.lab.eval import bounds
-from edge.lab.eval.bounds import FAR_M, KnownPlace, KnownRoom
+from edge.lab.eval.bounds import KnownPlace, KnownRoom
 from edge.lab.eval.columns import make_columns
 from edge.lab.eval.drive import in_process, run_episode
 from edge.lab.eval.episodes import plan
 from edge.lab.sim.worlds import load_world
-from edge.policies import find_policy, make_policy
 from edge.policies.base import FRONTIER, INSTANCE, LOOK, Candidates, Context
 
 RADIUS_M = 0.2
@@ -39,17 +35,6 @@ def context(target: str, *candidates: tuple[int, float, float, float, float]) ->
     nowhere = (0, 0, 0, 0)
     at = SE2(0.0, 0.0, 0.0)
     return Context(None, at, None, nowhere, c.read_only(), None, None, (target,), target, 0)
-
-
-@pytest.mark.parametrize("kind", [PLACE, ROOM])
-def test_no_robot_gets_one(kind):
-    with pytest.raises(ConfigError, match=r"policy\.options: missing a required argument: 'world'"):
-        find_policy(PolicyOwn(kind=kind), "my-robot.yaml")
-
-
-@pytest.mark.parametrize("make", [KnownPlace, KnownRoom])
-def test_no_candidates_no_scores(world, make):
-    assert len(make(world, RADIUS_M).score(context("bed"))) == 0
 
 
 def test_where_rooms_are_unknown_none_is_known():
@@ -88,23 +73,6 @@ def test_in_a_known_room_it_searches_and_to_it_the_shortest_way_leads(world):
     assert policy.score(context("sofa", *seen)).argmax() == 0
 
 
-def test_a_field_goes_on_where_no_robot_fits(world):
-    goal = np.zeros(world.plan.grid.cells.shape, bool)
-    assert (bounds.everywhere(world, goal, RADIUS_M) == FAR_M).all()
-    goal[world.plan.grid.cell_of(1.0, 1.0)] = True
-    left_m = bounds.everywhere(world, goal, RADIUS_M)
-    assert np.isfinite(left_m).all()
-    assert left_m[world.plan.grid.cell_of(0.02, 1.0)] == pytest.approx(0.75, abs=0.1)
-
-
-def test_things_are_of_the_room_that_they_stand_in(world):
-    sofa, bed = world.objects
-    assert [bounds.room_of(world, thing) for thing in (sofa, bed)] == list(world.rooms)
-    here = bounds.inside(world, [world.rooms[1]])
-    cells = [world.plan.grid.cell_of(x, 2.0) for x in (1.0, 3.9, 4.1, 7.9)]
-    assert [bool(here[cell]) for cell in cells] == [False, False, True, True]
-
-
 @pytest.mark.parametrize("kind", [PLACE, ROOM])
 def test_evaluations_drive_with_the_truth(tmp_path, kind):
     config = small_house(tmp_path, mission={"time_limit_s": 60.0})
@@ -113,10 +81,3 @@ def test_evaluations_drive_with_the_truth(tmp_path, kind):
     outcome = run_episode(column, episode, in_process)
     assert outcome.success, outcome.reason
     assert outcome.path_m < 1.3 * outcome.shortest_m
-
-
-def test_what_is_given_is_not_asked_for_again_as_an_option(world):
-    given = {"world": world, "robot_radius_m": RADIUS_M}
-    assert make_policy(PolicyOwn(kind=PLACE), "x", given).score(context("bed")).size == 0
-    with pytest.raises(ConfigError, match="multiple values for keyword argument 'world'"):
-        make_policy(PolicyOwn(kind=PLACE, options={"world": 3}), "x", given)

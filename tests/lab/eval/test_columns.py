@@ -7,22 +7,7 @@ from small_house import small_house
 
 from edge.config import parse
 from edge.errors import ConfigError
-from edge.lab.eval.columns import data_of, make_columns, merged, parse_column, read_columns
-
-
-def test_nothing_laid_over_nothing_is_nothing():
-    assert merged() == merged({}, {}) == {}
-
-
-def test_what_lies_below_is_not_written_to():
-    below = {"policy": {"kind": "hvl"}}
-    merged(below, {"policy": {"w_vl": 2.0}})
-    assert below == {"policy": {"kind": "hvl"}}
-
-
-def test_without_columns_the_configuration_is_the_only_one(tmp_path):
-    (column,) = make_columns(small_house(tmp_path), {})
-    assert (column.name, column.settings) == ("hvl", {})
+from edge.lab.eval.columns import make_columns, merged, parse_column, read_columns
 
 
 def test_a_column_says_what_differs_and_has_an_id_of_its_own(tmp_path):
@@ -50,16 +35,6 @@ def test_the_id_tells_of_all_that_a_column_decides(tmp_path, change, same):
     assert (one.id == other.id) == same
 
 
-def test_a_column_may_change_another_configuration(tmp_path):
-    other = tmp_path / "other.yaml"
-    other.write_text("perception: {detector: {kind: sim}}\npolicy: {kind: nearest_frontier}\n")
-    config = small_house(tmp_path)
-    (column,) = make_columns(config, {"far": {"config": str(other), "policy": {"r_assoc_m": 1}}})
-    assert column.base["policy"]["kind"] == "nearest_frontier"
-    assert column.path == str(other)
-    assert column.base["sim"]["world"]["house"] == "demo"
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -71,12 +46,6 @@ def test_a_column_may_change_another_configuration(tmp_path):
 def test_what_makes_no_configuration_is_refused_at_once(tmp_path, settings, message):
     with pytest.raises(ConfigError, match=message):
         make_columns(small_house(tmp_path), {"x": settings})
-
-
-def test_settings_are_read_from_words():
-    name, data = parse_column(["a", "policy.kind=hvl", "policy.w_vl=2", "mission.target=a b"])
-    assert name == "a"
-    assert data == {"policy": {"kind": "hvl", "w_vl": 2}, "mission": {"target": "a b"}}
 
 
 @pytest.mark.parametrize("setting", ["policy.kind", "=3", "a..b=1", "a={"])
@@ -97,13 +66,3 @@ def test_files_of_no_columns_are_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ConfigError, match=r"columns\.yaml"):
         read_columns(path)
-
-
-def test_data_of_a_configuration_make_it_again(tmp_path):
-    config = small_house(tmp_path, policy={"kind": "hvl"})
-    assert parse(data_of(config), config.path) == config
-
-
-def test_a_part_of_what_is_there_by_default_can_be_changed(tmp_path):
-    (column,) = make_columns(small_house(tmp_path), {"far": {"policy": {"w_dist": 0.1}}})
-    assert parse(merged(column.base, column.settings)).policy.w_dist == 0.1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 
 import pytest
 from hypothesis import given
@@ -16,10 +15,6 @@ from edge.lab.eval import episodes, world_list
 from edge.lab.eval.episodes import COMMON, Episode, make_episode, plan, read, write
 
 HOUSE = simulated()
-
-
-def test_no_targets_give_no_episodes():
-    assert plan(HOUSE, [], [], 4, 0, 3.0) == []
 
 
 def test_episodes_are_seeded_free_and_far():
@@ -51,24 +46,11 @@ def blocked(tmp_path, **sim):
     return simulated({"sim": {"world": world, **sim}})
 
 
-def test_a_blocked_start_is_told_and_another_takes_its_place(tmp_path):
-    with pytest.raises(UserError, match=r"around the start \(1\.00, 3\.00\): .* in sim\.start$"):
-        plan(blocked(tmp_path), [], ["bed"], 1, 0, 2.0)
-    planned = plan(blocked(tmp_path, start=[4, 3, 0]), [], ["bed"], 1, 0, 2.0)
-    assert [e.target for e in planned] == ["bed"]
-
-
 def test_of_several_worlds_one_with_a_blocked_start_is_left_out_and_told(tmp_path, caplog):
     worlds = [blocked(tmp_path).sim.world.model_dump(), {"kind": "house", "house": "demo"}]
     planned = plan(HOUSE, worlds, ["bed"], 1, 0, 2.0)
     assert [e.world["house"] for e in planned] == ["demo"]
     assert "left out: blocked: no free space" in caplog.text
-
-
-def test_planning_says_how_far_it_is(monkeypatch, capsys):
-    monkeypatch.setattr("edge.host.bars.LOG_PERIOD_S", 0.0)
-    plan(HOUSE, [], ["bed", "sofa"], 1, 0, 2.0)
-    assert re.search(r"targets: .* 1/2 ", capsys.readouterr().err)
 
 
 def test_of_several_worlds_each_gives_what_it_has(tmp_path):
@@ -117,11 +99,6 @@ def test_the_sensors_go_with_an_episode_and_its_id_tells_them():
 
 
 # -- files ----------------------------------------------------------------------------------------
-
-
-def test_a_file_of_no_episodes_has_none(tmp_path):
-    write(tmp_path / "none.jsonl", [])
-    assert read(tmp_path / "none.jsonl") == []
 
 
 numbers = st.floats(-50, 50, allow_nan=False)
@@ -195,10 +172,6 @@ def houses(tmp_path, count: int):
     return path
 
 
-def test_no_lists_name_no_worlds():
-    assert world_list.sections([]) == []
-
-
 @pytest.mark.parametrize(
     ("ranged", "chosen"),
     [("", [0, 1, 2, 3]), ("[1:3]", [1, 2]), ("[2:]", [2, 3]), ("[:2]", [0, 1]), ("[3]", [3])],
@@ -230,21 +203,3 @@ def test_what_names_no_worlds_is_refused(spec):
 def test_a_range_beyond_a_file_is_refused(tmp_path):
     with pytest.raises(UserError, match="has 2 houses"):
         world_list.sections([f"{houses(tmp_path, 2)}[5:9]"])
-
-
-def test_a_world_is_loaded_once_and_again_for_another_robot(tmp_path):
-    config = small_house(tmp_path)
-    elsewhere = config.model_copy(
-        update={"sim": config.sim.model_copy(update={"start": (3.0, 1.0, 0.0)})}
-    )
-    world = world_list.load(config)
-    assert world_list.load(elsewhere) is world
-    tall = small_house(tmp_path, robot={"height_m": 1.3})
-    assert world_list.load(tall) is not world
-
-
-def test_objects_are_told_where_there_is_none():
-    world = world_list.load(HOUSE)
-    assert {o.label for o in episodes.objects_of(world, "tv")} == {"television"}
-    with pytest.raises(UserError, match="has no 'unicorn'"):
-        episodes.objects_of(world, "unicorn")

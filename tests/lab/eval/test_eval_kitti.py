@@ -58,24 +58,6 @@ def test_a_frame_has_its_sensors_where_they_were(tmp_path):
     assert frame.ground_kind.tolist() == [GROUND_LABELS.index("road") + 1] * 200 + [0] * 30
 
 
-def test_labelled_things_are_told_apart(tmp_path):
-    frame = read_frame(write(tmp_path), 0)
-    ((name, points),) = things_in(frame)
-    assert name == "car"
-    np.testing.assert_array_equal(points, np.arange(200, 230))
-    boxes = true_boxes(frame)
-    assert boxes.prompts == ("car",)
-    assert boxes.mask[0].any()
-
-
-def test_one_call_makes_a_scene(tmp_path):
-    scene = kitti_scene(write(tmp_path, points=20_000), [0])
-    (car,) = scene.objects.values()
-    np.testing.assert_allclose(car.position_m, [10.1, 0.0, 0.83], atol=0.25)
-    assert car.caption.startswith("red car, ")
-    assert {region.label for region in scene.regions.values()} == {"road"}
-
-
 @pytest.mark.parametrize("rubbish", [np.nan, np.inf, -np.inf, 3e38, 1e8])
 def test_rubbish_in_a_scan_is_left_out(tmp_path, rubbish):
     """Of the road and of the car every fifth return."""
@@ -88,12 +70,6 @@ def test_rubbish_in_a_scan_is_left_out(tmp_path, rubbish):
     assert len(frame.observation.cloud_m) == len(frame.semantic) == 0.8 * len(scan)
     (car,) = kitti_scene(folder, [0]).objects.values()
     np.testing.assert_allclose(car.position_m, [10.1, 0.0, 0.83], atol=0.25)
-
-
-def test_a_scan_of_nothing_but_rubbish_shows_nothing(tmp_path):
-    folder = write(tmp_path)
-    np.full((230, 4), np.nan, np.float32).tofile(folder / "velodyne/000000.bin")
-    assert not kitti_scene(folder, [0]).objects
 
 
 def cut(path, n):
@@ -155,12 +131,6 @@ def test_a_frame_beyond_the_poses(tmp_path):
         read_frame(write(tmp_path), 7)
 
 
-def test_a_separate_file_may_hold_tr(tmp_path):
-    folder = write(tmp_path, tr=False)
-    (folder / "Tr_velo_to_cam0.txt").write_text(f"# by hand: see\nTr: {TR}\n")
-    assert read_frame(folder, 0).observation.T_base_camera[2, 3] == pytest.approx(1.73)
-
-
 # -- the real sequence ------------------------------------------------------------------------
 
 
@@ -212,12 +182,6 @@ def test_a_real_street_becomes_a_scene(sequence):
     pillar = next(o for o in scene.objects.values() if o.caption.startswith("white object"))
     np.testing.assert_allclose(pillar.position_m[:2], [31.3, 7.0], atol=1.0)
     assert all(thing.nearest_m for thing in scene.objects.values())
-
-
-def test_without_labels_flat_ground_is_one_region(sequence):
-    scene = kitti_scene(sequence, [0], by_labels=False)
-    assert scene.regions[1].label == "ground"
-    assert scene.regions[1].area_m2 > 1000.0
 
 
 def test_what_a_robot_would_run_into_is_told_by_points(tmp_path):

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated import simulated
 
-from edge.lab.eval import geodesic, missions
-from edge.lab.eval.missions import Fields, cells_to_go, draw_missions, plan_missions
+from edge.lab.eval import missions
+from edge.lab.eval.missions import cells_to_go, draw_missions, plan_missions
 from edge.lab.sim.worlds import load_world
 from edge.mission.brief import prepare
 from edge.mission.logic.automaton import compile_formula
@@ -26,11 +26,6 @@ RADIUS_M = 0.2
 @pytest.fixture(scope="module")
 def world():
     return load_world(simulated({"sim": {"world": {"kind": "generated", "seed": 3}}}))
-
-
-@pytest.mark.parametrize("targets", [[], ["bed"], ["tv", "television"]])
-def test_there_is_no_mission_over_fewer_than_two_things(targets):
-    assert draw_missions(targets, 5, 0) == []
 
 
 @pytest.mark.parametrize("count", [2, 3, 8])
@@ -62,15 +57,6 @@ def test_missions_are_planned_over_what_a_robot_gets_to(world):
         assert "unicorn" not in propositions(item.mission.formula)
         assert world.plan.clearance_at(*item.start[:2]) > RADIUS_M
     assert plan_missions(world, ["unicorn", "dragon"], 3, 0, RADIUS_M) == []
-
-
-def test_one_thing_is_as_far_as_by_the_distance_field(world):
-    fields = Fields(world, RADIUS_M)
-    things = [o for o in world.objects if o.label == "toilet"]
-    far = geodesic.distance_field(world.plan, things, RADIUS_M, missions.REACHED_M)
-    mine = fields.to_go_m(compile_formula(parse("F toilet")))
-    reachable = world.plan.reachable(world.start.x_m, world.start.y_m, RADIUS_M)
-    np.testing.assert_allclose(mine[reachable], far[reachable])
 
 
 # --- the shortest way, against Dijkstra over (place, state) ---

@@ -44,18 +44,10 @@ def test_what_is_no_trajectory_is_refused(measure, bad):
     [
         ([[1, 2]], [[1, 2]], 0.0),
         ([[0, 0]], [[3, 4]], 5.0),
-        (LINE, LINE, 0.0),
-        # A point more on the way changes nothing; nor does waiting.
-        (LINE, [[0, 0], [4, 0], [10, 0]], 0.0),
         (LINE, [[0, 0], [4, 0], [4, 0], [10, 0]], 0.0),
-        (LINE, [[0, 2], [10, 2]], 2.0),
         (LINE, [[5, 0]], 5.0),
-        # The other way round, however near the curves are.
-        (LINE, LINE[::-1], 10.0),
         # A detour to the side; a loop that a dog may run while its owner waits in the middle.
         (LINE, [[0, 0], [5, 3], [10, 0]], 3.0),
-        # Back and forth by 4 along the line: the owner waits half way, 2 from either end.
-        (LINE, [[0, 0], [7, 0], [3, 0], [10, 0]], 2.0),
         # Alt & Godau's own difference from Hausdorff's distance, which is 1 here.
         ([[0, 0], [10, 0], [0, 1], [10, 1]], [[0, 0], [10, 1]], math.hypot(5, 0.5)),
     ],
@@ -145,28 +137,6 @@ def test_frechet_agrees_with_the_twin(a, b):
 @given(PATH, PATH)
 def test_ndtw_agrees_with_the_twin(a, reference):
     assert ndtw(a, reference) == pytest.approx(ndtw_twin(a, reference))
-
-
-@pytest.mark.parametrize(
-    ("a", "expected"),
-    [
-        ([[1, 2]], [[1, 2]]),
-        ([[1, 2], [1, 2]], [[1, 2]]),
-        ([[0, 0], [0.4, 0]], [[0, 0], [0.4, 0]]),
-        ([[0, 0], [0.1, 0], [0.3, 0], [1.5, 0]], [[0, 0], [0.5, 0], [1, 0], [1.5, 0]]),
-        ([[0, 0], [0.75, 0], [0.75, 0.75]], [[0, 0], [0.5, 0], [0.75, 0.25], [0.75, 0.75]]),
-    ],
-)
-def test_points_spaced_evenly(a, expected):
-    np.testing.assert_allclose(evenly(path(a), 0.5), expected)
-
-
-@given(PATH, PATH, st.floats(0.05, 0.5))
-def test_how_densely_a_path_was_written_decides_nothing(a, reference, spacing_m):
-    """But for a point more or less where a length is a whole number of spacings."""
-    dense = resample(a, spacing_m)
-    if len(evenly(dense, 0.5)) == len(evenly(a, 0.5)):
-        assert ndtw(dense, reference) == pytest.approx(ndtw(a, reference), rel=1e-6)
 
 
 @given(PATH, PATH, PATH)

@@ -16,7 +16,7 @@ from edge.cli.parsers import make_parser
 from edge.config import TranslatorGrammar
 from edge.errors import UserError
 from edge.lab.eval import translate
-from edge.lab.eval.languages import difference, satisfiable, with_weak_untils
+from edge.lab.eval.languages import difference, satisfiable
 from edge.mission.logic.automaton import NOTHING, CompileError, compile_formula
 from edge.mission.logic.ltl import Formula, ap, conj, disj, neg, parse
 from edge.mission.translate import Translation, make_translator
@@ -28,21 +28,6 @@ LANG2LTL = Path(__file__).parents[4] / "shared/nl2ltl/lang2ltl/symbolic_batch12_
 def _few_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
     """To make all tasks of the benchmark takes seconds."""
     monkeypatch.setattr(translate, "_TASKS", 60)
-
-
-EQUAL = [
-    ("F a", "F a"),
-    ("F a & F b", "F b & F a"),
-    ("!(G !a)", "F a"),
-    ("(!b U a) & F b", "(!b W a) & F a & F b"),
-    ("F(a & (a U (!a & (!a U F a))))", "F(a & F(!a & F a))"),
-    ("F a & F b", "F(a & F b) | F(b & F a)"),  # one object per step
-]
-
-
-@pytest.mark.parametrize(("a", "b"), EQUAL)
-def test_equal_languages(a: str, b: str) -> None:
-    assert difference(parse(a), parse(b)) is None
 
 
 DIFFERENT = [
@@ -101,19 +86,6 @@ def test_a_silent_end_is_many_steps_of_nothing(f: Formula, g: Formula, word: lis
         assert holds(f, [*witness, *silence]) != holds(g, [*witness, *silence])
     if holds(f, word + silence):
         assert satisfiable(f, silent_end=True)
-
-
-SILENT = [("G F a", False), ("G F a & G F b", False), ("F a", True), ("G(a -> X G !b)", True)]
-
-
-@pytest.mark.parametrize(("formula", "possible"), SILENT)
-def test_endless_behaviour_is_not_expressible(formula: str, possible: bool) -> None:
-    assert satisfiable(parse(formula), silent_end=True) is possible
-
-
-def test_weak_untils() -> None:
-    formula = parse("(!b U a) & F b & (c U a) & (!c U (a & b))")
-    assert with_weak_untils(formula) == parse("(!b W a) & F b & (c U a) & (!c U (a & b))")
 
 
 @pytest.mark.parametrize(
@@ -213,14 +185,6 @@ def test_run_writes_counts_and_failures(tmp_path: Path, capsys: pytest.CaptureFi
         line for line in told.splitlines() if line.split()[:2] == ["Lang2LTL", "auto"]
     )
     assert (translate.SEEN["Lang2LTL"] in model, translate.NOT_SEEN in held_out) == (True, True)
-
-
-def test_an_overview_has_shares() -> None:
-    counts = {"cases": 4, "right": 3, "right if weak": 0, "wrong": 0, "asked": 1, "refused": 0}
-    told = translate.overview({"seed": 0, "Mine": {"grammar": counts}}, {"Mine": {"model": counts}})
-    assert [line.split() for line in told.splitlines()][1:] == [
-        ["Mine", "grammar", "4", "75.0", "%", "0.0", "%", "0.0", "%", "25.0", "%", "0.0", "%"]
-    ]
 
 
 class _Failing:

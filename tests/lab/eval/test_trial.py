@@ -10,12 +10,12 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from chat_server import saying, send, serving
+from chat_server import saying, serving
 from made_sequence import write
 
 from edge.cli.main import main
 from edge.config import load
-from edge.lab.eval.trial.trial import carry_out, ground_heights_m
+from edge.lab.eval.trial.trial import carry_out
 from edge.lab.eval.trial.views import street_view
 from edge.tasks.value_map import closed_cells
 
@@ -45,17 +45,6 @@ def test_without_a_sentence_nothing_is_made(tmp_path, capsys, words):
     assert code == os.EX_DATAERR
     assert capsys.readouterr().err.startswith("the instruction ")
     assert not out.exists()
-
-
-def test_a_street_is_seen_as_it_is():
-    """Things lie where the simulator has them, ground is of its kind, heights are the ground's."""
-    scene = seen().scene
-    car = next(thing for thing in scene.objects.values() if thing.caption.startswith("red car"))
-    np.testing.assert_allclose(car.position_m[:2], [20.3, -4.0], atol=0.5)
-    assert {"road", "sidewalk", "parking"} == {region.label for region in scene.regions.values()}
-    assert set(scene.contours) <= set(scene.objects)
-    ahead_m = np.column_stack([np.linspace(0.0, 15.0, 31), np.full(31, -0.5)])
-    np.testing.assert_allclose(ground_heights_m(seen(), ahead_m), 0.0, atol=0.05)
 
 
 def test_a_trajectory_leads_to_what_the_sentence_names():
@@ -90,17 +79,6 @@ def test_the_command_leaves_pictures_page_and_trajectory(tmp_path, capsys):
     for name in PICTURES[:3]:
         assert cv2.imread(str(out / name)).std() > 10.0
     assert "go to the red car" in (out / "scene.html").read_text(encoding="utf-8")
-
-
-def test_what_is_refused_is_shown_and_leaves_no_trajectory_of_before(tmp_path, capsys):
-    assert trajectory(tmp_path, "street:3", "go to the red car")[0] == os.EX_OK
-    code, out = trajectory(tmp_path, "street:3", "go to the <b>\x1b[31m fountain")
-    said = capsys.readouterr().err
-    assert code == os.EX_DATAERR
-    assert "did not understand" in said
-    assert "\x1b" not in said
-    assert sorted(path.name for path in out.iterdir()) == ["map.png", "objects.png", "scene.html"]
-    assert "<b>" not in (out / "scene.html").read_text(encoding="utf-8")
 
 
 def test_what_cannot_be_reached_is_told(tmp_path, capsys):
@@ -219,25 +197,6 @@ def test_a_model_leaves_what_it_was_told_and_what_it_said(tmp_path, capsys):
     ]  # fmt: skip
     speeds = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))["speeds_mps"]
     assert max(speeds) <= 0.4
-
-
-MISBEHAVING = {
-    "lies": (lambda handler: send(handler, b"<html>"), "the answer is not JSON"),
-    "sends a lot": (lambda handler: send(handler, b"x" * (1 << 20)), "more than 256 KB"),
-    "only chats": (saying("Hello!"), "the answer has no ```python block"),
-}
-
-
-@pytest.mark.parametrize("case", MISBEHAVING)
-def test_a_server_that_misbehaves_is_one_line(tmp_path, capsys, case):
-    behave, line = MISBEHAVING[case]
-    with serving(behave) as server:
-        code, out = trajectory(tmp_path, "street:3", "go to the red car", "--url", server.url)
-    said = capsys.readouterr().err
-    assert code != os.EX_OK
-    assert line in said
-    assert said.count("\n") == 1
-    assert not (out / "trajectory.json").exists()
 
 
 def test_a_recorded_street_with_its_frames(tmp_path, capsys, shared_dir):

@@ -24,8 +24,6 @@ from edge.config import Config
 from edge.geometry import SE2, Grid
 from edge.host.ports import free_port
 from edge.lab.motion import process
-from edge.sources.goal_status import parse_goal_status
-from edge.types import GoalStatus
 
 GOAL = SE2(2.0, 1.0, 0.5)
 CELLS = np.zeros((60, 80), np.int8)
@@ -239,18 +237,6 @@ def test_real_time_stops_when_maps_cease_and_goes_on_when_they_are_back(robot: R
 def test_parse_tick_refuses(payload):
     with pytest.raises(ValueError, match=r"stamp|JSON|bytes"):
         process.parse_tick(payload)
-
-
-def test_parse_tick():
-    assert process.parse_tick(b'{"stamp": 12}') == 12
-
-
-def test_answers_are_what_the_service_reads():
-    answers = [GoalStatus(-5, "accepted", blocked=(1.5, -2.0)), GoalStatus(6, "failed", "stuck")]
-    bus, said = process.Bus(Flooded("edge/odom", []), simulated()), []
-    bus._answers = SimpleNamespace(put=said.append)
-    bus.answer(answers)
-    assert [parse_goal_status(payload) for payload in said] == answers
 
 
 def test_malformed_messages_are_counted_and_logged_once(caplog):

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from results import facts, result
+from results import result
 from simulated import simulated
 
 from edge.geometry import SE2
 from edge.lab.report import story
-from edge.lab.report.album import MAX_FRAME_PX
 from edge.lab.report.record import RunRecord
-from edge.lab.report.recorder import Ends, Recorder, detector_name
+from edge.lab.report.recorder import Recorder, detector_name
 from edge.live.trail import STEP_M, Trail
 from edge.loop.result import Event, facts_of
 from edge.mission.brief import prepare
 from edge.mission.run import MissionRun
-from edge.types import Detections, Goal, MissionStatus, Observation
+from edge.types import Detections, MissionStatus, Observation
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -71,13 +68,6 @@ def test_trajectory_keeps_steps_and_counts_from_the_start():
     np.testing.assert_array_equal(record.trajectory[:, 2], 0.25)
 
 
-def test_a_standing_robot_leaves_a_pose_each_tenth_of_a_second():
-    recorder = make()
-    for k in range(61):
-        drive(recorder, k * S // 60, 0.0)
-    assert len(finish(recorder).trajectory) == 11
-
-
 @given(n=st.integers(1, 900), capacity=st.integers(4, 40))
 def test_a_trail_of_any_length_fits_and_spans_it_all(n, capacity):
     trail = Trail(capacity)
@@ -90,36 +80,6 @@ def test_a_trail_of_any_length_fits_and_spans_it_all(n, capacity):
     assert poses[0, 0] == 0
     assert (gaps > 0).all()
     assert n - 1 - poses[-1, 0] < max(1.0, STEP_M * trail._stride), "within a step of the end"
-
-
-@given(n=st.integers(0, 60), first=st.integers(0, 10), last=st.integers(1, 10))
-def test_ends(n, first, last):
-    ends: Ends[int] = Ends(first, last)
-    for k in range(n):
-        ends.append(k)
-    everything = list(range(n))
-    expected = everything if n <= first + last else everything[:first] + everything[-last:]
-    assert list(ends.items()) == expected
-    assert (ends.count, ends.left_out) == (n, n - len(expected))
-
-
-def test_goals_are_counted_from_the_start():
-    recorder = make()
-    for stamp in (1, 2):
-        drive(recorder, stamp * S, 0.0)
-        goal = Goal(stamp * S, SE2(0, 0, 0), "frontier", stamp, (1.0, 1.0), 0.5, "chair")
-        recorder.tick(result(goals=(goal,)))
-    record = finish(recorder)
-    assert [g.candidate_id for g in record.goals] == [1, 2]
-    assert record.counters["goals"] == 2
-    assert record.seconds(2 * S) == 1.0
-
-
-def test_events_in_order_of_time():
-    recorder = make()
-    recorder.tick(result(events=(Event(10 * S, "begin"), Event(12 * S, "late"))))
-    events = finish(recorder, events=(Event(11 * S, "early"),)).events
-    assert events == ((0.0, "begin"), (1.0, "early"), (2.0, "late"))
 
 
 def test_events_without_end_are_counted():
@@ -145,28 +105,6 @@ def test_frames_are_spaced_and_copied():
     assert frames[0].rgb.max() == 0
     np.testing.assert_array_equal(frames[0].xyxy_px, [[2, 4, 8, 12]])
     assert (frames[0].target_score, frames[1].target_score) == (0.5, 0.0)
-
-
-def test_a_clearly_better_view_within_the_second_takes_the_place():
-    recorder = make()
-    for k, score in enumerate((0.3, 0.32, 0.6, 0.5)):
-        show(recorder, seen(k * S // 10, {"chair": score}))
-    assert [f.stamp_ns for f in finish(recorder).frames] == [2 * S // 10]
-
-
-def test_half_are_the_best_of_the_target_and_half_the_newest():
-    scores = [0.1, 0.9, 0.2, 0.8, 0.1, 0.1, 0.3, 0.2, 0.1]
-    recorder = make(frames=4)
-    for k, score in enumerate(scores):
-        show(recorder, seen(k * S, {"sofa": 0.9, "chair": score}))
-    assert [f.stamp_ns // S for f in finish(recorder).frames] == [1, 3, 7, 8]
-
-
-def test_frames_with_boxes_outlast_frames_without():
-    recorder = make(frames=3)
-    for k in range(9):
-        show(recorder, seen(k * S, {"sofa": 0.5} if k in (1, 2) else {}))
-    assert [f.stamp_ns // S for f in finish(recorder).frames] == [1, 2, 8]
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2])
@@ -199,34 +137,6 @@ def test_each_target_has_its_best_view():
     assert [f.stamp_ns // S for f in frames[-2:]] == [10, 11]
 
 
-def test_targets_may_change_with_the_mission():
-    recorder = make()
-    show(recorder, seen(0, {"chair": 0.5, "sofa": 0.6}))
-    show(recorder, seen(S, {"chair": 0.5, "sofa": 0.6}), "sofa")
-    record = finish(recorder, "sofa")
-    assert [list(f.best) for f in record.frames] == [["chair"], ["sofa"]]
-    assert record.targets == ("sofa",)
-
-
-@pytest.mark.parametrize(
-    ("instruction", "backend", "title"),
-    [
-        ("chair", "target", "Find the chair"),
-        ("go to the tv", "grammar", "go to the tv"),
-        ("x\0" * 500, "grammar", "x\ufffd" * 79 + "x…"),
-        ("go to the bed,\r\n\t  then to the tv", "grammar", "go to the bed, then to the tv"),
-    ],
-)
-def test_a_run_is_called_after_its_instruction(instruction, backend, title):
-    told = facts()
-    translation = replace(told.brief.translation, instruction=instruction, backend=backend)
-    mission = replace(told, brief=replace(told.brief, translation=translation))
-    record = finish(make(), mission=lambda: mission)
-    assert record.title == title
-    assert record.story is mission
-    assert record.simple
-
-
 def under_way(formula: str) -> MissionRun:
     config = simulated().mission
     run = MissionRun(prepare(config, formula=formula), config)
@@ -253,27 +163,10 @@ def test_the_story_of_a_mission_under_way():
     assert not record.simple
 
 
-def test_the_story_of_a_mission_that_is_over():
-    run = under_way("F chair")
-    run.arrive("seen in 9 images", S)
-    record = told_of(run)
-    assert (left_to_reach(record), record.simple) == ("", True)
-    assert record.steps[-1].kind == "end"
-
-
 def test_the_story_of_a_mission_that_failed_says_what_was_left():
     run = under_way("F(chair & F sofa)")
     run.fail("time limit of 45 s", S)
     assert left_to_reach(told_of(run)) == "chair, then sofa"
-
-
-def test_large_images_are_thinned_with_their_boxes():
-    recorder = make()
-    show(recorder, seen(0, {"chair": 0.5}, size=(1000, 1500)))
-    frame = finish(recorder).frames[0]
-    assert frame.rgb.shape == (334, 500, 3)
-    assert max(frame.rgb.shape) <= MAX_FRAME_PX
-    np.testing.assert_allclose(frame.xyxy_px, [[2 / 3, 4 / 3, 8 / 3, 4]], rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -52,20 +52,6 @@ def record_of(*ticks, frames: int = 4, **end):
     return recorder.record(result(**end), {})
 
 
-def test_where_no_model_is_asked_there_is_no_section():
-    record = record_of(result(observation=looking(S)))
-    assert (record.asked, record.values) == ((), {})
-    assert choices.section(record) == ""
-
-
-def test_letters_lie_in_the_image_and_stand_with_their_answers():
-    (asked,) = record_of(answered(S, (4.0, 1.0), (4.0, -1.0))).asked
-    assert [letter for letter, _ in asked.letters] == ["A", "B"]
-    np.testing.assert_allclose([p for _, p in asked.letters], 0.4)
-    assert (asked.target, asked.elsewhere, asked.scene) == ("bed", 0.2, 0.75)
-    assert asked.rgb.max() == 255  # discs on a black image
-
-
 def test_a_frontier_behind_the_robot_gets_no_letter():
     assert record_of(answered(S, (-4.0, 0.0))).asked == ()
 

@@ -74,27 +74,6 @@ def test_boxes_outside_the_image_and_not_finite(run):
     assert "b 1.00" not in reader.text
 
 
-@pytest.mark.parametrize(("factor", "words"), [(0.5, "50 %"), (4.0, "400 %")])
-def test_bars_stand_against_the_budget(run, factor, words):
-    row = run.latency.stage("map")
-    row = replace(row, p50_ms=0.1, p95_ms=factor * row.budget_ms, max_ms=100.0)
-    bar = page._bar(row)
-    assert words in bar
-    width = float(re.search(r'class="p95( over)?" width="([0-9.]+)"', bar).group(2))
-    assert width == pytest.approx(min(100.0, factor * 100 / 1.5), abs=0.01)
-    assert ("over" in bar) == (factor > 1)
-
-
-def test_a_stage_without_a_budget_is_shown_without_a_verdict(run):
-    """So are most, on a computer that was never calibrated."""
-    row = replace(run.latency.stage("map"), budget_ms=None, p95_ms=100.0)
-    report = replace(run.latency, stages=(row,), calibration=None)
-    text = page._latency(report)
-    assert "over" not in page._latency_row(row)
-    assert "<th>deadline</th>" in text
-    assert "<th>budget</th>" not in text
-
-
 def test_write_report(run, tmp_path):
     paths = page.write_report(run, tmp_path / "a" / "b")
     assert paths.png.read_bytes().startswith(b"\x89PNG")

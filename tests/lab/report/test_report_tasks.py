@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
-import numpy as np
 import pytest
 from report_runs import task_run
 from results import result
 from simulated import simulated
 from task_facts import by_a_model, driving, looking
 
-from edge.lab.report import page, picture, tasks
+from edge.lab.report import page, tasks
 from edge.lab.report.record import RunRecord
 from edge.lab.report.recorder import Recorder
 from edge.loop.result import Event
@@ -28,13 +26,6 @@ def test_a_run_without_a_task_has_no_part_about_one(run, tmp_path):
     assert tasks.page(run) is None
     assert page.write_report(run, tmp_path).scene is None
     assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "report.png"]
-
-
-def test_the_recorder_keeps_the_task_as_it_stood_at_the_end():
-    recorder = Recorder(simulated())
-    recorder.tick(result(task=looking))
-    assert recorder.record(result(task=driving), {}).task.phase == "driving"
-    assert recorder.record(result(), {}).task is None
 
 
 def test_what_was_asked_and_what_became_of_it(done):
@@ -93,22 +84,3 @@ def test_what_a_model_wrote_is_no_markup(done, tmp_path):
         assert "<script>alert" not in text
         assert "<img src=x" not in text
     assert "&lt;script&gt;alert(1)" in paths.html.read_text()
-
-
-def test_the_trajectory_is_drawn_and_lies_within_the_picture(done):
-    def violet(record: RunRecord) -> int:
-        image = cv2.imdecode(np.frombuffer(picture.png(record), np.uint8), cv2.IMREAD_COLOR)
-        b, g, r = (image[..., k].astype(int) for k in range(3))
-        return int(np.count_nonzero((b > 225) & (b - g > 40) & (r - g > 5) & (r < 215)))
-
-    assert violet(done) > violet(replace(done, task=None)) + 2000
-    far = replace(done.task, coarse_m=np.array([[0.0, 0.0], [30.0, 5.0]]))
-    x0, x1, *_ = picture._view(replace(done, task=far))
-    assert x0 < 0.0 < 30.0 < x1
-
-
-def test_the_page_in_three_dimensions_shows_map_things_and_lines(done):
-    text = tasks.page(done)
-    for words in ("as it was written", "refined", "driven", "dining table", "go through the door"):
-        assert words in text
-    assert len(text) < 200_000

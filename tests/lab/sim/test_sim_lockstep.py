@@ -52,12 +52,3 @@ def test_in_lockstep_the_clock_stands_still_until_somebody_answers(monkeypatch, 
     assert drive.told == [(0.5, 0.1)]
     assert bus.sent == late
     assert ("is the controller running?" in caplog.text) == (late > 1)
-
-
-def test_in_lockstep_nothing_moves_once_it_is_to_stop(monkeypatch):
-    stop = threading.Event()
-    stop.set()
-    monkeypatch.setattr(process, "make_rigs", lambda *_: [])
-    drive = Drive(stop, 1)
-    process.run_lockstep(simulated(), None, drive, Bus(1), stop)
-    assert drive.told == []

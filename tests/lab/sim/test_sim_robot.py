@@ -40,12 +40,6 @@ def drive(sim: Sim | None = None, start: SE2 | None = None) -> DriveTrain:
     return DriveTrain(ROBOT, sim or Sim(), WORLD, start or SE2(0.0, 0.0, 0.0))
 
 
-def test_no_command_no_motion():
-    body = drive()
-    motion = body.step(1.0, 0.0, 0.0)
-    assert (motion.pose, motion.path_m, motion.stamp_ns) == (SE2(0.0, 0.0, 0.0), 0.0, 10**9)
-
-
 def test_it_drives_an_arc():
     body = drive(start=SE2(-3.0, -3.0, 0.0))
     for _ in range(200):
@@ -95,32 +89,6 @@ def test_it_stops_at_an_obstacle_counts_once_and_gets_away_again():
     assert motion.pose.x_m < 1.0
     assert not motion.bumped
     assert motion.collisions == 1
-
-
-def test_it_turns_against_an_obstacle():
-    body = drive()
-    for _ in range(60):
-        body.step(0.1, 0.5, 0.0)
-    for _ in range(10):
-        motion = body.step(0.1, 0.5, 1.0)
-    assert motion.pose.yaw_rad > 0.5
-
-
-def test_something_pushed_onto_the_robot_can_be_left():
-    world = arena()
-    body = DriveTrain(ROBOT, Sim(), world, SE2(0.0, 0.0, 0.0))
-    world.move(1, 0.3, 0.0)
-    assert collides(world, 0.0, 0.0, ROBOT.radius_m)
-    for _ in range(20):
-        motion = body.step(0.1, -0.3, 0.0)
-    assert motion.pose.x_m < -0.3
-
-
-def test_odometry_is_true_without_drift():
-    body = drive()
-    for k in range(50):
-        motion = body.step(0.1, 0.4, math.sin(k))
-    assert motion.odometry.distance_to(motion.pose.x_m, motion.pose.y_m) < 1e-9
 
 
 def test_drift_grows_with_the_way_and_repeats_with_the_seed():

@@ -80,14 +80,6 @@ def test_depth_noise_grows_with_the_square_of_the_distance(world):
     np.testing.assert_array_equal(again.depth_m, noisy.depth_m)
 
 
-def test_labels_follow_the_ids(world):
-    sent = dict(CameraRig(config(), world).description(5))
-    assert json.loads(sent[topics.LABELS]) == [item.label for item in world.objects]
-    info = messages.decode_camera_info(sent[topics.CAMERA_INFO])
-    assert (info.stamp_ns, info.camera.width_px, info.camera.height_px) == (5, 64, 48)
-    assert (info.lens, info.cut) == (None, "")
-
-
 def test_several_rings_make_a_cloud_of_the_returns(world):
     rig = LidarRig(config(rings=4), world)
     rig.look(POSE)

@@ -58,22 +58,6 @@ def demo() -> BoxWorld:
     return load_house(WorldHouse(), simulated())
 
 
-def test_lidar_measures_an_empty_room():
-    world = house_with()
-    fan = Fan.of(Lidar(rings=1, columns=360, range_m=20.0))
-    ranges = np.empty((1, 360), np.float32)
-    world.cast(fan, se3(0.5, 0.25, 0.5), ranges)
-    for column, expected in ((180, 2.45), (270, 1.70), (0, 3.45), (90, 2.20)):
-        assert ranges[0, column] == pytest.approx(expected, abs=1e-4), column
-
-
-def test_lidar_gives_nan_beyond_its_range():
-    ranges = np.empty((1, 360), np.float32)
-    house_with().cast(Fan.of(Lidar(rings=1, columns=360, range_m=2.0)), se3(z_m=0.5), ranges)
-    assert np.isnan(ranges[0, 180])
-    assert ranges[0, 90] == pytest.approx(1.95, abs=1e-4)
-
-
 def test_depth_is_along_the_optical_axis_and_nan_out_of_range():
     world = house_with()
     _, depth, ids = look(world, SE2(0.0, 0.0, 0.0))
@@ -94,13 +78,6 @@ def test_an_object_is_seen_with_its_id_and_nearest_surface():
     # Half the depth in front, and the strip of tape on it.
     assert np.nanmin(depth[ids == 2]) == pytest.approx(1.8, abs=0.01)
     assert world.objects[1].label == "box"
-
-
-def test_collision_radius_against_a_wall():
-    world = house_with()
-    assert not collides(world, 2.70, 0.0, 0.2)
-    assert collides(world, 2.95 - 0.2 + CELL_M, 0.0, 0.2)
-    assert collides(world, 50.0, 0.0, 0.2), "outside is no place to be"
 
 
 def test_what_hangs_above_the_robot_does_not_stop_it():
@@ -218,12 +195,6 @@ def test_a_malformed_house_gives_one_clear_line(tmp_path: Path, text: str, messa
     with pytest.raises(WorldError, match=message) as caught:
         load_house(WorldHouse(house=str(path)), simulated())
     assert "\n" not in str(caught.value)
-
-
-def test_an_unknown_house_lists_the_built_in_ones():
-    config = simulated({"sim": {"world": {"kind": "house", "house": "nowhere"}}})
-    with pytest.raises(WorldError, match=r"nowhere.*built-in:.*demo"):
-        load_world(config)
 
 
 def test_rectangles_cover_a_polygon_exactly():

@@ -7,19 +7,15 @@ import math
 
 import numpy as np
 import pytest
-from made_outcomes import failure, many, record
+from made_outcomes import failure, record
 
 from edge.errors import FileError, UserError
 from edge.lab.eval.comparison.outcomes import (
-    OTHER,
-    baseline_of,
     clusters,
     gather,
-    natural,
     read,
     with_rooms,
 )
-from edge.lab.eval.outcome import FAILURES
 
 
 def written(tmp_path, *lines) -> list[dict]:
@@ -103,42 +99,3 @@ def test_the_newest_of_a_column_counts():
 def test_columns_on_different_episodes_of_one_name_are_not_compared(changes):
     with pytest.raises(UserError, match="these are different episodes"):
         gather([record(column="a"), record(column="b", **changes)])
-
-
-def test_what_crashed_may_not_know_its_world():
-    crash = failure(column="b", world="a.glb", failure="crashed")
-    for records in ([record(column="a"), crash], [crash, record(column="a")]):
-        assert gather(records).world.tolist() == ["house-0"]
-    assert gather([crash]).world.tolist() == ["a.glb"]
-
-
-def test_failures_of_other_names_are_other_ones():
-    kinds = [*FAILURES, "hexed", None]
-    outcomes = gather([failure(f"{k}", failure=kind) for k, kind in enumerate(kinds)])
-    assert outcomes.failure[0].tolist() == [*FAILURES, OTHER, OTHER]
-
-
-def test_the_order_in_which_they_came_is_of_no_matter():
-    records = many({"a": 1.5, "b": 2.0}, 5)
-    first = gather(records)
-    other = gather([r for c in ("a", "b") for r in reversed(records) if r["column"] == c])
-    assert first.episodes == other.episodes
-    np.testing.assert_array_equal(first["path_m"], other["path_m"])
-
-
-@pytest.mark.parametrize(("worlds", "unit", "units"), [(9, "episode", 36), (10, "world", 10)])
-def test_few_worlds_are_not_resampled(worlds, unit, units):
-    cluster, word = clusters(gather(many({"a": 1.5}, worlds)))
-    assert (word, len(set(cluster.tolist()))) == (unit, units)
-
-
-def test_baseline():
-    outcomes = gather([record(column="a"), record(column="b")])
-    assert [baseline_of(outcomes, name) for name in (None, "a", "b")] == [0, 0, 1]
-    with pytest.raises(UserError, match="no column 'c'; there are: a, b"):
-        baseline_of(outcomes, "c")
-
-
-def test_natural_order():
-    names = ["val-10/bed/0", "val-9/bed/10", "val-9/bed/9", "9"]
-    assert sorted(names, key=natural) == ["9", "val-9/bed/9", "val-9/bed/10", "val-10/bed/0"]

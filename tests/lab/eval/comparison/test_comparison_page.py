@@ -12,7 +12,7 @@ import pytest
 from html_reader import Reader
 from made_outcomes import failure, many, record
 
-from edge.lab.eval.comparison import page, plots, trails
+from edge.lab.eval.comparison import page, plots
 from edge.lab.eval.comparison.outcomes import gather
 from edge.lab.eval.comparison.statistics import compare
 from edge.lab.eval.comparison.worlds import Drawing
@@ -49,20 +49,6 @@ def test_nothing():
     assert reader.all("article") == []
 
 
-def test_every_trail_is_there():
-    records = many({"a": 1.5, "b": 2.5}, 4)
-    left_out = records.pop()
-    drawings = {"house-0": DRAWING, "house-2": DRAWING}
-    reader = Reader(page_of(records, drawings))
-    assert len(reader.all("article")) == 16
-    assert len(reader.all("figure", "ok")) == sum(r["success"] for r in records)
-    assert len(reader.all("figure", "bad")) == sum(not r["success"] for r in records)
-    assert len(reader.all("figure", "none")) == 1
-    assert len(reader.all("circle", "end")) == len(records)
-    assert left_out["column"] == "b"
-    assert f"{records[0]['path_m']:.1f} m" in reader.text
-
-
 def test_a_trail_is_drawn_where_it_was_driven():
     trail = [[1.0, 1.0], [1.25, 1.0], [1.5, 1.0], [1.5, 1.0], [1.5, 0.75], [1.25, 0.75]]
     goals = [[2.0, 1.0, "frontier"], [2.5, 2.0, "instance"], [0.0, 4.0, "look"]]
@@ -80,26 +66,6 @@ def test_a_trail_is_drawn_where_it_was_driven():
         (20, 60),
         (25, 65),
     ]
-
-
-@pytest.mark.parametrize("n", [1, 2, 3, 11, 12, 400])
-def test_the_ramp_goes_from_first_to_last(n):
-    units = np.stack([np.arange(n), np.zeros(n, int)], axis=1)
-    colours = [int(k) for k in re.findall(r'class="t t(\d+)"', trails._trail(units))]
-    assert colours == sorted(set(colours))
-    assert len(colours) == min(n - 1, len(trails.RAMP))
-    assert all(0 <= k < len(trails.RAMP) for k in colours)
-
-
-def test_a_floor_plan_is_there_once_and_maps_refer_to_it():
-    records = [record(f"{k}/{t}", c, world="w", target=t)
-               for k in range(3) for t in ("bed", "sofa") for c in ("a", "b")]  # fmt: skip
-    reader = Reader(page_of(records, {"w": DRAWING}))
-    assert [a["id"] for a in reader.all("image")] == ["w0"]
-    uses = [a["href"] for a in reader.all("use")]
-    assert (uses.count("#w0"), uses.count("#w0t0")) == (12, 6)
-    (thing,) = [a for a in reader.all("path", "thing") if a.get("id") == "w0t0"]
-    assert thing["d"] == "M40 40l20 0 0-20-20 0z"
 
 
 def test_nothing_is_fetched_and_no_script_but_ours_runs():
@@ -134,14 +100,3 @@ def test_what_the_script_sorts_and_filters_by():
     )
     assert first["data-kinds"] == "|never seen"
     assert (second["data-spl"], second["data-path"]) == (",1", ",5")
-
-
-def test_hundreds_of_episodes_stay_small():
-    trail = np.cumsum(np.random.default_rng(0).normal(0, 0.18, (160, 2)), axis=0).tolist()
-    records = [
-        record(f"{e}", f"c{c}", trail=trail, goal_xy=[[1.0, 1.0, "frontier"]] * 40)
-        for e in range(30) for c in range(7)
-    ]  # fmt: skip
-    small, large = (len(page_of(records[: 7 * n])) for n in (10, 30))
-    an_episode = (large - small) / 20
-    assert 400 * an_episode < 15e6

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-import numpy as np
 import pytest
 from made_outcomes import failure, many, record
 
 from edge.lab.eval.comparison import plots
 from edge.lab.eval.comparison.outcomes import gather
 from edge.lab.eval.comparison.statistics import compare
-from edge.lab.report.canvas import style_of
 
 
 def drawn(records, tmp_path, kinds=("svg",)):
@@ -50,29 +48,3 @@ def test_files(tmp_path):
 )
 def test_any_outcomes_can_be_drawn(tmp_path, records):
     assert drawn(records, tmp_path)
-
-
-def test_looks_differ():
-    looks = [style_of(k) for k in range(24)]
-    assert len(set(looks)) == 24
-    assert len({look.colour for look in looks[:12]}) == 12
-
-
-@pytest.mark.parametrize(
-    ("budget", "share"), [(0.99, 0.0), (1.0, 0.25), (1.99, 0.25), (2.0, 0.5), (1e9, 0.75)]
-)
-def test_within_budget(budget, share):
-    outcomes = gather(
-        [
-            record("1", shortest_m=5.0, path_m=4.9), record("2", shortest_m=5.0, path_m=10.0),
-            record("3", shortest_m=5.0, path_m=50.0), failure("4"), record("5", "other"),
-        ]
-    )  # fmt: skip
-    assert plots.within_budget(outcomes, 0, np.array([budget])).tolist() == [share]
-
-
-@pytest.mark.parametrize(("n", "bins"), [(1, 1), (16, 2), (100, 5)])
-def test_bins_hold_every_episode_once(n, bins):
-    found = plots._bins(np.random.default_rng(0).uniform(3, 20, n))
-    assert len(found) == bins
-    assert np.sum(found, axis=0).tolist() == [1] * n

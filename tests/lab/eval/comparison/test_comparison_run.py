@@ -57,13 +57,6 @@ def test_a_folder_is_compared(folder, capsys):
     assert (folder / "budget.svg").exists()
 
 
-def test_the_worlds_tell_their_rooms(folder):
-    comparison, drawings = run.compare_folder(folder)
-    assert set(comparison.outcomes.rooms.tolist()) == {7.0}
-    assert list(drawings) == ["demo"]
-    assert set(drawings["demo"].footprints) == {"bed", "sofa"}
-
-
 @pytest.mark.parametrize(
     ("spoil", "options", "code", "words"),
     [

@@ -8,7 +8,7 @@ import json
 
 import numpy as np
 import pytest
-from made_outcomes import failure, many, record
+from made_outcomes import many, record
 
 from edge.lab.eval.comparison import tables
 from edge.lab.eval.comparison.outcomes import gather, with_rooms
@@ -32,34 +32,6 @@ def named(comparison, name):
     return next(table for table in tables.tables(comparison) if table.name == name)
 
 
-def test_nothing():
-    comparison = comparison_of([])
-    assert tables.tables(comparison) == []
-    assert json.loads(tables.to_json(comparison))["columns"] == {}
-    assert tables.to_csv(comparison) == b"group,column,metric,n,value,low,high\n"
-
-
-def test_which_tables_there_are(comparison):
-    found = [table.name for table in tables.tables(comparison)]
-    assert found == [
-        "summary", "paired", "conduct", "failures", "losses", "by target", "by rooms", "cost",
-    ]  # fmt: skip
-    alone = [table.name for table in tables.tables(comparison_of([record()]))]
-    assert alone == ["summary", "conduct", "failures", "cost"]
-
-
-def test_rows_are_as_wide_as_their_heads(comparison):
-    for table in tables.tables(comparison):
-        assert {len(row) for row in table.rows} == {len(table.head)}, table.name
-
-
-def test_figures_are_shown_with_their_intervals():
-    records = [record(f"{k}", path_m=10.0 + k % 2) for k in range(19)] + [failure("19")]
-    (row,) = named(comparison_of(records), "summary").rows
-    assert row[:3] == ["hvl", "20", "95.0 [76.4, 99.1]"]
-    assert row[3].startswith("0.455 [0.")
-
-
 def test_what_was_not_measured_is_left_out_and_what_is_missing_is_a_dash():
     without = {"false_confirmations": None, "score_ms": None}
     both = [record("1", "a", **without), record("1", "b", **without)]
@@ -70,20 +42,6 @@ def test_what_was_not_measured_is_left_out_and_what_is_missing_is_a_dash():
     assert "wrong stops, %" in head
     one = [record("1", "a", false_confirmations=2), record("1", "b", **without)]
     assert named(comparison_of(one), "conduct").rows[1][-2] == tables.DASH
-
-
-def test_what_only_one_ran_is_told():
-    records = [record("1", "a"), record("2", "a"), record("1", "b")]
-    assert "only one of the two ran them: b 1." in named(comparison_of(records), "paired").note
-    assert "only one" not in named(comparison_of(records[::2]), "paired").note
-    assert "drove different episodes" in named(comparison_of(records), "summary").note
-    assert "different" not in named(comparison_of(records[::2]), "summary").note
-
-
-def test_ratios_of_paths_tell_how_many_they_are_of():
-    both = [record(f"{k}", c, path_m=p) for k in range(3) for c, p in (("a", 10), ("b", 8))]
-    (row,) = named(comparison_of([*both, failure("3", "a"), record("3", "b")]), "paired").rows
-    assert row[-3:-1] == ["3", "0.800 [0.800, 0.800]"]
 
 
 @pytest.mark.parametrize(("worlds", "words"), [(1, "of 1 world, so"), (12, "over 12 worlds")])

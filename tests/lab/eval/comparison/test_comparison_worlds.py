@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 import pytest
 from made_outcomes import failure, record
@@ -13,8 +12,6 @@ from edge.config import load
 from edge.lab.eval import geodesic
 from edge.lab.eval.comparison import worlds
 from edge.lab.eval.comparison.outcomes import gather
-from edge.lab.report import palette
-from edge.lab.sim.base import WorldObject
 from edge.lab.sim.worlds import load_world
 
 RADIUS_M = 0.2
@@ -23,49 +20,6 @@ RADIUS_M = 0.2
 @pytest.fixture(scope="module")
 def house():
     return load_world(load("demo"))
-
-
-def colour_at(drawing, x_m, y_m) -> str:
-    image = cv2.imdecode(np.frombuffer(drawing.png, np.uint8), cv2.IMREAD_COLOR)
-    rows, columns = image.shape[:2]
-    column = int((x_m - drawing.left_m) / drawing.width_m * columns)
-    row = int((drawing.top_m - y_m) / drawing.height_m * rows)
-    return "#{:02x}{:02x}{:02x}".format(*image[row, column, ::-1])
-
-
-def test_a_house_is_drawn(house):
-    drawing = worlds.draw(house, ["bed", "unicorn"], RADIUS_M)
-    bed = worlds.named(house, "bed")[0]
-    assert colour_at(drawing, house.start.x_m, house.start.y_m) == palette.FREE
-    assert colour_at(drawing, *bed.center_m[:2]) == palette.INFLATED
-    assert colour_at(drawing, drawing.left_m + 0.02, drawing.top_m - 0.02) == palette.UNKNOWN
-    image = cv2.imdecode(np.frombuffer(drawing.png, np.uint8), cv2.IMREAD_COLOR)
-    walls = (image == np.array([int(palette.OCCUPIED[k : k + 2], 16) for k in (5, 3, 1)])).all(-1)
-    assert 0.01 < walls.mean() < 0.25
-    assert max(image.shape) <= worlds.MAX_SIDE_PX
-    assert drawing.footprints["unicorn"] == []
-    assert len(drawing.footprints["bed"]) == len(worlds.named(house, "bed"))
-    assert len(drawing.png) < 20_000
-
-
-def test_a_place_without_floor_for_the_robot_is_drawn_too(house):
-    assert worlds.draw(house, [], 50.0).png[:4] == b"\x89PNG"
-
-
-def test_corners_turn_with_the_thing():
-    item = WorldObject(1, "a", "a", "a", (1.0, 2.0, 0.5), (2.0, 1.0, 1.0), math.pi / 2)
-    found = sorted(np.round(worlds.corners_m(item), 6).tolist())
-    assert found == [[0.5, 1.0], [0.5, 3.0], [1.5, 1.0], [1.5, 3.0]]
-
-
-@pytest.mark.parametrize(
-    ("path_m", "place"),
-    [(0.0, (0, 0)), (1.0, (1, 0)), (3.0, (2, 1)), (99.0, (2, 2)), (-1.0, (0, 0))],
-)
-def test_along(path_m, place):
-    trail = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0]])
-    assert worlds.along(trail, path_m).tolist() == list(map(float, place))
-    assert worlds.along(trail[:1], path_m).tolist() == [0.0, 0.0]
 
 
 def test_what_was_left_at_first_sight(house):

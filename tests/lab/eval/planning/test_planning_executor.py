@@ -15,7 +15,6 @@ from edge.lab.eval.planning.executor import (
     MAX_DECISIONS,
     NO_ANSWER,
     NOTHING,
-    OUT_OF_ATTEMPTS,
     VIOLATED,
     Episode,
     Problem,
@@ -86,48 +85,11 @@ def test_run(formula, targets, draws, expected):
     assert run_episode(problem_of(formula), 0.5, say(*targets), draws) == expected
 
 
-def test_meeting_draws_uniformly_from_what_is_neither_known_nor_intended():
-    problem = problem_of("F a & F b & F c", others=2)
-    met = set()
-    for draw in (0.0, 0.3, 0.6, 0.99):
-        planner = say(1)
-        run_episode(problem, 0.5, planner, luck((UNLUCKY, draw)), seen=0)
-        met.add(planner.told[-1].seen)
-    assert met == {1 << 0, 1 << 2, 1 << 3, 1 << 4}
-
-
-def test_with_nothing_else_left_a_failed_attempt_shows_nothing():
-    planner = say(0, 0)
-    episode = run_episode(problem_of("F a", others=0), 0.5, planner, luck((UNLUCKY, 0.5)))
-    assert episode == Episode(COMPLETE, 2, 2)
-    assert [s.seen for s in planner.told] == [0, 0]
-    assert [s.current for s in planner.told] == [NOTHING, 0]
-
-
-def test_planner_is_told_what_was_reached_in_order():
-    planner = say(1, 0)
-    run_episode(problem_of("F a & F b & F c", others=0), 1.0, planner, luck())
-    last = planner.told[-1]
-    assert (last.order, last.reached, last.seen, last.current) == ((1, 0), 0b11, 0b11, NOTHING)
-
-
-@pytest.mark.parametrize("target", [0, 1, NOTHING])
-def test_a_planner_that_never_gets_there_is_stopped(target):
-    problem = problem_of("F (a & F b)", others=0)
-    episode = run_episode(problem, 1.0, lambda s: 0 if target else NOTHING, luck())
-    assert episode.outcome == OUT_OF_ATTEMPTS
-    assert episode.explorations <= 1
-
-
 def test_success_on_the_last_decision_counts():
     problem, decisions = problem_of("F a", others=0), iter(range(MAX_DECISIONS))
     last = MAX_DECISIONS - 1
     episode = run_episode(problem, 1.0, lambda s: 0 if next(decisions) == last else NOTHING, luck())
     assert episode == Episode(COMPLETE, 1, 1)
-
-
-def test_knowing_all_places_needs_no_exploration():
-    assert run_episode(problem_of("F a & F b"), 0.1, say(0, 1), luck(), seen=0xFF).explorations == 0
 
 
 def test_draws_depend_on_all_their_keys_and_nothing_else():

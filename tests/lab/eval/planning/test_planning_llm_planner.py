@@ -95,21 +95,12 @@ def test_prompt_is_the_papers():
     [
         ("TARGET: bed", 0),
         ("target : the Potted Plant.", 1),
-        ('"TARGET: <couch>"', 2),
-        ("**TARGET:** bed", 0),
         ("Sure!\nTARGET: plant (it was seen)\nDONE", 1),
-        ("<think>TARGET: couch? No.</think>TARGET: bed", 0),
         ("<think>TARGET: couch? No, wa", INVALID),
-        ("DONE", DONE),
         ('"DONE".', DONE),
-        ("done", DONE),
-        ("", INVALID),
-        ("I would go to the bed.", INVALID),
         ("TARGET:", INVALID),
         ("TARGET: ", INVALID),
-        ("TARGET: oven", INVALID),
         ("TARGET: DONE", INVALID),
-        ("ABANDONED", INVALID),
         ("\x00\ud800", INVALID),
     ],
 )
@@ -255,16 +246,6 @@ def test_what_the_model_says_is_the_plan(said, knowledge, target, reason):
         assert len(server.requests) == 1  # the same question is asked once
     assert (plan.target, plan.feasible) == (target, target is not None)
     assert reason in plan.reason
-
-
-def test_the_model_is_told_what_is_so():
-    with planning(("", "TARGET: bed")) as (planner, server):
-        planner.plan(0, Knowledge(frozenset({"bed"}), frozenset({"sofa"}), frozenset({"desk"})))
-        (question,) = (m["content"] for m in server.requests[0][2]["messages"])
-    assert question.endswith(
-        "yet reached): {bed}\n• Reached (in order): [couch]\n• Failed (unreachable): {desk}"
-    )
-    assert f"Task: {MISSION}" in question
 
 
 def test_no_step_is_left_where_the_mission_is_fulfilled_or_what_is_named_leads_no_further():

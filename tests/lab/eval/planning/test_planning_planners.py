@@ -9,11 +9,9 @@ import pytest
 
 from edge.lab.eval.planning.executor import (
     COMPLETE,
-    DONE,
     MAX_DECISIONS,
     NOTHING,
     Problem,
-    Situation,
     draws_of,
     run_episode,
 )
@@ -130,17 +128,3 @@ def test_valid_targets(formula, expected):
     targets = valid_targets(problem_of(parse(formula)))
     assert targets[0] == expected[0]
     assert sorted(targets) == sorted(expected)
-
-
-def test_random_valid_draws_all_and_in_order_the_first():
-    problem = problem_of(parse("F a & F b & F c"))
-    chance = PLANNERS["random-valid"].make(problem)(0.5)
-    drawn = [chance(Situation(0, draw=d)) for d in (0.0, 0.34, 0.67, 0.99)]
-    assert drawn == [0, 1, 2, 2]
-    assert PLANNERS["in-order"].make(problem)(0.5)(Situation(0)) == 0
-
-
-@pytest.mark.parametrize("planner", ["vitl", "in-order", "optimal", "random-valid"])
-def test_planners_give_up_where_nothing_can_be_done(planner):
-    problem = problem_of(parse("F a & G !a"))
-    assert PLANNERS[planner].make(problem)(0.5)(Situation(0)) == DONE

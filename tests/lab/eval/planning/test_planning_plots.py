@@ -50,11 +50,6 @@ def test_files(tmp_path, rows):
         assert (planner in words(paths[2])) == (planner != "clairvoyant")
 
 
-def test_same_figures_same_files(tmp_path, rows):
-    first = [path.read_bytes() for path in write_plots(rows, tmp_path)]
-    assert [path.read_bytes() for path in write_plots(rows, tmp_path)] == first
-
-
 @pytest.mark.parametrize(
     "rows", [[], [row("vitl", 0.5, 1.0)], [row("vitl", 0.1, 0.2), row("new", 0.1, 0.3)]]
 )

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
 import pytest
 
 from edge.lab.eval.planning.executor import COMPLETE, VIOLATED
-from edge.lab.eval.planning.report import legend, rows_of, summary, table, tasks_line, to_json
-from edge.lab.eval.planning.sweep import NOT_RUN, Results, Settings
-from edge.lab.eval.planning.templates import generate
+from edge.lab.eval.planning.report import rows_of
+from edge.lab.eval.planning.sweep import NOT_RUN, Results
 
 
 def results_of(planners, outcome, explorations, steps, bound, p_obs=(0.5,)) -> Results:
@@ -38,10 +36,6 @@ def results():
     )
 
 
-def test_no_planners_no_rows():
-    assert rows_of(results_of([], [], [], [], [1])) == []
-
-
 def test_figures(results):
     vitl, best, clairvoyant, llm = rows_of(results)
     assert (vitl.runs, vitl.complete.value, vitl.explorations.value) == (3, 1.0, 5.0)
@@ -61,36 +55,3 @@ def test_several_p_obs_have_a_row_for_all():
     assert [row.runs for row in rows] == [2, 2, 4]
     assert rows[-1].explorations.value == 2.0
     assert rows[-1].complete.value == 0.75
-
-
-def test_table_and_summary_are_plain_lines(results):
-    rows = rows_of(results)
-    lines = table(rows).splitlines()
-    assert lines[0].split()[:3] == ["planner", "p_obs", "runs"]
-    assert len(lines) == 1 + 4 + 3
-    assert lines[1].startswith("vitl            0.5       3  100.00 [43.85, 100.00]")
-    assert "nan" not in table(rows) + summary(rows)
-    assert "1.500 times the optimum" in summary(rows)
-    assert "llm: 0.00 % complete (1 violated)" in summary(rows)
-    assert len(legend(results.planners).splitlines()) == 4
-
-
-def test_planner_without_runs_is_said_to_have_none():
-    rows = rows_of(results_of(["llm"], [NOT_RUN], [0], [0], [1]))
-    assert summary(rows) == "llm: not run"
-    assert table(rows).splitlines()[1].split() == ["llm", "0.5", "0", "-", "-", "-", "-"]
-
-
-def test_json_has_null_for_what_was_not_measured(results):
-    tasks = generate(3)
-    data = json.loads(to_json(rows_of(results), tasks, Settings(("vitl",), (0.5,)), 1.26))
-    assert data["tasks"] == 3
-    assert data["seconds"] == 1.3
-    assert [row["planner"] for row in data["rows"]] == list(results.planners)
-    assert data["rows"][3]["explorations"] == {"value": None, "low": None, "high": None}
-    assert data["rows"][0]["complete"]["value"] == 1.0
-
-
-def test_tasks_line_counts_templates_and_formulas():
-    assert tasks_line([]) == "0 tasks, 0 lifted formulas: "
-    assert tasks_line(generate(20)).startswith("20 tasks, ")

@@ -25,14 +25,6 @@ def parsed(*argv: str) -> argparse.Namespace:
     return make_parser().parse_args(["eval", "planning", *argv])
 
 
-def test_defaults_are_the_papers_benchmark():
-    args = parsed()
-    assert (args.n, args.seed, args.tasks, args.llm) == (2000, 0, None, None)
-    assert args.p_obs == tuple(i / 10 for i in range(1, 11))
-    assert args.jobs >= 1
-    assert str(args.out) == "planning-report"
-
-
 def test_runs_and_writes(tmp_path, capsys):
     out = tmp_path / "new" / "folder"
     assert (

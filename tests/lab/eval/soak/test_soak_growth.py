@@ -19,16 +19,6 @@ def life(n: int, per_h: float, noise: float = 0.0, begin: float = 500.0, seed: i
     return t_s, begin + per_h * t_s / 3600.0 + noise * chance
 
 
-@pytest.mark.parametrize("lives", [[], [life(1, 0.0)], [life(3, 5.0)]], ids=["none", "one", "few"])
-def test_too_little_says_nothing(lives):
-    assert slope_of(lives) is None
-
-
-def test_a_value_that_stands_still_does_not_grow():
-    slope = slope_of([life(600, 0.0)])
-    assert (slope.per_h, slope.low, slope.high) == (0.0, 0.0, 0.0)
-
-
 @given(st.floats(-1e3, 1e3), st.integers(20, 2000))
 def test_a_line_grows_as_it_does(per_h, n):
     slope = slope_of([life(n, per_h)])

@@ -9,7 +9,6 @@ import pytest
 from recordings import Recording
 from simulated import simulated
 
-from edge.config.loop import Sink
 from edge.lab.eval.soak.recordings import FIRST, Recordings, below
 from edge.recording.file import PARTIAL
 from edge.recording.rolling import files_of
@@ -41,12 +40,6 @@ def test_where_nothing_records_nothing_is_held(tmp_path):
     assert recordings.judge() == {}
     assert recordings.problem == ""
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_folder_is_the_soaks_and_all_else_stays(tmp_path):
-    zenoh, mcap = below((Sink(kind="zenoh"), Sink(**MCAP)), tmp_path)
-    assert zenoh == Sink(kind="zenoh")
-    assert mcap.options == {"folder": str(tmp_path / "recordings"), "keep_mb": 512}
 
 
 def test_nothing_recorded_is_told_at_the_end(tmp_path):

@@ -60,11 +60,11 @@ def test_seconds_with_two_faults(edge, tmp_path):
 
 
 @pytest.mark.slow
-def test_five_minutes_of_all_faults(edge, tmp_path):
+def test_minutes_of_all_faults(edge, tmp_path):
     out = tmp_path / "out"
-    soak = edge("soak", "--minutes", "4.5", "--out", out)
+    soak = edge("soak", "--minutes", "3", "--out", out)
     assert soak.wait(900) == 0, soak.output
-    assert len({fault["name"] for fault in of("fault", rows(out))}) > 10
+    assert len({fault["name"] for fault in of("fault", rows(out))}) > 6
 
 
 @pytest.mark.slow

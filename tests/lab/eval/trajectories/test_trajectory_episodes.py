@@ -43,10 +43,6 @@ def test_frames_of_different_sequences_are_different_places(shared_dir):
     assert all(world.startswith("kitti-semantic_kitti_0") for world in worlds)
 
 
-def test_no_more_than_asked_for_of_each():
-    assert len(list(episodes(["streets[0:9]", "streets[20:30]"], limit=2))) == 4
-
-
 def test_what_a_detector_misses_is_not_in_the_scene_but_meant(shared_dir):
     """A chain that sees nothing: the same tasks and references, no things, ground without kinds."""
 

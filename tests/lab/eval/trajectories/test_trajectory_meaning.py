@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from made_episodes import ROBOT_M, place, thing
 
-from edge.lab.eval.trajectories.meaning import ABOUT_M, ASIDE_M, KINDS, called, tasks
+from edge.lab.eval.trajectories.meaning import ABOUT_M, KINDS, called, tasks
 from edge.lab.eval.trajectory_metrics import contacts
 from edge.lab.sim.generator.draws import Dice
 
@@ -64,18 +64,6 @@ def test_one_stops_before_a_thing_where_one_comes_from():
     np.testing.assert_array_equal(task.reference_m[0], (0.0, 0.0))
 
 
-def test_one_does_not_stop_behind_a_fence():
-    """One stands before two sides of the car: the nearest point from which it is seen counts."""
-    (task,) = all_of("to", CAR, walls=[(8.2, 8.5, -6.0, 6.0), (8.2, 14.0, -1.7, -1.4)])
-    x_m, y_m = task.reference_m[-1]
-    assert (8.5 < x_m < 9.5, 1.0 < y_m < 2.0) == (True, True)
-
-
-def test_what_cannot_be_got_near_is_no_task():
-    walls = [(4.0, 4.4, -20, 20)]
-    assert all_of("to", CAR, walls=walls) == []
-
-
 @pytest.mark.parametrize("kind", ["past", "around"])
 def test_one_passes_on_the_side_that_is_said(kind):
     found = all_of(kind, CAR, VAN)
@@ -88,16 +76,6 @@ def test_one_passes_on_the_side_that_is_said(kind):
         across = first[0] * (beside - first)[1] - first[1] * (beside - first)[0]
         assert sign * across > 0.0
         assert np.hypot(*(task.reference_m - beside).T).min() < 0.2
-
-
-def test_past_keeps_off_the_side():
-    task = next(t for t in all_of("past", CAR, VAN) if t.things == (1, 2))
-    assert abs(task.segments[0][0, 1]) == pytest.approx(1.0 + ASIDE_M + ROBOT_M, abs=1e-6)
-
-
-def test_around_is_asked_where_the_next_thing_is_behind():
-    """The van lies behind the car, the car before the van."""
-    assert {task.things for task in all_of("around", CAR, VAN)} == {(1, 2)}
 
 
 @pytest.mark.parametrize("kind", KINDS)

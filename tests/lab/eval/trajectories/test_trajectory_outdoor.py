@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from edge.lab.eval.trajectories.meaning import KINDS
 from edge.lab.eval.trajectories.outdoor import LEAST_POINTS, ROBOT_M, outdoor_episode
 from edge.lab.eval.trajectory_metrics import likeness
 from edge.tasks.refine import refine
@@ -26,10 +25,6 @@ def test_a_number_is_an_episode():
     np.testing.assert_array_equal(first.task.reference_m, again.task.reference_m)
     np.testing.assert_array_equal(first.cloud_m, again.cloud_m)
     np.testing.assert_array_equal(first.scene.occupancy.cells, again.scene.occupancy.cells)
-
-
-def test_kinds_take_turns():
-    assert [episode(k).task.kind for k in range(4)] == list(KINDS)
 
 
 @pytest.mark.parametrize("number", NUMBERS)

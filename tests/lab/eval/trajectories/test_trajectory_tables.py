@@ -23,14 +23,6 @@ def table(name, outcomes, of=FACTS):
     return [dict(enumerate(row)) for row in found[name].rows] if name in found else None
 
 
-def folder_of(path, outcomes, of=FACTS):
-    path.mkdir()
-    for name, items in (("episodes", of), ("outcomes", outcomes)):
-        text = "".join(f"{json.dumps(asdict(item))}\n" for item in items)
-        (path / f"{name}.jsonl").write_text(text)
-    return path
-
-
 def test_of_nothing_there_are_no_tables():
     assert all(not t.rows for t in tables.tables(gather([], [])))
     assert pictures.images(gather([], []), "svg") == {}
@@ -46,13 +38,6 @@ def test_a_task_a_row_beside_the_paper():
     assert [total[k] for k in (4, 5, 6, 7)] == ["4.91", "53", "1.68", "84"]
 
 
-def test_a_method_a_row_beside_the_paper():
-    ours, a_star = table("shapes", OURS + A_STAR)
-    assert (ours[0], ours[4], ours[12]) == ("ours", "0/12", "2/30")
-    assert (a_star[0], a_star[4], a_star[10]) == ("a_star", "6/12", "24.20")
-    assert a_star[2] == "6.00 [6.00, 6.00]"
-
-
 def test_pairs_are_of_the_episodes_that_both_ran():
     (row,) = table("paired", OURS + A_STAR[:5])
     assert row[1] == "5"
@@ -65,17 +50,6 @@ def test_refusals_are_counted_by_cause():
     refused = [replace(one, refused="not understood", success=False) for one in A_STAR[:3]]
     rows = table("refusals", OURS + refused)
     assert [list(row.values()) for row in rows] == [["ours", "12", "0"], ["a_star", "3", "3"]]
-
-
-def test_few_places_have_intervals_of_episodes():
-    few = [replace(one, world="w0") for one in FACTS]
-    notes = [t.note for t in tables.tables(gather(few, OURS)) if t.note]
-    assert all("they say nothing of others" in note for note in notes)
-
-
-def test_two_writers_are_told_apart():
-    other = [replace(one, writer="small") for one in OURS]
-    assert gather(FACTS, OURS + other).methods == ("ours (rules)", "ours (small)")
 
 
 def test_pictures_take_hostile_words_as_they_are():
