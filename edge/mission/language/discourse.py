@@ -94,7 +94,6 @@ class Discourse:
         halted: where it was said to stop.
         waits: what is not to be reached before what.
         detour: where this sentence was said to be on the way to the one before.
-        settled: one thing comes last.
         shuns: something was to be avoided, not only to wait for something else.
         number: of the last step that had one ("second, …").
         listed: an order stood right behind "do not …" and a comma.
@@ -115,7 +114,6 @@ class Discourse:
     elsewhere: Token | None = None
     halted: Token | None = None
     detour: Token | None = None
-    settled: bool = False
     shuns: bool = False
     waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
     number: int = 1
@@ -197,7 +195,7 @@ class Discourse:
         if not (bare or reader.sees("halt")) or not reader.sees("stop", "end", ahead=1):
             return False
         self.halted = reader.peek()
-        if self.flow.denied or self.flow.permitted or not (bare or self.settled):
+        if self.flow.denied or self.flow.permitted or not bare:
             reader.refuse("say where to stop, and what comes last", self.halted)
         reader.at += 1
         return True
