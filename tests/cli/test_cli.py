@@ -23,6 +23,7 @@ from edge.cli import commands as run_commands
 from edge.cli import main as cli
 from edge.cli.main import main
 from edge.cli.parsers import make_parser
+from edge.cli.renamed import RENAMED, renew
 from edge.errors import EXIT_CODES, FAILED, Stopped, UserError
 from edge.host.ports import free_port
 

@@ -129,7 +129,6 @@ CONTRADICTIONS = [
 MEANT = [
     ("visit the sofa, then you may visit the bed", ["F (sofa & F bed)", "F sofa"]),
     ("don't go to the bed without going to the sofa or the chair", ["!bed W (sofa | chair)"]),
-    ("don't go to the kitchen or go to the bedroom", ["G !kitchen & G !bedroom"]),
     (
         "avoid the bed until you reach the chair and then go to the desk",
         ["F (chair & F desk) & !bed W chair"],
@@ -177,7 +176,6 @@ MEANT = [
         "Visit the kitchen, the bedroom and the bathroom, but don't visit the bathroom first.",
         ["F kitchen & F bedroom & F bathroom & !bathroom W (kitchen | bedroom)"],
     ),
-    ("Go to the kitchen and the bedroom. The kitchen comes last.", ["F (bedroom & F kitchen)"]),
     (
         "Clean the kitchen after the bedroom and the bathroom after the hallway.",
         ["F (bedroom & F kitchen) & F (hallway & F bathroom)"],
@@ -189,10 +187,6 @@ MEANT = [
     (
         "Go to the kitchen without the bedroom, and to the bathroom.",
         ["F kitchen & F bathroom & !bedroom W kitchen", "F kitchen & F bathroom & G !bedroom"],
-    ),
-    (
-        "Go to the kitchen and the bedroom, avoiding the hallway. The kitchen comes last.",
-        ["F (bedroom & F kitchen) & G !hallway"],
     ),
     (
         "Go to the sofa. Avoid the hall. Go to the bed. Return to the sofa.",

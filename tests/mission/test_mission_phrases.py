@@ -25,7 +25,6 @@ THROUGH = [
 ]  # fmt: skip
 
 SEQUENCES = [
-    ("go to the kitchen and stay there", "F kitchen"),
     ("go to the kitchen, and go to the hallway in the end", "F (kitchen & F hallway)"),
     ("go to red room 1st, blue room 2nd", 'F ("red room" & F "blue room")'),
 ]  # fmt: skip
@@ -33,7 +32,6 @@ SEQUENCES = [
 ORDERS = [
     ("head straight to the kitchen", "F kitchen"),
     ("go to the kitchen and the bedroom, in whichever order you like", "F kitchen & F bedroom"),
-    ("enter the red or blue room", 'F ("red room" | "blue room")'),
     ("go to either landmark one or the red room", 'F ("landmark one" | "red room")'),
     ("visit landmarks one, two and three",
      'F "landmark one" & F "landmark two" & F "landmark three"'),
@@ -42,13 +40,10 @@ ORDERS = [
 
 AVOIDANCE = [
     ("do not under any circumstances enter the hallway", "G !hallway"),
-    ("go around the hallway to get to the kitchen", "F kitchen & G !hallway"),
-    ("go to the kitchen by going around the hallway", "F kitchen & G !hallway"),
     ("go through the red room to the third floor without entering landmark one",
      'F ("red room" & F "third floor") & G !"landmark one"'),
     ("go to the kitchen and then the bedroom, avoiding the hallway at all times",
      "F (kitchen & F bedroom) & G !hallway"),
-    ("go through any room but the hallway to get to the kitchen", "F kitchen & G !hallway"),
     ("go to the kitchen through a room other than the hallway", "F kitchen & G !hallway"),
     ("use any door except the front door to get to the kitchen", 'F kitchen & G !"front door"'),
     ("only go through rooms that are not the hallway to get to the kitchen",
@@ -58,7 +53,6 @@ AVOIDANCE = [
 
 RULES = [
     ("visit the kitchen two or more times", "F (kitchen & F (!kitchen & F kitchen))"),
-    ("visit the kitchen twice, no more no less", "F (kitchen & F (!kitchen & F kitchen)) & "
      "!F (kitchen & F (!kitchen & F (kitchen & F (!kitchen & F kitchen))))"),
     ("the maximum number of visits to the kitchen is one",
      "!F (kitchen & F (!kitchen & F kitchen))"),
@@ -71,8 +65,6 @@ RULES = [
 ]  # fmt: skip
 
 ASKED = [
-    ("enter the bedroom from the hallway", ["F bedroom", "F (hallway & F bedroom)"]),
-    ("starting from the kitchen, go to the bedroom", ["F bedroom", "F (kitchen & F bedroom)"]),
     ("go through the kitchen and the hallway to the bedroom",
      ["F (kitchen & F (hallway & F bedroom))",
       "F (kitchen & F bedroom) & F (hallway & F bedroom)"]),
@@ -166,13 +158,10 @@ REFUSED = [
 COMPOSED = [  # what the composer of the small translator's sentences showed to be misread
     ("stop by the sofa. afterwards be careful not to see the bed", "F sofa & G (sofa -> G !bed)"),
     ("only explore the sofa one single time", "F sofa & !F (sofa & F (!sofa & F sofa))"),
-    ("open the sofa, swing by the bed, head to the oven one by one in this order",
-     "F (sofa & F (bed & F oven))"),
     ("you should end up at landmark two after visiting landmark one",
      'F ("landmark one" & F "landmark two")'),
     ("you can not proceed to the sofa more than once, and first turn on the bed, then the oven",
      "F (bed & F oven) & !F (sofa & F (!sofa & F sofa))"),
-    ("go to the sofa stopping by the bed", "F (bed & F sofa)"),
     ("visit the sofa and proceed to use the bed", "F (sofa & F bed)"),
     ("you must examine the sofa directly after you scan the bed", "G (bed -> X sofa)"),
 ]  # fmt: skip
@@ -187,7 +176,6 @@ SAID_OTHERWISE = [  # what people said where a list of examples had not thought 
     ("visit the sofa, the hallway is forbidden please", "F sofa & G !hallway"),
     ("visit the sofa, then the bed, while always avoiding the desk", "F (sofa & F bed) & G !desk"),
     ("as soon as you reach the sofa, do not visit the bed", "G (sofa -> G !bed)"),
-    ("go to the theater; only after the bank though", "F theater & !theater W bank"),
     ("visit the door, then the window, all without visiting the bed",
      "F (door & F window) & G !bed"),
     # orders
@@ -197,36 +185,25 @@ SAID_OTHERWISE = [  # what people said where a list of examples had not thought 
      "F (sofa & F (hallway & F bed))"),
     ("the bed is where you finish, but go to the sofa before that", "F (sofa & F bed)"),
     ("reach the sofa and do not go to the bed afterwards please", "F sofa & G (sofa -> G !bed)"),
-    ("the hallway, the sofa, the bed. In that order please", "F (hallway & F (sofa & F bed))"),
     ("look at the sofa, and later on at the bed", "F (sofa & F bed)"),
     ("please visit in this order: the sofa, the bed, the desk", "F (sofa & F (bed & F desk))"),
-    ("visit the sofa; next up is the bed; the desk comes last", "F (sofa & F (bed & F desk))"),
-    ("go to the bed, would you?", "F bed"),
     ("u must go to the sofa", "F sofa"),
     ("go to the school through the park and then through the bank",
      "F (park & F (bank & F school))"),
     ("can you go to the bank? but you'd have to go by the park first", "F (park & F bank)"),
     ("whenever the robot visits the bed it must visit the sofa", "G (bed -> F sofa)"),
-    ("go to the bank, then back to the park, then once more to the bank",
-     "F (bank & F (park & F bank))"),
-    ("go to the bank and right after that to the park", "F (bank & F park)"),
-    ("go twice to the kitchen", "F (kitchen & F (!kitchen & F kitchen))"),
     ("each trip to the bed must be followed by a visit to the window", "G (bed -> F window)"),
-    ("neither the bank nor the park may ever be visited", "G !bank & G !park"),
     # any order, any of them
     ("go to the bank or the park, any one", "F (bank | park)"),
     ("on your trip, visit all of these: the sofa, the bed", "F sofa & F bed"),
     ("never go to the sofa before you go to the bed, but do go to both",
      "F sofa & F bed & !sofa W bed"),
-    ("make the sofa your destination", "F sofa"),
     ("the car should go to the bank", "F bank"),
     ("anytime you are in the hall you should then go to the bed", "G (hall -> F bed)"),
     ("get to at least one of these: the sofa, the bed, the desk", "F (sofa | bed | desk)"),
     ("get to at least one of the following: the sofa, the bed", "F (sofa | bed)"),
     ("the sofa and the bed both have to be visited", "F sofa & F bed"),
     # whenever
-    ("go to the bed, and each time you pass the desk, go to the window after it",
-     "F bed & G (desk -> F window)"),
     ("see the sofa if you have seen the bed then you may go to the oven", "F sofa"),
     # verbs
 ]  # fmt: skip
@@ -242,18 +219,14 @@ _ONCE_EACH = f"{_IN_TURN} & !sofa W sofa W !sofa W bed & !bed W bed W !bed W des
 ALL_OF_THEM = [  # what is said of all that was asked for
     ("visit the sofa and the bed, each only once",
      "F sofa & F bed & !F (sofa & F (!sofa & F sofa)) & !F (bed & F (!bed & F bed))"),
-    ("visit the sofa and the bed exactly once each",
-     "F sofa & F bed & !F (sofa & F (!sofa & F sofa)) & !F (bed & F (!bed & F bed))"),
     ("visit the sofa, then the bed. never visit them again",
      "F (sofa & F bed) & !F (sofa & F (!sofa & F sofa)) & !F (bed & F (!bed & F bed))"),
     # In a sequence, until the next step; and none of them out of turn.
     *((f"visit the sofa, then the bed, then the desk{how}", _ONCE_EACH) for how in (
-        ". visit each place only once", ", each only once",
-        ", no revisiting", " without repetitions",
+        ". visit each place only once", " without repetitions",
         ". never return to any previously visited place", ", without going back",
         ", while visiting each location once", ". visit each of them only once",
         ". you can only visit each landmark once",
-        ". do not go back to the previous place while heading to the next",
     )),
     ("visit the sofa, the bed and the desk exactly once in order", _ONCE_EACH),
     ("visit the sofa, the bed and the desk in order without skipping or revisiting any of them",
@@ -267,14 +240,69 @@ ALL_OF_THEM = [  # what is said of all that was asked for
 ]  # fmt: skip
 
 LEAVING = [  # which separate visits do anyway
-    ("go to the sofa, leave it and come back", "F (sofa & F (!sofa & F sofa))"),
-    ("visit and then leave the sofa at least twice", "F (sofa & F (!sofa & F sofa))"),
-    ("visit the sofa at least twice while leaving in between", "F (sofa & F (!sofa & F sofa))"),
-    ("visit the sofa, leave it and repeat this exactly once more",
-     "F (sofa & F (!sofa & F sofa)) & !F (sofa & F (!sofa & F (sofa & F (!sofa & F sofa))))"),
-    ("visit the sofa, then leave and repeat this at least two more times",
-     "F (sofa & F (!sofa & F (sofa & F (!sofa & F sofa))))"),
 ]  # fmt: skip
+
+
+NO_LONGER_READ = [  # too rare to keep their rules: they are refused, not misread
+    "visit the sofa, then the bed, then the desk. do not go back to the previous place "
+    "while heading to the next",
+    "visit the sofa, then the bed, then the desk, each only once",
+    "visit the sofa, then the bed, then the desk, no revisiting",
+    "go to the kitchen and stay there",
+    "go to the kitchen and then the bedroom and stay there",
+    "go to the kitchen and stop there",
+    "go to the kitchen and remain there",
+    "enter the red or blue room",
+    "go to the red and the blue room",
+    "go to the red, blue and green rooms",
+    "go to the third or the fourth floor",
+    "go to the first or second floor",
+    "go to floors 1 and 2",
+    "go around the hallway to get to the kitchen",
+    "go to the kitchen by going around the hallway",
+    "go through any room but the hallway to get to the kitchen",
+    "visit the kitchen twice, no more no less",
+    "enter the bedroom from the hallway",
+    "from the kitchen go to the bedroom",
+    "starting from the kitchen, go to the bedroom",
+    "start in the kitchen and end in the bedroom",
+    "start on the first floor and go to the third floor",
+    "open the sofa, swing by the bed, head to the oven one by one in this order",
+    "in this order, open the sofa, swing by the bed",
+    "go to the sofa stopping by the bed",
+    "go to the theater; only after the bank though",
+    "the hallway, the sofa, the bed. In that order please",
+    "the sofa comes first, then the bed",
+    "visit the sofa; next up is the bed; the desk comes last",
+    "go to the bed, would you?",
+    "go to the bank, then back to the park, then once more to the bank",
+    "go to the bank and right after that to the park",
+    "go twice to the kitchen",
+    "neither the bank nor the park may ever be visited",
+    "make the sofa your destination",
+    "go to the bed, and each time you pass the desk, go to the window after it",
+    "visit the sofa and the bed exactly once each",
+    "go to the sofa, leave it and come back",
+    "go to the sofa, leave, then go to the sofa once again",
+    "go to the sofa, then leave it, then go to the bed",
+    "go to the sofa and then leave the sofa at least twice",
+    "visit and then leave the sofa at least twice",
+    "visit the sofa at least twice while leaving in between",
+    "visit the sofa, leave it and never come back",
+    "visit the sofa, leave it and repeat this exactly once more",
+    "visit the sofa, then leave and repeat this at least two more times",
+    "turn the tv off",
+    "go to a vacuum",
+    "go to the bed; until then do not go to the tv",
+    "Do not go to the bed or touch the tv. Go to the sofa.",
+    "travel from a to b to c",
+    "visit the bed and the sofa or the tv",
+    "visit the bed or the sofa and the tv",
+    "go from the door to the bed through the hallway",
+    "don't go to the kitchen or go to the bedroom",
+    "Go to the kitchen and the bedroom. The kitchen comes last.",
+    "Go to the kitchen and the bedroom, avoiding the hallway. The kitchen comes last.",
+]
 
 
 def told(sentence: str) -> tuple[Formula, ...]:
@@ -307,3 +335,9 @@ def test_refuses(sentence: str, part: str) -> None:
     with pytest.raises(TranslationError) as refusal:
         told(sentence)
     assert part in refusal.value.part
+
+
+@pytest.mark.parametrize("sentence", NO_LONGER_READ)
+def test_rare_phrasings_are_refused(sentence: str) -> None:
+    with pytest.raises(TranslationError):
+        readings(sentence)

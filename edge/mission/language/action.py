@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 from edge.mission.language import nouns
-from edge.mission.language.adjuncts import narrower
 from edge.mission.language.conditions import take_happening
 from edge.mission.language.lexicon import AVOIDING
 from edge.mission.language.routes import PASSING, lead, pass_by, take_exception
 from edge.mission.language.spoken import (
-    CONDITIONS,
     Clause,
     Condition,
     skip_particles,
-    take_count,
     take_mood,
 )
 from edge.mission.language.things import (
-    COUNTING,
-    LEAVE,
     Memory,
     Things,
     starts_things,
     take_things,
 )
-from edge.mission.language.words import Reader, Token
+from edge.mission.language.words import REASONS, Reader, Token
 
 UP = ("up", "down", "over", "on")
 _MOTION = ("go", "come", "walk", "move", "head", "run", "drive", "travel", "return", "proceed")
@@ -73,17 +68,9 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.again = clause.again or token.text.startswith("revisit")
         clause.returns = clause.returns or token.text.startswith("return")
         skip_particles(reader, clause)
-        _take_leaving(reader, clause)
-        _take_times(reader, clause)
     if reader.sees("in order", "strict order") and reader.peek(1).text == ":":
         clause.order = reader.peek().kind  # "visit in this order: a, b, c"
         reader.at += 2
-    near = [reader.peek(ahead).text for ahead in range(4)]
-    if reader.sees("more than", "less than", *COUNTING) and "of" in near:
-        reader.deny("how many of several cannot be told; say which")
-    towards = reader.peek(1).text in ("to", "towards") or starts_things(reader, 1)
-    if reader.sees("only") and towards:
-        reader.deny("'only' needs a number or a condition; say what to avoid")
     if reader.take("neither"):
         clause.negated = True
     elif reader.tokens[reader.at - 1].text in _MOTION and not _plainly_named(reader):
@@ -100,10 +87,8 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     if reader.sees("only") and is_passing(reader, 1, any_way=True):
         reader.at += 2  # "go only through a"
         clause.only = passes = True
-    elif way := reader.take("via", "around"):
-        passes = clause.by_way = way.kind == "via"
-        clause.around = way.kind == "around" and not clause.negated
-        clause.negated = clause.negated or clause.around
+    elif reader.take("via"):
+        passes = clause.by_way = True
     if (other := take_exception(reader, memory)) is not None:
         if clause.negated:
             reader.deny("say what to avoid", last)
@@ -116,35 +101,14 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         take_passed(reader, memory, clause, passes, last)
         if doubly and clause.things:
             clause.things = each_of(clause.things)
-        _take_more_bans(reader, memory, clause)
-    elif clause.returns and memory.asked and (clause.negated or memory.left):
-        clause.things = memory.asked  # "leave it and come back", "never go back"
+        if clause.negated and reader.sees("or") and reader.sees("verb", ahead=1):
+            reader.deny("how far does the ban reach? say it in a sentence of its own")
+    elif clause.returns and memory.asked and clause.negated:
+        clause.things = memory.asked  # "never go back"
     elif not clause.negated or not clause.verb.startswith("stop"):
-        if reader.sees(*CONDITIONS):
-            reader.deny("say where to go", last)  # "stop before you reach the bed"
         reader.refuse("expected the name of a thing here", reader.peek())
     if clause.verb.startswith(_ANYWHERE) and not clause.verb.endswith("near"):
         clause.elsewhere = clause.mood != "can"
-
-
-def _take_times(reader: Reader, clause: Clause) -> None:
-    """`go twice to a`, `go 2 times in a`."""
-    begin, token = reader.at, reader.peek()
-    count = take_count(reader, clause.negated)
-    if count is not None and reader.peek().text in ("to", "into", "in", "inside"):
-        clause.count = narrower(reader, clause.count, count, token)
-        reader.at += 1
-    else:
-        reader.at = begin
-
-
-def _take_leaving(reader: Reader, clause: Clause) -> None:
-    """`visit and then leave a twice`: visits are separate ones anyway."""
-    ahead = 1 if reader.sees("and") else 0
-    ahead += 1 if reader.sees("then", ahead=ahead) else 0
-    if ahead and reader.peek(ahead).text in LEAVE and starts_things(reader, ahead + 1):
-        clause.leaves = reader.peek(ahead)
-        reader.at += ahead + 1
 
 
 _CARRIES = ("bring", "fetch", "take", "put", "carry", "grab", "collect", "load", "pick", "get ")
@@ -191,9 +155,9 @@ def take_passed(
     across = verb is not None and verb.text == "across" and reader.sees("to")
     if across and things.names[-1].split()[-1] in _STREETS:
         reader.deny("'across …' says how to go; say only where to, or 'through …'", verb)
-    start = verb if verb and verb.text == "from" else None
-    on = start is not None
-    while on or _onward(reader, clause):
+    if verb and verb.text == "from":
+        reader.deny(REASONS["origin"], verb)
+    while _onward(reader, clause):
         token = reader.peek()
         if not _take_onward(reader):
             break
@@ -205,13 +169,9 @@ def take_passed(
             reader.refuse("say it in two sentences: 'go through a to b, or through c to d'", token)
         if clause.negated:  # "do not go through a to b"
             lead(reader, memory, clause, further, token)
-        elif start and reader.pick(start, 2) == 0:
-            clause.origin = True  # where the robot is
         else:
             pass_by(reader, clause, clause.things, token)
-        clause.things, start = further, None
-    if start:
-        reader.refuse("say where to go from there", start)
+        clause.things = further
 
 
 def _onto_thing(reader: Reader) -> bool:
@@ -236,8 +196,6 @@ LEADING = nouns.listed(
 
 def _refuse_leading(reader: Reader, clause: Clause, ahead: int) -> None:
     """`go to the door to the kitchen`, `move the cup to the table`: one thing, or two?"""
-    if clause.things is None or not starts_things(reader, ahead + 1):
-        return
     said = reader.tokens[: reader.at]
     verb = max((i for i, token in enumerate(said) if token.text == clause.verb), default=0)
     moves = clause.verb in (*_MOTION, "get")
@@ -272,24 +230,6 @@ def take_until(reader: Reader, memory: Memory, clause: Clause) -> None:
     if happening.denied or happening.count:
         reader.refuse("say where to go", token)
     clause.verb, clause.things = "continue", happening.things
-
-
-def _take_more_bans(reader: Reader, memory: Memory, clause: Clause) -> None:
-    """`do not visit a or touch b or revisit c`: "not" goes with each verb."""
-    barred = clause.negated and clause.verb not in AVOIDING
-    if clause.negated and not barred and reader.sees("or") and reader.sees("verb", ahead=1):
-        reader.deny("how far does the ban reach? say it in a sentence of its own")
-    while barred and reader.sees("or") and reader.sees("verb", ahead=1):
-        reader.take("or")
-        again = False
-        while verb := reader.take("verb"):
-            again = again or verb.text.startswith(("revisit", "return"))
-            skip_particles(reader, clause)
-        things = take_things(reader, memory, banned=True)
-        if again:
-            clause.not_again.append(things)
-        elif clause.things is not None:
-            clause.things = Things(clause.things.groups + things.groups)
 
 
 def _plainly_named(reader: Reader) -> bool:

@@ -5,18 +5,15 @@ from __future__ import annotations
 import itertools
 
 from edge.mission.language.conditions import another_participle, take_condition
-from edge.mission.language.lexicon import NUMBERS
 from edge.mission.language.routes import (
     PASSING,
     bound_ahead,
     pass_by,
     take_bound,
-    take_origin,
     take_route,
 )
 from edge.mission.language.spoken import (
     CONDITIONS,
-    MAX_VISITS,
     ORDERS,
     Clause,
     Count,
@@ -24,10 +21,8 @@ from edge.mission.language.spoken import (
     take_count,
     take_mood,
 )
-from edge.mission.language.things import LEAVE, Memory, Things, starts_things, take_things
+from edge.mission.language.things import Memory, Things, starts_things, take_things
 from edge.mission.language.words import Reader, Token
-
-_APART = ("on", "off", "up", "out", "in", "down")  # "turn the tv on"
 
 
 def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
@@ -53,11 +48,6 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     elif token.kind == "on the way":
         clause.enroute = not (clause.avoiding or clause.route)
         reader.at += 1
-    elif token.text == "from" and clause.things and starts_things(reader, 1) and _moves(clause):
-        take_origin(reader, memory, clause)
-    elif token.text == "by going around" and clause.things and not clause.negated:
-        reader.at += 1
-        clause.avoiding.append(take_things(reader, memory, banned=True))
     elif token.kind == "bound there":
         clause.enroute = clause.enroute or not clause.negated
         reader.at += 1
@@ -67,9 +57,6 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         pass
     elif token.kind == "either" and clause.negated and _ends_sentence(reader, 1):
         reader.at += 1  # "do not visit b either"
-    elif token.kind == "goal" and clause.verb == "make":
-        clause.ends = "last" in token.text
-        reader.at += 1  # "make the hotel your destination"
     elif token.text in ("though", "however") and _ends_sentence(reader, 1):
         reader.at += 1
     elif clause.things and bound_ahead(reader, clause):
@@ -80,12 +67,6 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         reader.at += 1
     elif token.kind == "comma" and reader.sees(*ORDERS, ahead=1):
         reader.at += 1
-    elif (
-        token.kind == "stop"
-        and reader.sees("in order", "strict order", ahead=1)
-        and (_ends_sentence(reader, 2 + reader.sees("filler", ahead=2)))
-    ):
-        reader.at += 1  # "the sofa, the bed, the desk. In that order please."
     elif (count := take_count(reader, clause.negated, _of_every(clause))) is not None:
         clause.count = narrower(reader, clause.count, count, token)
         several = clause.things is not None and len(clause.things.groups) > 1
@@ -94,12 +75,6 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     elif token.kind == "first" and not (reader.sees("verb", ahead=1) or starts_things(reader, 1)):
         clause.first = True
         reader.at += 1
-    elif (
-        token.kind == "at least"
-        and reader.peek(1).text.startswith("once ")
-        and (reader.sees("again", ahead=1))
-    ):
-        reader.at += 1  # "at least once more"
     elif token.kind == "again":
         clause.again = True
         reader.at += 1
@@ -116,18 +91,12 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         reader.at += 1
     elif token.kind in ("but", "comma", "all of") and _count_ahead(reader, clause):
         pass
-    elif token.kind == "all of" and clause.count and reader.sees("comma", "stop", "end", ahead=1):
-        reader.at += 1  # "exactly once each"
     elif token.kind == "no return":
         clause.each = 1
         reader.at += 1
     elif token.kind == "out of turn" and clause.negated:
         clause.out_of_turn = True
         reader.at += 1
-    elif token.kind == "to the next" and clause.negated and clause.things and clause.things.every:
-        reader.at += 1  # what "not again" lasts until anyway
-    elif token.kind == "apart" and clause.count and clause.count.least > 1:
-        reader.at += 1  # visits are separate ones anyway
     elif token.kind == "then" and _trails(reader):
         clause.trails = True
         reader.at += 1
@@ -135,13 +104,6 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         take_avoiding(reader, memory, clause)
     elif token.kind == "comma" and _avoided_aside(reader, memory, clause):
         pass
-    elif (
-        token.kind == "after"
-        and clause.conditions
-        and reader.sees("pronoun", ahead=1)
-        and (_ends_sentence(reader, 2))
-    ):
-        reader.at += 2  # "each time you pass a, go to b after it"
     elif _condition_ahead(reader, clause):
         begin = reader.at
         condition = take_condition(reader, memory, clause)
@@ -157,10 +119,6 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         if (when or after) and reader.sees("verb", "ensure", "you", "avoid"):
             reader.deny("of which part is this said? put a comma", condition.token)
         clause.conditions.append(condition)
-    elif token.text in _APART and clause.verb and not starts_things(reader, 1):
-        reader.at += 1
-    elif token.kind == "only" and (reader.peek(1).text == "from" or starts_things(reader, 1)):
-        reader.deny("'only' needs a number or a condition; say what to avoid", token)
     else:
         return False
     return True
@@ -192,14 +150,6 @@ def _of_every(clause: Clause) -> bool:
     return clause.things is not None and clause.things.every != ""
 
 
-def _moves(clause: Clause) -> bool:
-    """Whether "from" says where the robot starts, not where a thing is."""
-    return not clause.negated and not clause.verb.startswith(_HANDLES)
-
-
-_HANDLES = ("bring", "fetch", "get", "take", "grab", "pick", "collect", "feed", "charge", "unload")
-
-
 def _denied(reader: Reader, count: Count, token: Token) -> Count:
     """A count whose clause turns out to be forbidden: "visiting a more than once is prohibited"."""
     if count.least == count.most:  # "more or less than once"
@@ -214,14 +164,8 @@ def _count_ahead(reader: Reader, clause: Clause) -> bool:
     """Takes "but at most twice"."""
     begin, token = reader.at, reader.peek()
     reader.skip("but", "comma")
-    each = reader.take("all of") is not None
+    reader.take("all of")
     count = take_count(reader, clause.negated)
-    if each and count is not None and count.most == 1 and not clause.negated:
-        clause.each = 1  # "visit a, then b, each only once"
-        return True
-    if count is None and clause.count and reader.peek().text.startswith("no more "):
-        reader.at += 1  # "twice, no more no less"
-        count = Count(clause.count.least, clause.count.least)
     if count is None:
         reader.at = begin
         return False
@@ -296,46 +240,6 @@ def _avoided_aside(reader: Reader, memory: Memory, clause: Clause) -> bool:
         return False
     clause.avoiding += aside.avoiding
     return True
-
-
-def starts_leaving(reader: Reader) -> bool:
-    """Whether "leave", "you must leave it" comes."""
-    ahead = 0
-    while reader.sees("you", "must", ahead=ahead):
-        ahead += 1
-    return reader.peek(ahead).text in LEAVE
-
-
-def take_leaving(reader: Reader, memory: Memory) -> Things | None:
-    """What `leave a`, `leave it`, `leave` name to be left; None for the last one."""
-    reader.skip("you", "must")
-    reader.at += 1
-    return take_things(reader, memory) if starts_things(reader) else None
-
-
-def take_repetition(reader: Reader) -> Count | None:
-    """`and repeat this exactly twice more`, as the visits in all; None when there is none."""
-    begin = reader.at
-    reader.skip("comma", "and", "then")
-    token = reader.take("repeat")
-    if token is None:
-        reader.at = begin
-        return None
-    marker = reader.take("exactly", "at least", "at most")
-    number = reader.take("once", "times n", "number", "again")
-    if number is None or (number.kind != "again" and reader.peek().text != "more"):
-        reader.refuse("say how often more", token)
-    if number.kind == "again":  # "once more"
-        n = 2
-    else:
-        reader.at += 1
-        n = 1 + (NUMBERS[number.text] if number.text in NUMBERS else int(number.text[:9]))
-    reader.take("times")
-    if n > MAX_VISITS:
-        reader.refuse(f"at most {MAX_VISITS} visits can be counted", token)
-    if marker is None or marker.kind == "exactly":
-        return Count(n, n)
-    return Count(n) if marker.kind == "at least" else Count(1, n)
 
 
 _EVER = ("ever", "at any point", "at any time", "at any point in time", "at all")

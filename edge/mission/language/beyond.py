@@ -11,10 +11,9 @@ import itertools
 
 from edge.mission.language import nouns
 from edge.mission.language.action import LEADING
-from edge.mission.language.lexicon import AFTER_VERB
 from edge.mission.language.naming import is_indefinite, is_letter
-from edge.mission.language.things import ONE_OF_A_KIND
-from edge.mission.language.words import HESITATIONS, REASONS, Reader, Token
+from edge.mission.language.routes import RIDDEN
+from edge.mission.language.words import REASONS, Reader, Token
 
 _WHERE = "things are told apart by kind, colour and size, not by where they are; name it alone"
 _WHICH = "which one that is cannot be seen in one picture; say its kind, colour or size"
@@ -23,20 +22,9 @@ _EXPLORE = "only going to things can be asked for, not searching a place; say wh
 _TIME = "times and distances cannot be told, only what to reach"
 _AT_TIMES = ("for", "in", "after", "before", "at", "within", "until")
 _RIDE = "how to go cannot be told, only where"
-_DO = "that can only be a thing here, and things cannot be done; say where to go"
 _IF_POSSIBLE = "say whether or not to do it"
 _DENIED = "only reaching things can be forbidden"
-_STAND = "where to stand cannot be told, only what to reach"
-_BESIDE = ("under", "below", "above", "behind", "in front of", "opposite", "against")
-_BOTH = "one, or both of which? say 'either …, or …' with a name each"
-_DIGITS = "write the number in digits"
 _THAT = "say 'after the …'"
-_PARTS = nouns.listed(
-    """front back end corner side edge middle centre center top bottom left right rear rest part
-    half inside"""
-)
-_WHOLE = ("whole", "entire")
-_ROUND = ("hundred", "thousand")
 _NOWHERE = "say what to visit, and what to avoid"
 _NOR = "'nor' needs 'not' or 'neither' before it"
 _STAY = REASONS["stay"]
@@ -44,24 +32,19 @@ _ROUND_IT = "say what to avoid, or what to go through"
 _LEFT_OUT = "say 'avoid …', or where to go"
 _LAST = "which one is the last cannot be seen; say its kind, colour or size"
 _ASKED = "no order; say for example 'visit the bed'"
-_TOLD = "where something is asks for nothing; leave it out"
 _OTHERS = "what others do is no order"
 _SHUN = "avoid it, or visit it? say which"
 _HOW_LONG = "how long is it to be avoided? say it in a sentence of its own"
 _EACH = "say the whole name of each, as in 'gate a or gate b'"
-_CORRECTED = "say only what is meant"
 
 _LEAVE = nouns.listed(
     """leave leaves leaving exit exits exiting depart departs departing quit quits quitting vacate
     vacating abandon abandoning stray strays straying escape escaping deviate deviating wander
     wandering"""
 )
-_LEAVING = _LEAVE - {"leaving", "wandering"} - {word for word in _LEAVE if word[-3:] != "ing"}
-_AWAY = ("beyond", "outside", "within")
 _NO_LEAVING = ("turn", "turning", "switch", "switching", "shut", "shutting", "take", "taking")
 _KEEPS = ("stay", "keep", "remain", "stick", "wait")
 _SELF = ("yourself", "itself")
-_LIMITS = ("limit", "restrict", "confin")
 _OPENS = ("open", "clos", "shut", "lock", "unlock")
 _HANDLED = (
     *_OPENS, "mov", "pick", "grab", "collect", "bring", "fetch", "take", "taking", "load",
@@ -69,8 +52,6 @@ _HANDLED = (
 )  # fmt: skip
 """Beginnings of verbs that do something with a thing: a ban on that is none on reaching it."""
 _CAUSES = ("make", "making", "get", "getting")
-_CANCELS = ("cancel", "scratch", "undo", "forget")
-_CORRECTS = (*HESITATIONS, "sorry", "oops", "correction")
 _KEPT_BY = ("at", "by", "along", "with", "within", "to")
 _DENYING = ("not", "without", "avoid", "neither")
 _BEYOND_NAMES = nouns.listed(
@@ -82,7 +63,6 @@ _BEYOND_NAMES = nouns.listed(
 _LONGEST = 6  # words of a name
 _SPOTS = ("spot", "spots", "place", "position", "point", "somewhere", "anywhere", "everywhere")
 _WITH = ("with", "at", "between", "by")
-_RIDDEN = ("stairs", "staircase", "elevator", "lift", "escalator", "ladder", "ramp", "bridge")
 _VEHICLES = nouns.listed(
     """car bus bike bicycle train taxi cab truck van tram boat ship ferry plane air motorcycle
     motorbike scooter metro subway foot hand"""
@@ -107,16 +87,14 @@ def refuse_beyond(reader: Reader) -> None:
     denied = False
     for at, token in enumerate(reader.tokens):
         reader.at = at
-        if turned := _not_named(reader):
-            reader.deny(_SHUN, turned)
         if denied and token.kind == "then" and reader.sees("article", "quoted", ahead=1):
             reader.deny(_SHUN, token)  # "do not go to a and then the b"
         if token.kind in ("stop", "comma", "but", "then"):
             denied = False
         hint, start = _found(reader, denied), token
+        before = _before(reader)
         if hint == _WHERE:
             start = _name_before(reader) or token
-        before = _before(reader)
         if hint == _TIME and before and before.text in _AT_TIMES:
             start = before
         if hint:
@@ -134,8 +112,6 @@ def _found(reader: Reader, denied: bool) -> str:
         return _STAY
     if token.text == "nor" and not any(t.kind in _DENYING for t in reader.tokens[: reader.at]):
         return _NOR
-    if token.text == "or both" and not _ends(reader, 1):
-        return _BOTH
     if token.text == "nowhere" and after.kind == "but":
         return _NOWHERE
     if token.kind == "around" and denied:
@@ -146,10 +122,6 @@ def _found(reader: Reader, denied: bool) -> str:
         return _SHUN
     if _trails(reader):
         return _HOW_LONG
-    if token.text in _CORRECTS and before and before.kind == "comma" and reader.at > 1:
-        return _CORRECTED  # "the bed, er, the sofa"
-    if token.text in _CANCELS and after.text in ("that", "it", "this"):
-        return _CORRECTED
     if _is_lone_letter(reader):
         return _EACH
     if token.text == "last" and before and before.kind == "article" and _named(reader, 1):
@@ -160,12 +132,6 @@ def _found(reader: Reader, denied: bool) -> str:
         return _WHICH
     if token.text in _SPOTS and _says_where(reader, 1):
         return _SPOT
-    if token.text in _PARTS and after.text == "of":
-        return _WHERE
-    if token.text in _WHOLE and _is_place(reader, 1):
-        return _EXPLORE
-    if after.text in _ROUND and token.kind == "number":
-        return _DIGITS
     starts = before is None or before.kind == "stop"
     if starts and token.text == "after that" and after.kind == "word" and len(after.text) > 1:
         return _THAT  # "After that chair, go to the bed."
@@ -176,17 +142,6 @@ def _found(reader: Reader, denied: bool) -> str:
         return _RIDE
     if _searches(reader):
         return _EXPLORE
-    noun = token.kind == "word" and len(token.text) > 1 and nouns.is_noun(token.text)
-    alone = before is None or before.kind not in ("article", "word", "quoted", "number", "either")
-    done = after.kind in ("article", "all of") or after.text in ("it", "them")
-    if (noun or token.text == "place") and alone and done:
-        return _DO
-    if _acts_unknown(reader, denied):
-        return _DENIED
-    if token.kind == "verb" and after.text in _BESIDE and _says_where(reader, 1):
-        return _STAND
-    if token.kind == "number" and after.kind == "word" and nouns.is_plural(after.text):
-        return ONE_OF_A_KIND
     return _IF_POSSIBLE if _is_soft(reader) else ""
 
 
@@ -229,23 +184,9 @@ def _is_no_order(reader: Reader) -> str:
         return _OTHERS if reader.sees("verb", ahead=ahead) else ""  # "make the dog go to a"
     if before is not None and before.kind not in ("stop", "comma"):
         return ""
-    if token.text == "there" and reader.sees("be", ahead=1):
-        return _TOLD
     sees = token.kind == "can" and reader.sees("you", ahead=1) and reader.peek(2).text == "see"
     must = token.text == "must" and reader.sees("you", ahead=1)
     return _ASKED if sees or must else ""
-
-
-def _not_named(reader: Reader) -> Token | None:
-    """Return the "not" of ", not the a but the b" if its "but" is here."""
-    begin = reader.at
-    if not (reader.sees("but") and reader.sees("article", "quoted", ahead=1)):
-        return None
-    while begin and reader.tokens[begin - 1].kind in ("word", "article", "quoted", "number"):
-        begin -= 1
-    if not 1 < begin < reader.at or reader.tokens[begin - 1].kind != "not":
-        return None
-    return reader.tokens[begin - 1] if reader.tokens[begin - 2].kind == "comma" else None
 
 
 def _is_lone_letter(reader: Reader) -> bool:
@@ -288,17 +229,6 @@ def _is_soft(reader: Reader) -> bool:
     return willing or _ends(reader, 1) or reader.peek(1).text in ("possible", "necessary", "needed")
 
 
-def _acts_unknown(reader: Reader, denied: bool) -> bool:
-    """See whether "do not drop the cup" comes: a ban on doing what is not known to be reaching."""
-    token, before = reader.peek(), _before(reader)
-    known = token.kind != "word" or nouns.is_noun(token.text) or token.text in AFTER_VERB
-    if known or not denied or before is None or before.kind not in ("not", "without", "avoid"):
-        return False
-    if before.kind == "avoid" and not token.text.endswith("ing"):
-        return False
-    return reader.sees("article", ahead=1) and len(token.text) > 1
-
-
 def _before(reader: Reader) -> Token | None:
     return reader.tokens[reader.at - 1] if reader.at else None
 
@@ -311,20 +241,14 @@ def _leaves(reader: Reader, denied: bool) -> bool:
     """See whether "out of a", "off a", "away from a", "beyond a", or a denied "leave a" comes."""
     token, after, before = reader.peek(), reader.peek(1), _before(reader)
     joins = before is not None and before.kind in ("and", "or")
-    if token.text.startswith(_LIMITS) and token.kind == "word":
-        return True  # "limit yourself to a"
     if token.text == "out" and denied and after.kind == "article" and _is_place(reader, 1):
         return not _leads(reader)  # "without going out the yard"
     if token.text in ("out", "away") and after.text in ("of", "from"):
         shuns = any(said.kind == "avoid" for said in reader.tokens[: reader.at])
         return not (joins and shuns)  # "stay out of a and out of b"
-    if token.text == "out" and joins and (reader.sees("again", ahead=1) or _ends(reader, 1)):
-        return True  # "go into a and out again"
     if token.text == "off" and after.kind in ("article", "word", "quoted", "pronoun", "all of"):
         switched = before is not None and before.text in _NO_LEAVING
         return not (switched and not _is_place(reader, 1))
-    if token.text in _AWAY or token.text in _LEAVING:
-        return True
     return denied and (token.text in _LEAVE or (token.text == "from" and not joins))
 
 
@@ -341,8 +265,6 @@ def _stays(reader: Reader, denied: bool) -> bool:
     if token.kind == "avoid":  # "never stay away from a"
         before = next(t for t in [*reader.tokens[reader.at - 1 :: -1], token] if t.kind != "filler")
         return reader.at > 0 and denied and before.kind in _DENYING
-    if " " in token.text:
-        return False
     ahead = 1
     while reader.sees("you", "pronoun", ahead=ahead) or reader.peek(ahead).text in _SELF:
         ahead += 1  # "keep the robot on the path"
@@ -367,16 +289,10 @@ def _over(reader: Reader, ahead: int) -> bool:
 
 def _says_where(reader: Reader, ahead: int) -> bool:
     """Return whether "near the sofa", "in it", "that is on a table" begins there."""
-    if reader.peek(ahead).text in ("that", "which") and reader.sees("be", ahead=ahead + 1):
-        ahead += 2
     token, after = reader.peek(ahead), reader.peek(ahead + 1)
     if token.kind != "place" and token.text not in (*_WITH, "inside of"):
         return False
-    if token.text == "by" and reader.peek(ahead + 2).text in _RIDDEN:
-        return False
-    if after.text == "between":
-        return False
-    if token.text in _WITH and after.kind not in ("article", "quoted"):
+    if token.text == "by" and reader.peek(ahead + 2).text in RIDDEN:
         return False
     return after.kind in ("quoted", "pronoun", "either") or bool(_named(reader, ahead + 1))
 
@@ -387,8 +303,6 @@ def _name_before(reader: Reader) -> Token | None:
     before = _before(reader)
     if before is None:
         return None
-    if before.kind in ("quoted", "group"):
-        return before
     if before.kind == "number" and begin > 1:
         begin -= 1
     end, found = begin, None
@@ -408,8 +322,6 @@ def _is_place(reader: Reader, ahead: int) -> bool:
 def _named(reader: Reader, ahead: int) -> str:
     """Return the known name that begins there, maybe behind an article; "" where none does."""
     while reader.sees("article", "all of", ahead=ahead) or reader.peek(ahead).text in ("a", "an"):
-        if reader.sees("end", ahead=ahead + 1):
-            break  # the letter a
         ahead += 1
     words: list[str] = []
     while reader.sees("word", "group", ahead=ahead) and len(words) < _LONGEST:
@@ -420,8 +332,6 @@ def _named(reader: Reader, ahead: int) -> str:
 
 
 def _is_known(words: list[str]) -> bool:
-    if len(words) == 1 and len(words[0]) == 1:
-        return words[0] not in ("a", "i")  # a letter
     return nouns.unknown_in(words) is None
 
 
@@ -429,8 +339,6 @@ def _searches(reader: Reader) -> bool:
     """Return whether "explore the house", "search the kitchen", "look around" comes."""
     token = reader.peek()
     verb = token.text.split(" ")[0]
-    if token.text in ("look", "looking") and reader.sees("around", ahead=1):
-        return True
     if token.kind == "verb" and verb.startswith("explor"):
         return not _named(reader, 1) or _is_place(reader, 1)
     return verb.startswith(_SEARCHES) and token.kind in ("verb", "word") and _is_place(reader, 1)

@@ -27,7 +27,7 @@ from edge.mission.language.adjuncts import narrower, take_adjunct, take_avoiding
 from edge.mission.language.conditions import STATES, take_condition
 from edge.mission.language.naming import is_indefinite
 from edge.mission.language.orders import refuse_unclear, refuse_what_is_done
-from edge.mission.language.routes import lead, take_origin
+from edge.mission.language.routes import lead
 from edge.mission.language.spoken import (
     AUXILIARIES,
     CONDITIONS,
@@ -123,16 +123,10 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         if clause.negated and reader.sees("all of"):
             reader.deny("none of them, or not all? say it of each")
         clause.things = take_things(reader, memory, banned=clause.negated)
-    elif reader.take("no return"):
-        clause.each, clause.negated, clause.things = 1, True, Things(memory.every, every="places")
     elif reader.sees("quota"):
         take_quota(reader, memory, clause)
     elif reader.sees("onward"):
         take_until(reader, memory, clause)
-    elif reader.sees("neither") and starts_things(reader, 1):
-        reader.at += 1
-        clause.negated = not clause.negated
-        _take_passive(reader, memory, clause, bare)
     elif starts_things(reader):
         _take_passive(reader, memory, clause, bare)
     elif before.kind == "be" and reader.peek().text in _PLACED:
@@ -145,9 +139,6 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     elif bare == "yes" and reader.peek().text in ("back", *UP) and starts_clause(reader):
         skip_particles(reader, clause)
         clause.things = take_things(reader, memory)
-    elif bare == "yes" and reader.sees("again") and reader.sees("to", ahead=1):
-        reader.at += 2  # "…, then once more to the library"
-        clause.again, clause.things = True, take_things(reader, memory)
     elif (bare != "no" or clause.negated) and is_passing(reader):
         reader.at += 1
         take_passed(reader, memory, clause)
@@ -155,8 +146,6 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         reader.take("to")
         clause.things = take_things(reader, memory, banned=clause.negated)
     else:
-        if starts and reader.peek().text in _PLACED:
-            reader.deny("say where to go, or what to avoid")  # "in the kitchen, avoid the oven"
         reader.refuse("expected something to do or to avoid here")
     if said and any(t.text == "been" for t in said[-2:]):
         refuse_what_is_done(reader, begin, said[-1], clause)
@@ -173,22 +162,13 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         pass
     if any(word in clause.verb.split() for word in ("last", "final")):
         clause.ends = True  # "your last stop is the bed"
-    if clause.leaves and not clause.count:
-        reader.refuse("say how often", clause.leaves)
     if clause.always:
         for condition in clause.conditions:
             condition.recurring = True
-    if clause.always and clause.route:
-        clause.only_way = True
-    elif clause.always and not (clause.negated or clause.avoiding or clause.conditions):
+    if clause.always and not (clause.negated or clause.avoiding or clause.conditions):
         reader.deny("a mission ends, so nothing can be asked for always", clause.always)
     if gerund and not any(t.kind in ("banned", "must") for t in reader.tokens[begin : reader.at]):
         reader.refuse("no order; say for example 'visit the bed'", clause.token)
-    if clause.around:
-        hint = "'around' needs a goal beyond: 'go around the bed to reach the chair'"
-        reader.refuse(hint, clause.token)
-    if clause.origin and (clause.negated or clause.count):
-        reader.refuse("where it starts goes with where to go", clause.token)
     refuse_unclear(clause, reader)
     if clause.negated and clause.first and not clause.conditions and not clause.count:
         own = clause.things.names if clause.things else ()
@@ -224,17 +204,9 @@ def _is_there(reader: Reader) -> bool:
 def _take_restriction(memory: Memory, clause: Clause) -> bool:
     """`…, without entering x`, `…, without going back`, `…, but only after x`: of all before it."""
     avoided = [*clause.avoiding, *clause.never]
-    if not memory.every or not memory.asked:
-        return False
-    if clause.conditions and all(c.only or c.denied for c in clause.conditions) and not avoided:
-        clause.things, clause.mood = memory.asked, "can"
-        return True
     clause.negated = True
-    if clause.each:
-        clause.things = Things(memory.every, every="places")
-    else:
-        clause.things = Things(tuple(group for things in avoided for group in things.groups))
-        clause.avoiding, clause.never = [], []
+    clause.things = Things(tuple(group for things in avoided for group in things.groups))
+    clause.avoiding, clause.never = [], []
     return bool(clause.each or avoided) and not clause.conditions
 
 
@@ -261,9 +233,6 @@ def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
             clause.first = clause.first or token.kind == "opener"
             clause.enroute = clause.enroute or token.kind == "on the way"
             reader.at += 1
-        elif token.kind == "origin" or (token.text == "from" and starts_things(reader, 1)):
-            take_origin(reader, memory, clause)
-            reader.skip("comma", "and", "then")
         elif token.kind == "bound" or (
             token.kind == "to" and reader.sees("verb", ahead=1) and not clause.bound
         ):
@@ -300,21 +269,8 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     things = take_things(reader, memory, subject=True, banned=clause.negated)
     if start.text in _ANY_VISIT and _take_consequence(reader, memory, clause, start, things):
         return
-    if reader.sees("all of") and reader.sees(*AUXILIARIES, ahead=1):
-        reader.at += 1  # "a and b both have to be visited"
-    if reader.peek().text in ("comes", "come") and reader.sees("first", "in the end", ahead=1):
-        clause.first, clause.ends = (
-            reader.sees("first", ahead=1),
-            reader.sees("in the end", ahead=1),
-        )
-        clause.verb, clause.things = "come", things
-        reader.at += 2
-        return
     says = Clause(start)
     said = take_mood(reader, says, PREDICATE)
-    if reader.sees("do") and reader.sees("not", ahead=1) and reader.sees("happen", ahead=2):
-        reader.at += 2
-        says.negated = True
     said_before = [token.text for token in reader.tokens[begin : reader.at]]
     if says.first and _is_over(reader):  # "the bank must be first"
         clause.first, clause.negated = True, clause.negated != says.negated
@@ -338,8 +294,6 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     verb = avoid or reader.take("verb", "happen")
     if barred and verb is not None:  # "the cat is forbidden to enter the kitchen"
         reader.deny("only one robot is spoken to", start)
-    if barred and (reader.peek().text in (*_PLACED, "to") or not says.negated):
-        reader.deny("only one robot is spoken to, and only of where to go", start)
     if "be" in said and reader.peek().text in _PLACED:
         reader.deny("only reaching things can be asked for", start)  # "the dog must be in b"
     if barred and verb is None:  # "the hallway is off limits"

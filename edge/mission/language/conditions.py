@@ -26,8 +26,6 @@ def take_condition(reader: Reader, memory: Memory, clause: Clause) -> Condition:
     kind = "when" if token.kind == "once" else token.kind
     if token.text.startswith("as soon"):
         clause.soon = True
-        if reader.peek().text == "as":
-            reader.at += 1
     recurring = token.text in ("whenever", "every time", "each time", "any time", "if", "if ever")
     condition = Condition(kind, token, Things(()), only, denied, recurring)
     begin = reader.at
@@ -43,14 +41,6 @@ def take_condition(reader: Reader, memory: Memory, clause: Clause) -> Condition:
 
 def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None:
     """`you have visited a`, `a is visited`, `visiting a`, `a`, `that`, `then`."""
-    if (
-        reader.sees("then")
-        and reader.peek().text == "then"
-        and condition.kind in ("before", "until")
-    ):
-        reader.at += 1
-        condition.things = _asked(reader, memory, condition.token)
-        return
     says = Clause(reader.peek())
     said = take_mood(reader, says)
     inside = reader.peek().text in ("in", "inside", "at", "on") and starts_things(reader, 1)
@@ -76,12 +66,6 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
             more = take_things(reader, memory)
             condition.things = Things(condition.things.groups + more.groups)
         reader.take("happen")
-    elif reader.sees("all of") and reader.sees(*AUXILIARIES, "pronoun", ahead=1):
-        everything = reader.take("all of")
-        assert everything is not None
-        reader.take("pronoun")
-        condition.things = _asked(reader, memory, everything)
-        _take_predicate(reader, says)
     elif reader.sees("pronoun"):
         pronoun = reader.take("pronoun")
         assert pronoun is not None
@@ -89,10 +73,7 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         condition.referred = not _take_predicate(reader, says)
     elif starts_things(reader):
         condition.things = take_things(reader, memory, subject=True)
-        while _take_predicate(reader, says) and _another_subject(reader):
-            reader.skip("and")
-            more = take_things(reader, memory, subject=True)
-            condition.things = Things(condition.things.groups + more.groups)
+        _take_predicate(reader, says)
     elif condition.kind in ("before", "after") and memory.asked and _ends(reader):
         condition.things = memory.asked  # "do not go to b before": before what was asked
         condition.referred = True
@@ -100,9 +81,6 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         reader.refuse("expected what must have happened here", condition.token)
     _refuse_denied(reader, condition, says)
     condition.denied = condition.denied or says.negated
-    if reader.sees("verb") and _is_third_person(reader.peek()):
-        hint = "only what the robot reaches can be told"  # "if the dog enters the hall"
-        reader.deny(hint, condition.token)
     first = bool(reader.take("first")) or says.first
     if first and reader.sees("then") and not reader.sees("end", ahead=1):
         reader.deny("say it in two sentences", condition.token)
@@ -126,11 +104,6 @@ def another_participle(reader: Reader) -> bool:
     if goes_on:
         reader.at += 2
     return goes_on
-
-
-def _is_third_person(verb: Token) -> bool:
-    first = verb.text.split()[0]
-    return first.endswith("s") and not first.endswith("ss")
 
 
 def _ends(reader: Reader) -> bool:
@@ -167,17 +140,3 @@ STATES = (
     "mopped",
 )  # fmt: skip
 """Verb forms that also say how a thing is."""
-
-
-def _another_subject(reader: Reader) -> bool:
-    """Whether "and b is visited" goes on the same condition."""
-    if not (reader.sees("and") and starts_things(reader, 1)):
-        return False
-    ahead = 1
-    while reader.sees("word", "quoted", "article", ahead=ahead):
-        ahead += 1
-    if not reader.sees("be", ahead=ahead):
-        return False
-    while reader.sees("be", "filler", ahead=ahead):
-        ahead += 1
-    return reader.sees("verb", ahead=ahead)

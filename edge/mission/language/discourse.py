@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 from edge.mission.language import nouns
 from edge.mission.language.action import LEADING
-from edge.mission.language.adjuncts import starts_leaving, take_leaving, take_repetition
 from edge.mission.language.clauses import Bare, starts_clause, take_clause
 from edge.mission.language.flow import ENDING, JOINTS, THEN, Flow
 from edge.mission.language.goals import (
@@ -32,7 +31,6 @@ from edge.mission.language.sequences import (
     only_then,
     passing_by,
     put_first,
-    put_in_order,
     put_last,
     sequence_goal,
     single_visits,
@@ -40,10 +38,9 @@ from edge.mission.language.sequences import (
     visit_often,
     without_last,
 )
-from edge.mission.language.spoken import Clause, Condition, Count, take_count
+from edge.mission.language.spoken import Clause, Condition, Count
 from edge.mission.language.things import ONE_OF_A_KIND, Memory, Things
 from edge.mission.language.words import (
-    REASONS,
     Reader,
     Token,
 )
@@ -97,7 +94,6 @@ class Discourse:
         halted: where it was said to stop.
         waits: what is not to be reached before what.
         detour: where this sentence was said to be on the way to the one before.
-        settled: one thing comes last.
         shuns: something was to be avoided, not only to wait for something else.
         number: of the last step that had one ("second, …").
         listed: an order stood right behind "do not …" and a comma.
@@ -118,7 +114,6 @@ class Discourse:
     elsewhere: Token | None = None
     halted: Token | None = None
     detour: Token | None = None
-    settled: bool = False
     shuns: bool = False
     waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
     number: int = 1
@@ -138,8 +133,6 @@ class Discourse:
                 continue
             if self.clauses and reader.sees("any order") and reader.sees("stop", "end", ahead=1):
                 reader.take("any order")  # "…; the order does not matter": as it is anyway
-            elif self.clauses and self._halts():
-                pass
             else:
                 joint = reader.take(*THEN, "and", "but")
                 reader.skip("comma")
@@ -202,7 +195,7 @@ class Discourse:
         if not (bare or reader.sees("halt")) or not reader.sees("stop", "end", ahead=1):
             return False
         self.halted = reader.peek()
-        if self.flow.denied or self.flow.permitted or not (bare or self.settled):
+        if self.flow.denied or self.flow.permitted or not bare:
             reader.refuse("say where to stop, and what comes last", self.halted)
         reader.at += 1
         return True
@@ -276,8 +269,6 @@ class Discourse:
         if not self.reader.sees("or", ahead=ahead):
             return None
         ahead += 1
-        if self.reader.sees("either", ahead=ahead) and self.reader.sees("verb", ahead=ahead + 1):
-            ahead += 1
         return ahead if starts_clause(self.reader, ahead) else None
 
     def _sequence(self, joint: Token | None) -> tuple[list[Meaning], Meaning | None]:
@@ -286,11 +277,6 @@ class Discourse:
         loose: Meaning | None = None
         ordered: Token | None = None
         while True:
-            if sequence and starts_leaving(self.reader):
-                self._leaves(sequence)
-                if self._joint() is None:
-                    return self._all_left(sequence), loose
-                joint = Token("then", "then", self.reader.peek().start, 0)
             self._numbered(joint)
             clause, meaning = self._clause(joint, sequence)
             kind = joint.kind if joint else ""
@@ -313,8 +299,9 @@ class Discourse:
             joint = self._joint()
             if joint is None:
                 if ordered:
-                    put_in_order(ordered, sequence, self.reader)
-                return self._all_left(sequence), loose
+                    hint = "an order goes with a list: 'visit a, then b'"
+                    self.reader.refuse(hint, ordered)
+                return sequence, loose
 
     def _named_before(self, clause: Clause) -> bool:
         """Whether all that a clause names was asked for before it."""
@@ -336,25 +323,12 @@ class Discourse:
             self.reader.deny("which step is that? say 'then the …'", joint)
         self.number = number
 
-    def _leaves(self, sequence: list[Meaning]) -> None:
-        """Takes "leave it", maybe "and repeat this twice more": visits are separate ones anyway."""
-        reader, token = self.reader, self.reader.peek()
-        left = take_leaving(reader, self.memory)
-        if self.last is None or (left and left.groups != self.last.groups) or self.memory.left:
-            reader.refuse(REASONS["stay"], token)
-        if count := take_count(reader, negated=False) or take_repetition(reader):
-            visit_often(sequence[-1], self.last, count, token, reader)
-        else:
-            self.memory.left = token
-
     def _returned(self, clause: Clause, meaning: Meaning, sequence: list[Meaning]) -> None:
-        """What comes after "leave it": another visit, or something else, which is leaving too."""
-        left, self.memory.left = self.memory.left, None
+        """Make "…, and later visit it again" a second visit."""
         again = clause.things and self.last and clause.things.groups == self.last.groups
         anew = clause.again and clause.verb and meaning.follows and not clause.returns
         anew = anew and not clause.conditions
-        separate = left or anew  # "…, and later visit it again"
-        if not separate or clause.negated or not meaning.goals or not again or not sequence:
+        if not anew or clause.negated or not meaning.goals or not again or not sequence:
             return
         count = clause.count or Count(1)
         most = None if count.most is None else count.most + 1
@@ -362,11 +336,6 @@ class Discourse:
             sequence[-1], self.last, Count(count.least + 1, most), clause.token, self.reader
         )
         meaning.repeats = True
-
-    def _all_left(self, sequence: list[Meaning]) -> list[Meaning]:
-        if self.memory.left:
-            self.reader.refuse(REASONS["stay"], self.memory.left)
-        return sequence
 
     def _clause(self, joint: Token | None, sequence: list[Meaning]) -> tuple[Clause, Meaning]:
         """The next clause, and what it means after those before it."""
@@ -406,7 +375,7 @@ class Discourse:
         if clause.ends:
             self._ends(clause)
             then = then or bool(sequence) or asked
-        stays = clause.returns and then and not (self.memory.left or clause.negated)
+        stays = clause.returns and then and not clause.negated
         if stays and clause.things == self.last:
             self.reader.deny("that is where the robot is then; say where to", clause.token)
         return then
@@ -462,9 +431,6 @@ class Discourse:
         if meaning.each:
             self.each = (meaning.each, clause.token)
         self.strictly = clause.token if meaning.strictly else self.strictly
-        if meaning.goals and clause.things:
-            single = len(clause.things.groups) == 1
-            self.settled = single and (meaning.follows or not self.times)
         limited = clause.count is not None and clause.count.most is not None
         self.ordered = self.ordered or (bool(meaning.goals) and not limited)
         self.last = clause.things if meaning.goals else self.last
@@ -520,28 +486,16 @@ class Discourse:
         while token := reader.take(*JOINTS):
             if JOINTS.index(token.kind) >= JOINTS.index(joint.kind):
                 joint = token
-        if reader.sees("immediately") and reader.sees("then", ahead=1):
-            reader.at += 1
-            joint = reader.take(*THEN) or joint  # "…, and right after that go to b"
         last = reader.sees("filler", "addressed") or (self.clauses and reader.sees("any order"))
         if last and reader.sees("stop", "end", ahead=1):
             reader.at += 1  # "…, please.", "…, but the order is up to you."
             return None
-        if (
-            reader.sees("can", "must")
-            and reader.sees("you", ahead=1)
-            and (reader.sees("stop", "end", ahead=2))
-        ):
-            reader.at += 2  # "…, would you?"
-            return None
         if self.clauses and self._halts():
             return None
         if reader.at > begin:
-            if joint.kind == "comma" and reader.sees("stop", "end"):
-                return None
             if joint.kind == "comma" and _does_besides(reader):
                 reader.deny("on the way, or besides? say 'and then', or 'on the way'")
-            if not starts_clause(reader) and not starts_leaving(reader):
+            if not starts_clause(reader):
                 reader.refuse("expected a clause here")
             return joint
         if reader.sees("end", "stop", "or"):
@@ -549,7 +503,7 @@ class Discourse:
         verb = reader.peek().text.split()[0] if reader.sees("verb") else ""
         no_order = verb.endswith(("ing", "s")) and not verb.endswith("ss")  # "…, it goes to b"
         starts = starts_clause(reader) and self._begins_well() and not no_order
-        if not (starts_leaving(reader) or starts):
+        if not starts:
             if reader.sees("to") and reader.peek(-1).text in LEADING:
                 reader.deny("what leads there, or one after the other? say 'then to …'")
             reader.refuse("no word that is known here")

@@ -18,10 +18,9 @@ files of their own (`clauses`, `adjuncts`, `things`, `spoken`, `lexicon`). How a
   y. "x only after y" asks for x, and not before y;
 - "x while avoiding y" is: x, and no y before it;
 - what lies on the way ("x via y", "through y to x", "visit y on the way to x") is: y, then x; of
-  "through y and z" the order is asked, and of "from y" whether y is more than where it starts;
+  "through y and z" the order is asked; "from y" is refused, as a mission starts where the robot is;
 - "do not x until y" with nothing asked for beside it is asked about: y, or both, may be meant;
   a chain of them ("not c until b, not b until a") asks for a, then b, then c;
-- "and stay there" at the end is where a mission ends anyway;
 - goals without "then" between them may come in any order; a list with commas only that "then"
   ends ("a, b, then c") is in order;
 - "in order" is "then" between all; "in exactly this order" also bans each before the one before;
@@ -30,8 +29,6 @@ files of their own (`clauses`, `adjuncts`, `things`, `spoken`, `lexicon`). How a
 - "each place only once", "no revisiting", "none out of turn" are said of all that is asked for: in
   a sequence each is reached once until the next step, and not before its turn;
 - "go to a. drive to b." is in order, unless "then", "also" or "any order" is said somewhere;
-- "leave it" is what happens between separate visits, or on the way to something else; as the last
-  thing asked for it is refused.
 
 Staying, leaving, places in a house, relations between things, and times are refused before anything
 is parsed (`beyond`). Whatever fits none of this is refused by name, never skipped or guessed.

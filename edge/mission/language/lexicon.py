@@ -246,18 +246,7 @@ _ROWS: dict[str, str] = {
         no (revisiting|revisits|returning|going back|turning back|repeated visits|repetitions) (is
         allowed|are allowed|allowed|is permitted|are permitted|permitted)
     """,
-    "to the next": """
-        on the way to the next; on your way to the next; while heading to the next one; on the way
-        to the next one;
-        (while|when) (heading|going|moving|on your way) to the next
-    """,
     "repeat": "repeat; repeat this; repeat that; repeat it; do this; do that; do it",
-    "apart": """
-        while leaving in between; leaving in between; leaving each time; leaving in between
-        visits; each time you must leave before coming back; leave it in between; leave in between;
-        (while leaving|leaving) (it|its region|the region|the area|the room) (in between|each
-        time)
-    """,
     "again": """
         again; anymore; any more; any longer; a second time; another time; once again; once more
     """,

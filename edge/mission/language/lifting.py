@@ -21,23 +21,10 @@ LONGEST_NAME = 6  # words
 ARTICLES = frozenset(["the", "a", "an", "my", "our", "your", "his", "her", "its", "their"])
 _SINGLING = ARTICLES | {"this", "that", "each", "every", "any", "some", "another"}
 _PLACES = tuple(sorted(PHRASES["place"], key=len, reverse=True))
-_WAYS = ("path", "way", "route")
 _OF_NO_NAME = {"of", "between", "against"}
 _STORIES = {"floor", "floors", "story", "level", "room", "landmark", "door", "street", "building"}
 _AFTER_LETTER = {*AFTER_VERB, ",", ".", "and", "or", "then", "before", "after", "until"}
-_CUT_OFF = {
-    "don",
-    "doesn",
-    "didn",
-    "isn",
-    "aren",
-    "wasn",
-    "can",
-    "won",
-    "shouldn",
-    "mustn",
-    "couldn",
-}
+_CUT_OFF = nouns.listed("don doesn didn isn aren wasn can won shouldn mustn couldn")
 """What a contraction is before a `t` that lost its apostrophe."""
 _VERBS_TOO = """
     swing drop park dock point ring rest stick tap drill paint book fan bat saw scale tie train

@@ -86,8 +86,6 @@ class Meaning:
         if self.goals and other.goals:
             self.listed = self.listed and joint in ("", "comma")
             self.commas = joint == "comma"
-        elif other.goals:
-            self.listed = other.listed
         self.goals += other.goals
         self.things = Things(self.things.groups + other.things.groups)
         self.rules += other.rules
@@ -109,8 +107,6 @@ def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int]) -> Mean
         clause.count = Count(clause.count.least, clause.count.least)
     elif clause.only and clause.conditions:
         clause.conditions = [replace(condition, only=True) for condition in clause.conditions]
-    elif clause.only and clause.route and not clause.negated:
-        clause.only_way = True
     elif clause.only and not clause.count and not clause.negated:
         reader.deny("'only' needs a number or a condition; say what to avoid", clause.token)
     if clause.things is None:
@@ -217,8 +213,6 @@ def _forbidden_when(
         return rules
     if condition.going:
         reader.refuse("say 'after …' or 'on the way to …'", condition.token)
-    if condition.count and condition.things.names == things.names:
-        return [at_most([name], condition.count.least) for name in things.names]
     if clause.next_step:
         return [
             always(implies(any_of(group), weak_next(neg(ap(name)))))
@@ -262,8 +256,6 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
         )
         if most == 1:
             meaning.each = 1
-        elif most is not None:
-            meaning.limits += [(group, most, None) for group in things.groups]
         meaning.things = things
     elif clause.count:
         _counted(clause, things, clause.count, meaning, times)
@@ -315,6 +307,14 @@ def _steps_of(clause: Clause, things: Things) -> list[Things]:
     return steps_of
 
 
+_ENDS = ("end ", "ends ", "ending ", "finish")
+_RULES = ("make sure", "making sure", "ensur", "be sure", "see to it")
+_BEFORE = ("both", "first only", "in order")
+"""What "x before y" said as a rule may ask for: both, and no y before x; x, and no y before it; x,
+then y. As a plain order it asks for both: that implies the others and is driven like "x, then y".
+"""
+
+
 def _counted_until(
     clause: Clause, things: Things, count: Count, reader: Reader, times: Mapping[str, int]
 ) -> Meaning:
@@ -334,14 +334,6 @@ def _counted_until(
         for end in clause.conditions[0].things.groups
     ]
     return meaning
-
-
-_ENDS = ("end ", "ends ", "ending ", "finish")
-_RULES = ("make sure", "making sure", "ensur", "be sure", "see to it")
-_BEFORE = ("both", "first only", "in order")
-"""What "x before y" said as a rule may ask for: both, and no y before x; x, and no y before it; x,
-then y. As a plain order it asks for both: that implies the others and is driven like "x, then y".
-"""
 
 
 def _conditioned(
@@ -377,9 +369,7 @@ def _conditioned(
         way = "in order"  # "visit x, but visit y before that": y, then x
         if not condition.referred or clause.mood == "can":
             pick = 0
-            if clause.mood == "can":
-                pick = 1
-            elif _is_rule(clause, condition, reader):
+            if _is_rule(clause, condition, reader):
                 pick = reader.pick(condition.token, len(_BEFORE))
             way = _BEFORE[pick]
         if way != "in order":

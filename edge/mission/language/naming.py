@@ -47,10 +47,6 @@ def take_name(reader: Reader) -> str:
             reader.refuse("no thing that is known", start)
         return reader.tokens[_advance(reader)].text
     words = _words(reader, article)
-    if words and (head := _head_ahead(reader, words)):
-        return _canonical(reader, " ".join(token.text for token in (*words, *head)), words[0])
-    if start.kind == "number":
-        reader.deny("how many of a kind cannot be told; say 'the …'", start)
     if not words:
         reader.refuse("expected the name of a thing here", start)
     _check(reader, words)
@@ -63,10 +59,6 @@ def take_name(reader: Reader) -> str:
 def _words(reader: Reader, article: bool) -> list[Token]:
     """The run of words that a name consists of; after an article a verb may begin it."""
     words: list[Token] = []
-    if reader.peek().text in nouns.ORDINALS and reader.sees("word", "group", "and", "or", ahead=1):
-        words.append(reader.tokens[_advance(reader)])
-    if reader.sees("verb") and article:
-        words.append(reader.tokens[_advance(reader)])
     while reader.sees("word", "group") and not is_letter(reader.peek()):
         if reader.peek().text in AFTER_VERB or _says_number(reader):
             break
@@ -99,31 +91,6 @@ def _is_lettered(reader: Reader) -> bool:
     return reader.peek(-1).text in nouns.NUMBERED and not article
 
 
-def _head_ahead(reader: Reader, words: list[Token]) -> list[Token]:
-    """The noun that a quality shares with the next element: "the red or the blue room"."""
-    adjectives = nouns.QUALITIES | nouns.ORDINALS
-    if not all(token.text in adjectives for token in words):
-        return []
-    if nouns.is_noun(" ".join(token.text for token in words)):
-        return []
-    ahead, said = 0, {"comma"}
-    while reader.sees("comma", "and", "or", "to", "article", ahead=ahead) or (
-        ahead and reader.peek(ahead).text in adjectives
-    ):
-        said.add(reader.peek(ahead).kind)
-        ahead += 1
-    head: list[Token] = []
-    while ahead and reader.sees("word", "group", ahead=ahead):
-        head.append(reader.peek(ahead))
-        ahead += 1
-    texts = [token.text for token in head]
-    if not texts or nouns.unknown_in(texts) is not None:
-        return []
-    several = "article" in said or texts[-1] != names.singular(texts[-1])
-    # "a tall, white chair" and "the red and blue chair" are one chair
-    return head if "or" in said or ("and" in said and several) else []
-
-
 def _spelled(words: list[Token]) -> str:
     """The words of a name: "landmarks one" is "landmark one"."""
     texts = [token.text for token in words]
@@ -146,8 +113,6 @@ def is_indefinite(reader: Reader) -> bool:
 def _goes_on(reader: Reader) -> bool:
     """Whether `a` is an article: a longer word follows it, or a verb that is also a thing."""
     follower = reader.peek(1)
-    if follower.kind == "verb":
-        return nouns.is_noun(follower.text)
     return follower.kind == "quoted" or (
         follower.kind == "word" and len(follower.text) > 1 and follower.text not in AFTER_VERB
     )
@@ -155,8 +120,6 @@ def _goes_on(reader: Reader) -> bool:
 
 def _hardly_a_name(reader: Reader) -> bool:
     """Whether `a` more likely begins "a walk" than names a thing: no other letter names one."""
-    if reader.peek().text != "a":
-        return False
     if reader.peek(-1).text == "be":  # "be a dear"
         return True
     if not reader.sees("verb", "times", "immediately", ahead=1):
@@ -223,8 +186,6 @@ def next_numbered(reader: Reader, last: Sequence[Sequence[str]]) -> str:
 def _numbered_head(name: str) -> str:
     """`landmark` of "landmark one", `floor` of "first floor"; "" of others."""
     first, _, last = name.rpartition(" ")
-    if first in nouns.ORDINALS and last in names.STOREYS:
-        return last
     return first if names.number([last]) is not None else ""
 
 

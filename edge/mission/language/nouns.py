@@ -86,81 +86,21 @@ _PLAIN = """
     keep stray straying stick sticking protect defend forget miss spin wander bring spend hurry
 """
 
-_FOREIGN = frozenset(
-    [
-        "und",
-        "oder",
-        "der",
-        "das",
-        "dem",
-        "den",
-        "ein",
-        "eine",
-        "zum",
-        "zur",
-        "dann",
-        "nicht",
-        "geh",
-        "gehe",
-        "gehen",
-        "fahr",
-        "fahre",
-        "nach",
-        "bitte",
-        "danach",
-        "vermeide",
-        "besuche",
-        "erst",
-        "le",
-        "la",
-        "les",
-        "au",
-        "aux",
-        "du",
-        "et",
-        "puis",
-        "va",
-        "vas",
-        "allez",
-        "ne",
-        "pas",
-        "avant",
-        "ensuite",
-        "evite",
-        "el",
-        "los",
-        "las",
-        "y",
-        "luego",
-        "despues",
-        "ve",
-        "vaya",
-        "hacia",
-        "una",
-        "al",
-        "il",
-        "lo",
-        "gli",
-        "e",
-        "poi",
-        "vai",
-        "alla",
-        "naar",
-        "het",
-        "een",
-        "dan",
-        "ga",
-        "niet",
-    ]
-)
-"""Small words of other languages that no English sentence has."""
-
 
 def listed(text: str) -> frozenset[str]:
     """The entries of a text; "|" stands for a space within one."""
     return frozenset(entry.replace("|", " ") for entry in text.split())
 
 
+_FOREIGN = listed(
+    """
+    und oder der das dem den ein eine zum zur dann nicht geh gehe gehen fahr fahre nach bitte
+    danach vermeide besuche erst le la les au aux du et puis va vas allez ne pas avant ensuite
+    evite el los las y luego despues ve vaya hacia una al il lo gli e poi vai alla naar het een
+    dan ga niet
+    """
+)
+"""Small words of other languages that no English sentence has."""
 PEOPLE = listed(_PEOPLE) | {"person"}
 NOUNS = listed(_PLACES) | listed(_OBJECTS) | listed(_PEOPLE)
 QUALITIES = listed(_QUALITIES) | listed(_MATERIALS)

@@ -10,7 +10,7 @@ PASSING = ("through", "past", "along", "across", "via", "by", "over")
 """Particles that make a verb of motion one of passing: "walk past", "drive through"."""
 
 _PARTICIPLES = ("passing", "crossing", "traversing", "using", "taking")
-_RIDDEN = ("stairs", "staircase", "elevator", "lift", "escalator", "ladder", "ramp", "bridge")
+RIDDEN = ("stairs", "staircase", "elevator", "lift", "escalator", "ladder", "ramp", "bridge")
 _ANYWHERE = (
     "room", "area", "place", "space", "square", "door", "way", "path", "route", "zone", "region",
 )  # fmt: skip
@@ -35,8 +35,6 @@ def take_route(reader: Reader, memory: Memory, clause: Clause) -> bool:
     if (other := take_exception(reader, memory)) is not None:
         clause.avoiding.append(other)
         return True
-    if not starts_things(reader):
-        reader.refuse("expected the name of a thing here")
     if len(clause.things.groups) > 1:
         reader.refuse("on the way to which of them? say it in two sentences", token)
     pass_by(reader, clause, take_things(reader, memory), token)
@@ -59,19 +57,13 @@ def _way_length(reader: Reader, begin: int = 0) -> tuple[int, bool]:
     """Tokens that introduce what is passed, 0 when none do; whether "only" is among them."""
     ahead = begin + (1 if reader.sees("comma", ahead=begin) else 0)
     aside = ahead > begin
-    if reader.sees("but", ahead=ahead) and reader.sees("only", ahead=ahead + 1):
-        ahead += 1
     only = reader.sees("only", ahead=ahead)
     ahead += only
     token, follower = reader.peek(ahead), reader.peek(ahead + 1)
     if token.kind == "via" or (token.text in PASSING[:4] and (only or not aside)):
         return ahead + 1, only
-    if token.text == "by" and (follower.text in _RIDDEN or reader.peek(ahead + 2).text in _RIDDEN):
+    if token.text == "by" and (follower.text in RIDDEN or reader.peek(ahead + 2).text in RIDDEN):
         return ahead + 1, only
-    if token.text == "stopping by" and not aside:
-        return ahead + 1, only
-    if token.text == "stopping" and follower.text in ("at", "in") and not aside:
-        return ahead + 2, only
     if token.text in _PARTICIPLES:
         return ahead + (2 if follower.text in PASSING else 1), only
     passes = follower.text in PASSING[:4] or follower.kind == "via"
@@ -82,8 +74,6 @@ def _way_length(reader: Reader, begin: int = 0) -> tuple[int, bool]:
 
 def pass_by(reader: Reader, clause: Clause, passed: Things, token: Token) -> None:
     """Puts what is passed before the clause's goal; of several "and" leaves the order open."""
-    if clause.count:
-        reader.deny("so often, the way as well? say it in two sentences", token)
     several = len(passed.groups) > 1 and not passed.listed and not clause.order
     clause.several_ways = len(passed.groups) > 1
     if several and reader.pick(token, 2) == 1:
@@ -94,12 +84,9 @@ def pass_by(reader: Reader, clause: Clause, passed: Things, token: Token) -> Non
 
 def bound_ahead(reader: Reader, clause: Clause) -> bool:
     """Whether where one is bound for comes here: "on the way to x", "to reach x"."""
-    if reader.peek().text in ("when", "while"):
-        if reader.sees("verb", ahead=1):
-            return clause.negated and reader.peek(1).text.endswith("ing")
-        if reader.peek(1).text == "you":  # "pass a when you go to b"
-            goes = reader.peek(2).text in _SETS_OUT and reader.sees("to", ahead=3)
-            return goes and (clause.negated or clause.mood != "must")
+    if reader.peek().text in ("when", "while") and reader.peek(1).text == "you":
+        goes = reader.peek(2).text in _SETS_OUT and reader.sees("to", ahead=3)
+        return goes and (clause.negated or clause.mood != "must")  # "pass a when you go to b"
     return reader.sees("bound") or (reader.sees("to") and reader.sees("verb", ahead=1))
 
 
@@ -110,8 +97,6 @@ def take_bound(reader: Reader, memory: Memory, clause: Clause) -> None:
     reader.skip("you")
     while reader.take("verb"):
         skip_particles(reader, clause)
-    if not starts_things(reader):
-        reader.refuse("expected the name of a thing here")
     clause.bound_by = token
     lead(reader, memory, clause, take_things(reader, memory), token)
 
@@ -128,19 +113,9 @@ def lead(reader: Reader, memory: Memory, clause: Clause, bound: Things, token: T
     else:
         clause.avoiding.append(clause.things)
         clause.things, clause.negated, clause.elsewhere = bound, False, False
-        clause.around, clause.mood = False, "do"  # where one goes is no permission
+        clause.mood = "do"  # where one goes is no permission
     memory.named = clause.things
     memory.ask(clause.things)
-
-
-def take_origin(reader: Reader, memory: Memory, clause: Clause) -> None:
-    """`from a`: where the robot is now, or a first stop."""
-    token = reader.peek()
-    reader.at += 1
-    start = take_things(reader, memory)
-    clause.origin = True
-    if reader.pick(token, 2) == 1:
-        clause.route[:0] = [start]
 
 
 def take_exception(reader: Reader, memory: Memory) -> Things | None:
@@ -169,11 +144,7 @@ def take_exception(reader: Reader, memory: Memory) -> Things | None:
             ahead += 2
         elif token.text == "except":
             ahead += 2 if follower.text == "for" else 1
-        elif token.kind == "but" and several:
-            ahead += 1
         else:
             return None
-    if not starts_things(reader, ahead):
-        return None
     reader.at += ahead
     return take_things(reader, memory, banned=True)

@@ -18,7 +18,6 @@ from edge.mission.language.goals import (
     last_letters,
     letters,
     never,
-    never_after,
     steps,
     visits,
 )
@@ -126,14 +125,6 @@ def without_last(goal: Goal, meaning: Meaning) -> Goal:
     parts = inner.goals if isinstance(inner, Every) else ()
     rest = tuple(part for part in parts if not letters(part) <= said)
     return Every(rest, (*held, *inner.rules)) if isinstance(inner, Every) and rest else goal
-
-
-def put_in_order(said: Token, sequence: list[Meaning], reader: Reader) -> None:
-    """`visit a, open b, clean c in this order`: an order said of clauses, not of a list."""
-    if sum(len(step.goals) for step in sequence) < 2:
-        reader.refuse("an order goes with a list: 'visit a, then b'", said)
-    for step in sequence:
-        step.goals = [steps(step.goals)] if step.goals else []
 
 
 def split_return(meaning: Meaning, sequence: list[Meaning]) -> None:
@@ -258,8 +249,6 @@ def _banned(meaning: Meaning, before: Sequence[Meaning], after: Sequence[Meaning
                 rules += [at_most_before([name], visited[name], end) for end in own.groups]
             elif name in asked and own.groups:
                 rules += held_until([name], own)
-            elif meaning.follows and not meaning.goals and before:
-                rules += never_after([name], before[-1].things)
             else:
                 rules += never([name])
     return rules

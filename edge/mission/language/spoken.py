@@ -88,8 +88,6 @@ def take_quota(reader: Reader, memory: Memory, clause: Clause) -> None:
         reader.at += 1
     marked = take_count(reader, negated=False)
     number = reader.take("number") if marked is None else None
-    if marked is None and number is None:
-        reader.refuse("expected a number here")
     if marked is not None and marked.most not in (None, marked.least):
         reader.refuse("say how often in one number", token)
     n = marked.least if marked else NUMBERS.get(number.text if number else "", MAX_VISITS + 1)
@@ -102,8 +100,6 @@ def take_quota(reader: Reader, memory: Memory, clause: Clause) -> None:
 
 def _joins(reader: Reader) -> bool:
     """Whether "once" here means "as soon as"."""
-    if reader.sees("all of", ahead=1) and reader.sees("comma", "stop", "end", ahead=2):
-        return False  # "once each"
     return reader.sees("you", "article", "word", "quoted", "pronoun", "all of", "either", ahead=1)
 
 
@@ -217,15 +213,12 @@ class Clause:
         route: what is reached before the things, one after the other.
         several_ways: the route took "a and b" at once.
         only_way: nothing but the route leads there.
-        origin: it says where it starts.
         enroute: said to be "on the way" to what was asked for before.
-        around: "around" the things, which goes only with something beyond them.
         always: where that was said.
         ends: said to come in the end.
         elsewhere: it names what is left out ("any room but a"), so something else is to be reached.
         each: how often at most each place that is asked for may be visited ("no revisiting").
         out_of_turn: said of a ban: it forbids another order than the one asked for.
-        leaves: where it was said to leave the things between two visits.
         subject: it says who is to do it ("you must …").
         foretold: it says what "will" or "can not" be.
         agent: by what name the robot was called in it ("the drone").
@@ -262,15 +255,12 @@ class Clause:
     route: list[Things] = field(default_factory=list)
     several_ways: bool = False
     only_way: bool = False
-    origin: bool = False
     enroute: bool = False
-    around: bool = False
     elsewhere: bool = False
     always: Token | None = None
     ends: bool = False
     each: int | None = None
     out_of_turn: bool = False
-    leaves: Token | None = None
     done: bool = False
     leads: bool = False
     subject: bool = False
@@ -298,10 +288,6 @@ def _refuse_scope(reader: Reader, said: Token) -> None:
 
 def _tells(reader: Reader, who: str) -> bool:
     """Whether "I go to a", "we never use a" comes; "we have to go to a" is an order."""
-    if who == "we":
-        return reader.sees("not", ahead=1) or (
-            reader.sees("do", ahead=1) and reader.sees("not", ahead=2)
-        )
     return reader.sees("verb", "must", "can", "not", "do", "be", "filler", ahead=1)
 
 
@@ -330,8 +316,6 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
         answers = reader.sees("comma", "article", ahead=1) or reader.peek(1).text in _THANKS
         if token.text == "no" and answers:
             reader.deny("say again all that is to be done", token)  # "…, no, the bed"
-        if token.kind == "needless":
-            reader.deny(_NOT_NEEDED, token)
         if token.kind == "you" and token.text in ("i", "we") and _tells(reader, token.text):
             reader.deny("what others do is no order", token)
         if token.text == "did" and reader.sees("not", ahead=1):
@@ -357,8 +341,6 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
             clause.trails = True  # "you must then visit it"
             reader.at += 1
             continue
-        if token.kind == "only" and reader.sees(*CONDITIONS, ahead=1):
-            return seen
         if token.kind == "banned":
             clause.negated = not clause.negated
             reader.at += 1
@@ -417,9 +399,6 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
         elif token.kind in ("to", "filler") or (
             token.kind == "and" and reader.sees("verb", ahead=1) and clause.verb == "go"
         ):
-            reader.at += 1
-        elif token.kind == "again":
-            clause.again = True
             reader.at += 1
         else:
             return

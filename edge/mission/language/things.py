@@ -63,7 +63,6 @@ class Memory:
         every: all that was asked for so far, in the order said.
         mentioned: all that was named so far, whatever for.
         several: what was named in the plural, and where.
-        left: where it was said to leave the last one.
     """
 
     named: Things | None = None
@@ -72,7 +71,6 @@ class Memory:
     every: tuple[tuple[str, ...], ...] = ()
     mentioned: dict[str, None] = field(default_factory=dict)
     several: dict[str, Token] = field(default_factory=dict)
-    left: Token | None = None
 
     def ask(self, things: Things) -> None:
         """Something is asked for."""
@@ -89,8 +87,6 @@ def starts_things(reader: Reader, ahead: int = 0) -> bool:
     token = reader.peek(ahead)
     if token.kind in ("number", "article") and reader.sees("group", ahead=ahead + 1):
         return True
-    if token.text in nouns.ORDINALS and token.kind != "word":
-        return reader.sees("article", ahead=ahead - 1) and reader.at + ahead > 0
     return token.kind in _ELEMENT and not (token.kind == "word" and token.text in AFTER_VERB)
 
 
@@ -159,45 +155,9 @@ def take_things(
     if joints == {"or"}:
         return Things((tuple(dict.fromkeys(name for group in groups for name in group)),))
     if len(joints) > 1:
-        return Things(_mixed(reader, elements, between))
+        fork = next(token for token in between if token.kind == "or")
+        reader.deny("it mixes 'and' with 'or'; say it in two sentences", fork)
     return Things(tuple(groups), listed=len(groups) > 1 and not joints)
-
-
-_Groups = tuple[tuple[str, ...], ...]
-_MAX_MIXED = 8
-
-
-def _mixed(reader: Reader, elements: list[_Groups], between: list[Token]) -> _Groups:
-    """`a and b or c`: either `a, and one of b and c`, or `both a and b, or c`."""
-    fork = next(token for token in between if token.kind == "or")
-    if len(elements) > _MAX_MIXED:
-        reader.refuse("it mixes 'and' with 'or': say 'either … or …' for the choice", fork)
-    kinds = [token.kind for token in between]
-    for i in reversed(range(len(kinds) - 1)):
-        kinds[i] = kinds[i] if kinds[i] in ("and", "or") else kinds[i + 1]
-    if reader.pick(fork, 2) == 0:
-        runs = _split(elements, kinds, "and")
-        return tuple(group for run in runs for group in _one_of(run))
-    runs = _split(elements, kinds, "or")
-    return _one_of([tuple(group for element in run for group in element) for run in runs])
-
-
-def _split(elements: list[_Groups], kinds: list[str], at: str) -> list[list[_Groups]]:
-    """The elements in runs that this joint divides."""
-    runs = [[elements[0]]]
-    for kind, element in zip(kinds, elements[1:], strict=True):
-        if kind == at:
-            runs.append([])
-        runs[-1].append(element)
-    return runs
-
-
-def _one_of(options: Sequence[_Groups]) -> _Groups:
-    """All groups of one of the options, as groups: `(a and b) or c` is `a or c, and b or c`."""
-    return tuple(
-        tuple(dict.fromkeys(name for group in chosen for name in group))
-        for chosen in itertools.product(*options)
-    )
 
 
 def _joint_length(reader: Reader) -> int | None:
@@ -325,8 +285,6 @@ def _element(reader: Reader, memory: Memory) -> tuple[tuple[str, ...], ...]:
 def _is_singled(reader: Reader) -> bool:
     """Whether a number names one of a kind here: "landmark two", "the second room"."""
     ahead = 1 if reader.sees("article") else 0
-    if reader.peek(ahead).text in nouns.ORDINALS:
-        return reader.sees("group", "word", ahead=ahead + 1)
     return reader.sees("group", ahead=ahead) and is_number(reader, ahead + 1)
 
 

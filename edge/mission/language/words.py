@@ -23,6 +23,7 @@ REASONS = {
     "going on": "say where to go, or until what is reached",
     "stay": "only reaching things can be asked for, not staying or leaving",
     "stray": "leave it out",
+    "origin": "a mission starts where the robot is; say 'first go to …'",
     "needless": "what need not or may be done asks for nothing; leave it out",
     "picture": "only reaching things can be asked for; say 'photograph the …'",
     "mark": "this character has no place in an instruction",
