@@ -56,7 +56,7 @@ def put_model(content=DATA, sidecar_of=DATA):
 
 def test_no_cards(place):
     assert cards.all_cards() == []
-    assert listing.as_table() == "no model cards"
+    assert listing.as_table(cards.all_cards()) == "no model cards"
     with pytest.raises(cards.ModelError, match=r"'tiny': no such card \(choices: none\)"):
         cards.load_card("tiny")
 
@@ -286,7 +286,7 @@ def test_own_cards_lie_in_the_cache_and_those_of_the_package_come_first(place, t
     assert [card.family for card in cards.all_cards()] == ["yolo-world", "yolo-world"]
     assert cards.card_path("mine").parent == resources.models_dir()
     assert cards.card_path("tiny").parent == tmp_path / "cards"
-    assert "mine " in listing.as_table()
+    assert "mine " in listing.as_table(cards.all_cards())
 
 
 @pytest.mark.parametrize("function", ["listdir", "stat"])
@@ -324,15 +324,15 @@ def test_list_shows_what_is_there(place):
         "score_error": 0.1,
     }  # fmt: skip
     place(parity=parity)
-    assert "missing" in listing.as_table()
+    assert "missing" in listing.as_table(cards.all_cards())
     put_model()
-    table = listing.as_table()
+    table = listing.as_table(cards.all_cards())
     assert "recall 0.970" in table
     assert "missing" not in table
     place()
-    assert "recall" not in listing.as_table()
+    assert "recall" not in listing.as_table(cards.all_cards())
     sidecar(cards.load_card("tiny")).write_text(json.dumps({"sha256": "0", "parity": parity}))
-    assert "recall 0.970" in listing.as_table()  # what the export measured
+    assert "recall 0.970" in listing.as_table(cards.all_cards())  # what the export measured
 
 
 def test_the_cards_of_this_repository_are_valid(monkeypatch, tmp_path):
