@@ -18,7 +18,8 @@ from edge.loop.ladder import Ladder, Move, Second
 from edge.loop.scorers import Scorers
 from edge.loop.status import detector_health
 from edge.perception.runtime.cards import ModelError, how_to_get, load_detector_card
-from edge.perception.swap.swapper import OVER, SwapError, Swapper
+from edge.perception.swap.base import OVER, SwapError
+from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
 
 SECOND_NS = 1_000_000_000
@@ -48,7 +49,7 @@ class Governor:
         self,
         perception: Perception,
         worker: DetectorWorker,
-        swapper: Swapper,
+        swapper: DetectorSwap,
         scorers: Scorers | None,
         tell: Callable[[str, int], None],
         board: Callable[[], Board] = read_board,

@@ -18,7 +18,8 @@ from edge.host.interruptible import start_unjoined
 from edge.loop.service import Service
 from edge.loop.warmup import warm_policy
 from edge.perception.scoring.similarity import is_running_detector, similarity_card
-from edge.perception.swap.swapper import OVER, Swapper
+from edge.perception.swap.base import OVER
+from edge.perception.swap.detector import DetectorSwap
 from edge.policies import make_policy
 from edge.policies.base import Policy
 from edge.text import one_line
@@ -201,7 +202,7 @@ def _prepare(present: Config, new: Config, running: str) -> _Ready:
     return _Ready(new, changed, policy, running, model)
 
 
-def _check_at_rest(swapper: Swapper, running: str) -> None:
+def _check_at_rest(swapper: DetectorSwap, running: str) -> None:
     """Refuse a change of the detector that was made ready while another model came, or comes."""
     swap = swapper.status()
     if swap["state"] not in ("idle", *OVER):

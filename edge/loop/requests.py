@@ -15,7 +15,8 @@ from edge.loop.status import answer_of
 from edge.mission.brief import Brief
 from edge.perception.runtime.card_types import DetectCard, DirectionsCard
 from edge.perception.runtime.cards import load_card, load_detector_card
-from edge.perception.swap.swapper import SwapError, Swapper
+from edge.perception.swap.base import SwapError
+from edge.perception.swap.detector import DetectorSwap
 from edge.text import bounded_repr, one_line
 
 if TYPE_CHECKING:
@@ -210,7 +211,7 @@ swapped in, before the loop hears of it."""
 
 
 def handle_model(
-    swapper: Swapper, request: Request, now_ns: int, scorers: Scorers | None = None
+    swapper: DetectorSwap, request: Request, now_ns: int, scorers: Scorers | None = None
 ) -> dict:
     """Answer how the newest swap stands, once it has begun if that is asked for.
 
@@ -238,5 +239,5 @@ def handle_model(
         return swapper.status()
     newest = swap if scorers.newest_swap else swapper
     # One count for both: whoever follows a swap sees that another has begun.
-    number = int(swapper.status()["number"]) + swap.number
+    number = sum(int(one.status()["number"]) for one in (swapper, swap))
     return {**newest.status(), "number": number, "paused": scorers.paused}

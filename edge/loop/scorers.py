@@ -299,10 +299,10 @@ class Scorers:
 
     def close(self) -> None:
         """Give up every question; waits for no server."""
-        if self.swap is not None:
-            self.swap.close()
         for worker in self._workers:
             worker.close()
+        if self.swap is not None:
+            self.swap.close()
 
 
 def _places_m(pose: SE2, marks: Sequence[Mark]) -> np.ndarray:

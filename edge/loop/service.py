@@ -38,7 +38,7 @@ from edge.loop.status import HealthWatch
 from edge.mission.brief import Brief, task_of
 from edge.mission.run import MissionRun
 from edge.mission.surveyor import make_surveyor
-from edge.perception.swap.swapper import Swapper
+from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
 from edge.policies.base import Answers, Context, Policy, scores_of
 from edge.types import Detections, Goal, GoalStatus, MissionStatus, Observation, Step
@@ -127,7 +127,7 @@ class Service:
         self.stage = INGEST
         self._worker = journal.beside(DETECTOR, worker)
         self.scorers = scorers
-        self.swapper = Swapper(config.perception, worker, self.event)
+        self.swapper = DetectorSwap(config.perception, worker, self.event)
         self.governor: Governor | None = None
         if config.perception.governor.ladder and not config.loop.lockstep:
             self.governor = Governor(config.perception, worker, self.swapper, scorers, self.event)

@@ -15,7 +15,7 @@ from edge.loop.result import MissionFacts, Sink, TickResult
 from edge.loop.scorers import Scorers
 from edge.loop.source import InputRow, inputs_status
 from edge.perception.runtime.health import Health
-from edge.perception.swap.swapper import Swapper
+from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
 from edge.tasks.facts import TaskFacts, lengths_m, thinned
 from edge.text import one_line, some_lines
@@ -84,7 +84,7 @@ class HealthWatch:
     def __init__(
         self,
         worker: DetectorWorker,
-        swapper: Swapper,
+        swapper: DetectorSwap,
         scorers: Scorers | None,
         checkpoint: ServiceCheckpoint | None,
         faults: Faults,

@@ -1,6 +1,6 @@
 """`edge models use`: have the running service put another model in the place of its present one.
 
-The service does it (`edge.perception.swap.swapper`); here it is asked for, and followed to its end.
+The service does it (`edge.perception.swap`); here it is asked for, and followed to its end.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from edge.errors import UserError
 from edge.host.worker import Worker
@@ -17,11 +17,75 @@ log = logging.getLogger(__name__)
 
 PAUSE_S = 1.0
 
-Watch = Callable[[Detector, Observation, "Detections | Exception"], None]
-"""Called with every image that a detector was run on, held meanwhile, and with what came of it."""
+
+class Closable(Protocol):
+    """A model that a worker runs.
+
+    Attributes:
+        name: what it is, for people.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    def close(self) -> None: ...
 
 
-class DetectorWorker(Worker[Observation, Detections]):
+Model = TypeVar("Model", bound=Closable)
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
+    """Runs a model that another one may take the place of.
+
+    Args:
+        model: runs on the next item.
+        what, work, more: see `Worker`; `work` runs the model that it gets from `_use`.
+
+    Attributes:
+        model: runs on the next item.
+        watch: called with the model, the item and what came of it (a result, None or an
+            exception), on the worker's thread; what it raises is only logged.
+    """
+
+    def __init__(
+        self, what: str, work: Callable[[Item], Result | None], model: Model, **more: Any
+    ) -> None:
+        self.model = model
+        self.watch: Callable[[Model, Item, Any], object] | None = None
+        self._using: Model | None = None
+        self._hand = threading.Lock()
+        super().__init__(what, work, **more)
+
+    def exchange(self, model: Model) -> Model:
+        """Have another model run on the next item; return the one before, still open."""
+        with self._hand:
+            before, self.model = self.model, model
+        return before
+
+    def uses(self, model: Model) -> bool:
+        """Whether it may be running now, or will be: such a one must not be closed yet."""
+        with self._hand:
+            return model is self.model or model is self._using
+
+    def _use(self) -> Model:
+        """Return the model to run on the item at hand, until `_used` is called."""
+        with self._hand:
+            self._using = self.model
+        return self._using
+
+    def _used(self, item: Item, outcome: object) -> None:
+        """Tell `watch` what came of the item."""
+        model, self._using = self._using, None
+        if (watch := self.watch) is not None:
+            try:
+                watch(model, item, outcome)
+            except Exception:
+                log.exception("watching %s failed", model.name)
+
+
+class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
     """Runs a detector, and a segmenter on what it finds; lets another detector take its place.
 
     Observations are held (`Observation.hold`) while they wait and while they are detected in.
@@ -32,9 +96,7 @@ class DetectorWorker(Worker[Observation, Detections]):
         masker: makes masks; None: there are none.
 
     Attributes:
-        detector: runs on the next image.
         spare: the one before, kept until the present one has proved itself; None otherwise.
-        watch: told of every image, on the thread that detects; what it raises is only logged.
     """
 
     def __init__(
@@ -43,15 +105,17 @@ class DetectorWorker(Worker[Observation, Detections]):
         inline: bool = False,
         masker: Masker | None = None,
     ) -> None:
-        self.detector, self.masker = detector, masker
+        self.masker = masker
         self.spare: Detector | None = None
-        self.watch: Watch | None = None
-        self._using: Detector | None = None
-        self._hand = threading.Lock()
         super().__init__(
-            "detector", self._detect, inline=inline, drop=Observation.release,
+            "detector", self._detect, detector, inline=inline, drop=Observation.release,
             drop_result=lambda unread: unread.observation.release(),
         )  # fmt: skip
+
+    @property
+    def detector(self) -> Detector:
+        """Runs on the next image."""
+        return self.model
 
     def submit(self, observation: Observation) -> None:
         """Detect in this next. Never blocks, unless inline.
@@ -68,17 +132,6 @@ class DetectorWorker(Worker[Observation, Detections]):
         self.detector.close()
         if self.masker is not None:
             self.masker.close()
-
-    def exchange(self, detector: Detector) -> Detector:
-        """Have another detector run on the next image; the one before, still open."""
-        with self._hand:
-            before, self.detector = self.detector, detector
-        return before
-
-    def uses(self, detector: Detector) -> bool:
-        """Whether it may be detecting now: such a one must not be closed yet."""
-        with self._hand:
-            return detector is self.detector or detector is self._using
 
     def set_prompts(self, prompts: Sequence[str]) -> None:
         """Look for something else from the next image on; see `Detector.set_prompts`.
@@ -107,20 +160,14 @@ class DetectorWorker(Worker[Observation, Detections]):
             raise
 
     def _detect(self, observation: Observation) -> Detections:
-        """What the detector finds, after `watch` was told; a failure lets the observation go."""
-        with self._hand:
-            detector = self._using = self.detector
+        """What the detector finds; a failure lets the observation go."""
+        detector = self._use()
         outcome: Detections | Exception
         try:
             outcome = detector.detect(observation)
         except Exception as error:
             outcome = error
-        if (watch := self.watch) is not None:
-            try:
-                watch(detector, observation, outcome)
-            except Exception:
-                log.exception("whoever watches the detector failed")
-        self._using = None
+        self._used(observation, outcome)
         if isinstance(outcome, Exception):
             observation.release()
             raise outcome
@@ -130,11 +177,6 @@ class DetectorWorker(Worker[Observation, Detections]):
         """See `Worker`; excused is a detector that itself says that it is not `ok`."""
         self._what = f"detector {self.detector.name}"
         super()._failed(error, excused=self.detector.health().state != "ok")
-
-
-ScorerWatch = Callable[["Scorer", "Question", object], None]
-"""Called with every question that a scorer was put, and with the answer, or the exception that came
-of it."""
 
 
 class Question(Protocol):
@@ -170,16 +212,13 @@ class Scorer(Protocol[Q, A]):
         ...
 
 
-class ScorerWorker(Worker[Q, A]):
+class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
     """Puts questions to a scorer, one at a time, and leaves it alone for a while after a failure:
     a server that refuses at once must not be asked at the loop's rate.
 
     Args:
         kind: what the scorer is for, in messages.
         inline, rest_s, pause_s: see `Worker`.
-
-    Attributes:
-        watch: told of every answer, on the thread that asks.
     """
 
     def __init__(
@@ -190,29 +229,15 @@ class ScorerWorker(Worker[Q, A]):
         inline: bool = False,
         pause_s: float = PAUSE_S,
     ) -> None:
-        self._scorer, self._using = scorer, None
-        self.watch: ScorerWatch | None = None
-        self._hand = threading.Lock()
         super().__init__(
-            kind, self._put, inline=inline, rest_s=rest_s, pause_s=pause_s,
+            kind, self._put, scorer, inline=inline, rest_s=rest_s, pause_s=pause_s,
             drop=lambda question: question.observation.release(),
         )  # fmt: skip
 
     @property
     def name(self) -> str:
         """Of the scorer that is asked next."""
-        return self._scorer.name
-
-    def exchange(self, scorer: Scorer[Q, A]) -> Scorer[Q, A]:
-        """Ask another scorer from the next question on; the one before, still open."""
-        with self._hand:
-            before, self._scorer = self._scorer, scorer
-        return before
-
-    def uses(self, scorer: Scorer[Q, A]) -> bool:
-        """Whether it is asked now, or will be: such a one must not be closed yet."""
-        with self._hand:
-            return scorer is self._scorer or scorer is self._using
+        return self.model.name
 
     def submit(self, question: Q) -> None:
         """Answer this, unless another is being answered, or rested from."""
@@ -223,7 +248,7 @@ class ScorerWorker(Worker[Q, A]):
     def close(self) -> None:
         """Give up what is being answered."""
         self.stop()
-        self._scorer.close()
+        self.model.close()
         super().close()
 
     def counts(self) -> dict[str, object]:
@@ -236,24 +261,20 @@ class ScorerWorker(Worker[Q, A]):
         }  # fmt: skip
 
     def _put(self, question: Q) -> A | None:
-        with self._hand:
-            scorer = self._using = self._scorer
-        answer: A | None = None
-        outcome: object = None
+        scorer = self._use()
+        outcome: A | Exception | None = None
         try:
             try:
                 looked = scorer.look(question)
             finally:
                 question.observation.release()
-            outcome = answer = scorer.answer(looked)
+            outcome = scorer.answer(looked)
         except Exception as error:
             outcome = error
             raise
         finally:
-            self._using = None
-            if (watch := self.watch) is not None:
-                watch(scorer, question, outcome)
-        return answer
+            self._used(question, outcome)
+        return outcome
 
     def _failed(self, error: Exception, excused: bool = False) -> None:
         """See `Worker`; what is given up has not failed."""

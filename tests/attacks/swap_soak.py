@@ -14,7 +14,8 @@ from live_patience import eventually
 from edge.config import parse
 from edge.geometry import CameraModel
 from edge.perception.factory import make_detector
-from edge.perception.swap.swapper import OVER, Swapper
+from edge.perception.swap.base import OVER
+from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
 from edge.types import Observation
 
@@ -29,7 +30,7 @@ def swap(isolation: str, swaps: int, names: tuple[str, str]) -> dict:
         },
     }).perception  # fmt: skip
     worker, told = DetectorWorker(make_detector(perception, ["chair"])), []
-    swapper = Swapper(perception, worker, lambda text, *_: told.append(text))
+    swapper = DetectorSwap(perception, worker, lambda text, *_: told.append(text))
     rgb = np.random.default_rng(0).integers(0, 255, (256, 320, 3), np.uint8)
     camera, seq = CameraModel.from_hfov(320, 256, 1.3), 0
 

@@ -17,7 +17,8 @@ from edge.geometry import CameraModel
 from edge.host.children import python_module
 from edge.host.processes import descendants
 from edge.perception.factory import make_detector
-from edge.perception.swap.swapper import OVER, Swapper
+from edge.perception.swap.base import OVER
+from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
 from edge.types import Observation
 
@@ -97,7 +98,7 @@ def test_it_is_not_swapped_in_and_the_next_one_is(put, tmp_path, how):
         },
     }).perception  # fmt: skip
     worker, told = DetectorWorker(make_detector(perception, ["chair"])), []
-    swapper = Swapper(perception, worker, lambda text, *_: told.append(text))
+    swapper = DetectorSwap(perception, worker, lambda text, *_: told.append(text))
     rgb, seq = np.full((64, 64, 3), 200, np.uint8), 0
     camera = CameraModel.from_hfov(64, 64, 1.3)
 

@@ -19,8 +19,8 @@ from edge.loop.governor import Governor
 from edge.loop.status import status_of
 from edge.perception.runtime.cards import ModelError
 from edge.perception.runtime.health import Health
-from edge.perception.swap import swapper
-from edge.perception.swap.swapper import Swapper
+from edge.perception.swap import detector as swapped
+from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
 from edge.types import Detections, Observation
 
@@ -70,7 +70,7 @@ class Bench:
         self.models = {"large": Fake("large", 20.0), "small": Fake("small", 10.0)}
         self.worker = DetectorWorker(self.models["large"], inline=True)
         self.scorers = SimpleNamespace(resting=frozenset())
-        self.swapper = Swapper(config.perception, self.worker, lambda *_: None, self._make)
+        self.swapper = DetectorSwap(config.perception, self.worker, lambda *_: None, self._make)
         self.governor = Governor(
             config.perception, self.worker, self.swapper, self.scorers,
             lambda text, now_ns: self.said.append(text), self._read,
@@ -132,7 +132,7 @@ class Bench:
 def bench(monkeypatch):
     monkeypatch.setattr(module, "_check_here", lambda name: None)
     monkeypatch.setattr(module, "BOARD_S", 0.01)
-    monkeypatch.setattr(swapper, "IMAGES", 1)
+    monkeypatch.setattr(swapped, "IMAGES", 1)
     for name, seconds in {"OVER_S": 2.0, "DWELL_S": 5.0, "ROOM_S": 10.0}.items():
         monkeypatch.setattr(ladder, name, seconds)
     opened = []

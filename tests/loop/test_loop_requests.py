@@ -12,7 +12,8 @@ from simulated import simulated
 from edge.bus.verbs import MAX_CHARS, Request, read_request
 from edge.loop.requests import MODEL_VERBS, handle_model, mission_verbs
 from edge.perception.detection.sim import SimDetector
-from edge.perception.swap.swapper import SwapError, Swapper
+from edge.perception.swap.base import SwapError
+from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
 
 MISSION = mission_verbs(lambda **texts: texts)
@@ -122,7 +123,7 @@ def test_a_deep_nest_is_a_value_error(depth):
 def test_a_request_about_the_model_is_answered_with_how_the_swap_stands():
     perception = simulated().perception
     worker = DetectorWorker(SimDetector(perception.detector, ["chair"]), inline=True)
-    swapper = Swapper(perception, worker, lambda *_: None)
+    swapper = DetectorSwap(perception, worker, lambda *_: None)
 
     def use(model: str) -> dict:
         return handle_model(swapper, Request("use", {"model": model, "force": False}), 0)

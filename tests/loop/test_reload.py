@@ -16,7 +16,7 @@ from simulated import simulated
 from edge.config import Config, ConfigError, Section, load, parse
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.reload import LIVE, Reloader
-from edge.perception.swap import swapper
+from edge.perception.swap import detector as swapped
 
 BASE = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2},
         "mission": {"target": "bed"}}  # fmt: skip
@@ -169,8 +169,8 @@ def test_a_new_detector_is_tried_first_and_the_rest_is_switched_with_it(bench, m
         asked.append(words)
         said["state"] = "loading"
 
-    monkeypatch.setattr(swapper.Swapper, "status", lambda self: said)
-    monkeypatch.setattr(swapper.Swapper, "request", request)
+    monkeypatch.setattr(swapped.DetectorSwap, "status", lambda self: said)
+    monkeypatch.setattr(swapped.DetectorSwap, "request", request)
     new = config(perception={"detector": {"kind": "onnx", "model": "new"}, "tau_det": 0.4})
     bench.reads = lambda: new
     bench.asked.set()
@@ -200,8 +200,8 @@ def test_while_another_model_comes_all_may_change_but_the_detector(
 ):
     """What is at work now may be rolled back, or was not when the reload was made ready."""
     names = chain(at_work, repeat(at_work[-1]))
-    monkeypatch.setattr(swapper.Swapper, "status", lambda self: swap)
-    monkeypatch.setattr(swapper.Swapper, "running", property(lambda self: next(names)))
+    monkeypatch.setattr(swapped.DetectorSwap, "status", lambda self: swap)
+    monkeypatch.setattr(swapped.DetectorSwap, "running", property(lambda self: next(names)))
     before = bench.service.config
     outcome = bench.reload(config(perception={"detector": {"kind": "onnx", "model": "new"}}))
     assert outcome.startswith(f"refused, nothing has changed: perception.detector: {says}")

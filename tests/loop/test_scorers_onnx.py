@@ -15,7 +15,7 @@ from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import MODEL_VERBS, handle_model
 from edge.loop.status import status_of
 from edge.perception.runtime.cards import ModelError
-from edge.perception.swap.swapper import SwapError
+from edge.perception.swap.base import SwapError
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from edge.perception.process import kept, link, wire
 from edge.perception.process.wire import ModelProcessError
 from edge.perception.runtime.cards import ModelError, card_names
 from edge.perception.runtime.health import Health, log_progress
-from edge.perception.swap import swapper as swaps
+from edge.perception.swap import detector as swaps
 from edge.perception.worker import DetectorWorker
 
 FAKE = Path(__file__).parent / "fake_model_process.py"
@@ -351,7 +351,7 @@ def test_a_program_that_cannot_be_started_is_an_error_at_the_start(monkeypatch):
 
 
 def test_a_swap_given_up_while_its_process_starts_ends_that(tmp_path, monkeypatch):
-    monkeypatch.setattr(swaps, "_CLOSE_S", PATIENCE_S)
+    monkeypatch.setattr("edge.perception.swap.base.CLOSE_S", PATIENCE_S)
     (tmp_path / "script").write_text("wait")
     old = SimpleNamespace(name="old", prompts=("chair",))
     perception = config.Perception(
@@ -359,8 +359,8 @@ def test_a_swap_given_up_while_its_process_starts_ends_that(tmp_path, monkeypatc
         process=config.ModelProcess(start_timeout_s=1e6),
         detector=config.DetectorOnnx(model="old", vocabulary=str(tmp_path / "script")),
     )
-    worker = SimpleNamespace(detector=old, uses=lambda detector: False)
-    swapper = swaps.Swapper(perception, worker, lambda *_: None)
+    worker = SimpleNamespace(model=old, detector=old, uses=lambda detector: False)
+    swapper = swaps.DetectorSwap(perception, worker, lambda *_: None)
     others = set(psutil.Process().children())
     swapper.request("steered", False, 0)
     eventually(lambda: set(psutil.Process().children()) - others)

@@ -15,8 +15,9 @@ from simulated import simulated
 from edge.perception.embedding.text import PromptError
 from edge.perception.runtime.cards import ModelError
 from edge.perception.runtime.health import UNSOUND, Health
-from edge.perception.swap import swapper
-from edge.perception.swap.swapper import SwapError, Swapper
+from edge.perception.swap import detector as swapped
+from edge.perception.swap.base import SwapError
+from edge.perception.swap.detector import DetectorSwap
 from edge.perception.swap.trial import Sample, boxes_found_again
 from edge.perception.worker import DetectorWorker
 from edge.types import Detections
@@ -74,7 +75,7 @@ class Bench:
         self.worker = DetectorWorker(old, inline)
         self._make_observation = make_observation
         settings = {"probation": 5, "budget_ms": 20.0, **swap}
-        self.swapper = Swapper(
+        self.swapper = DetectorSwap(
             simulated({"perception": {"swap": settings}}).perception.model_copy(
                 update={"isolation": isolation}
             ),
@@ -122,8 +123,8 @@ class Bench:
 
 @pytest.fixture
 def bench(make_observation, monkeypatch):
-    monkeypatch.setattr(swapper, "related", lambda model, running: True)
-    monkeypatch.setattr(swapper, "IMAGES", 2)
+    monkeypatch.setattr(swapped, "related", lambda model, running: True)
+    monkeypatch.setattr(swapped, "IMAGES", 2)
     opened = []
 
     def make(new=None, old=None, **more):
@@ -253,7 +254,7 @@ def test_force_does_not_take_what_is_not_finite(bench):
 )  # fmt: skip
 def test_what_cannot_be_compared_is_not_held_against_it(bench, monkeypatch, old, related, finding):
     b = bench(old=old)
-    monkeypatch.setattr(swapper, "related", lambda model, running: related)
+    monkeypatch.setattr(swapped, "related", lambda model, running: related)
     assert b.swap()[0] == "kept"
     assert b.said[1].endswith(f"median 5.0 ms on 2 images; {finding}")
 
@@ -275,7 +276,7 @@ def test_one_swap_at_a_time_and_none_to_the_model_that_runs(bench):
 
 
 def test_no_images_no_swap_and_the_wait_for_them_ends(bench, monkeypatch):
-    monkeypatch.setattr(swapper, "LOAD_TIMEOUT_S", 9.0)
+    monkeypatch.setattr("edge.perception.swap.base.LOAD_TIMEOUT_S", 9.0)
     b = bench()
     b.swapper.request("new", False, 0)
     eventually(lambda: b.swapper.state == "checking")
@@ -384,14 +385,14 @@ def test_an_image_that_there_is_no_room_to_copy_speaks_against_the_model(bench, 
     def fail(*_):
         raise MemoryError("12 MB")
 
-    monkeypatch.setattr(swapper, "sample", fail)
+    monkeypatch.setattr(swapped, "sample", fail)
     b = bench(inline=False)
     assert b.swap() == ("refused", "it cannot be watched: MemoryError: 12 MB; old goes on")
     assert b.image() is not None
 
 
 def test_a_model_refused_while_it_loads_is_not_tried_and_no_third_one_comes(bench, monkeypatch):
-    monkeypatch.setattr(swapper, "LOAD_TIMEOUT_S", 9.0)
+    monkeypatch.setattr("edge.perception.swap.base.LOAD_TIMEOUT_S", 9.0)
     b = bench(Slow())
     b.swapper.request("new", False, 0)
     assert b.new.begun.wait(PATIENCE_S)
@@ -417,7 +418,7 @@ def test_a_model_refused_while_it_loads_is_not_tried_and_no_third_one_comes(benc
 
 
 def test_closing_while_it_loads_does_not_wait_for_it(bench, monkeypatch):
-    monkeypatch.setattr("edge.perception.swap.swapper._CLOSE_S", 0.01)
+    monkeypatch.setattr("edge.perception.swap.base.CLOSE_S", 0.01)
     b = bench(Slow())
     b.swapper.request("new", False, 0)
     assert b.new.begun.wait(PATIENCE_S)

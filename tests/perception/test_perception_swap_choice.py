@@ -9,8 +9,8 @@ import pytest
 from patience import eventually
 
 from edge.errors import UserError
+from edge.perception.swap.base import SwapError
 from edge.perception.swap.choice import CARD_KEY, PROBATION, ChoiceSwap
-from edge.perception.swap.swapper import SwapError
 from edge.perception.worker import ScorerWorker
 from edge.types import Observation
 
@@ -45,8 +45,9 @@ class Question:
 
 
 @pytest.fixture
-def swapping():
+def swapping(monkeypatch):
     """(swap, worker, old, made): what is made waits until its name is among `made`."""
+    monkeypatch.setattr("edge.perception.swap.base.CLOSE_S", 0.01)
     made = {}
     ready = threading.Condition()
 

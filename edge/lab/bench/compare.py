@@ -23,7 +23,7 @@ from edge.lab.bench.variants import PROVIDERS, Variant, families, providers_here
 from edge.perception.embedding.encoders import make_text_encoder
 from edge.perception.runtime.cards import how_to_get, load_detector_card
 from edge.perception.runtime.model_file import remembered_sha256
-from edge.perception.swap.swapper import LOAD_TIMEOUT_S
+from edge.perception.swap.base import LOAD_TIMEOUT_S
 
 log = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from edge.errors import UserError
-from edge.perception.swap.swapper import OVER
+from edge.perception.swap.base import OVER
 
 if TYPE_CHECKING:
     from edge.loop.runner import Running
