@@ -14,14 +14,19 @@ def test_task_step(benchmark):
     benchmark.extra_info["budget"] = "task_step"
     loop = until(closed("go straight for 3 metres"), "driving")
     service = loop.service
+    contexts, plan = [], service.behaviour.plan
+    service.behaviour.plan = lambda context, images: (
+        contexts.append(context),
+        plan(context, images),
+    )
 
     def drive() -> tuple[tuple, dict]:
         loop.step()
         assert service.behaviour.phase == "driving"
-        return (service._context,), {}
+        return (contexts[-1],), {}
 
     def step(context) -> None:
-        service.behaviour.plan(context, 0)
+        plan(context, 0)
         service.behaviour.select(context, service.scores, 0)
 
     benchmark.pedantic(step, setup=drive, rounds=25, warmup_rounds=1)

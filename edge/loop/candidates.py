@@ -43,7 +43,8 @@ class CandidatePool:
         c = self.candidates = Candidates(capacity)
         self.shown = c.read_only()
         self.anchor_m = np.zeros((capacity, 2), np.float32)
-        self._lasting = (c.xy_m, self.anchor_m, c.id, c.first_seen_ns, c.gain_m2)
+        lasting = c.xy_m, self.anchor_m, c.id, c.first_seen_ns, c.gain_m2
+        self._lasting: tuple[np.ndarray, ...] = lasting
         self._before = tuple(np.empty_like(array) for array in self._lasting)
         self.r_assoc_m = r_assoc_m
         self._next_id = 1
@@ -78,9 +79,9 @@ class CandidatePool:
         n_new = min(frontiers.n, capacity - n_instances)
         for array, saved in zip(self._lasting, self._before, strict=True):
             saved[:n_old] = array[:n_old]
-        old_xy_m, *before = self._before
+        old_xy_m, anchor_m, old_id, first_seen_ns, gain_m2 = self._before
         _associate(
-            old_xy_m, before[0], n_old, frontiers.xy_m, n_new,
+            old_xy_m, anchor_m, n_old, frontiers.xy_m, n_new,
             self.r_assoc_m, self._match, self._claim,
         )  # fmt: skip
         c.xy_m[:n_new] = frontiers.xy_m[:n_new]
@@ -88,12 +89,11 @@ class CandidatePool:
         c.sure[:n_new] = False
         c.confidence[:n_new] = 0.0
         self._next_id = _carry_over(
-            self._match, n_new, self._next_id, stamp_ns, *before,
+            self._match, n_new, self._next_id, stamp_ns, anchor_m, old_id, first_seen_ns, gain_m2,
             c.xy_m, self.anchor_m, c.id, c.first_seen_ns, c.gain_m2,
         )  # fmt: skip
         # Where the sensors' clock was set back, nothing was first seen in the future.
-        first_seen_ns = c.first_seen_ns[:n_new]
-        np.minimum(first_seen_ns, stamp_ns, out=first_seen_ns)
+        np.minimum(c.first_seen_ns[:n_new], stamp_ns, out=c.first_seen_ns[:n_new])
         c.stamp_ns = stamp_ns
         for i, instance in enumerate(instances[:n_instances], start=n_new):
             c.xy_m[i] = instance.center_m[:2]

@@ -106,7 +106,7 @@ class Exposition(Collector):
         return Page(generate_latest(self._registry), CONTENT_TYPE_LATEST)
 
 
-def _fill(family: Family, samples: Mapping[Any, float]) -> None:
+def _fill(family: Any, samples: Mapping[Any, float]) -> None:
     """Add a sample for each label, or tuple of labels; two that look alike are one."""
     merged: dict[tuple[str, ...], float] = {}
     for key, value in samples.items():
@@ -120,7 +120,7 @@ def _fill(family: Family, samples: Mapping[Any, float]) -> None:
         family.add_metric(labels, value)
 
 
-def _fill_buckets(family: Family, samples: Mapping[Any, Histogram]) -> None:
+def _fill_buckets(family: Any, samples: Mapping[Any, Histogram]) -> None:
     """Add the buckets of each label; in Prometheus' a bucket holds all that is shorter, too."""
     for key, histogram in samples.items():
         upto, buckets = 0, []

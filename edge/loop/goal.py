@@ -28,14 +28,14 @@ from edge.mission.run import MissionRun
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import FRONTIER, INSTANCE, LOOK, Context
 from edge.policies.select import Held, choose, ranked
-from edge.types import Goal, GoalStatus, Instance, MissionPhase
+from edge.types import CandidateKind, Goal, GoalStatus, Instance, MissionPhase
 
 # A detector that stands still refutes nothing: so many images have to be searched on the spot.
 MIN_IMAGES = 5
 # A goal that is dropped in one tick and chosen again in one of the next is not taken back.
 GRACE_NS = 300_000_000
 
-_KINDS = ("frontier", "instance", "look")
+_KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "look")
 
 Verdict = Literal["reached", "refuted", "out of reach"]
 
@@ -261,8 +261,10 @@ class GoalTracker:
     def answered(self, answer: GoalStatus) -> None:
         """The controller said something, which may be of an old goal."""
         present = self._present
-        told = present is not None and present.told
-        if self.client.answered(answer, present.goal if told else None):
+        if present is not None and not present.told:
+            present = None
+        goal = None if present is None else present.goal
+        if self.client.answered(answer, goal) and present is not None:
             present.answer = answer
 
     def _send(self, goal: Goal, now_ns: int) -> None:
@@ -307,15 +309,13 @@ class GoalTracker:
         instance = None
         if present is not None and present.goal.kind == "instance":
             instance = self._tracker.get(present.goal.candidate_id)
-        if instance is None:
+        verdict = None
+        if present is None or instance is None:
             of_a_task = present is not None and present.goal.kind == "trajectory"
             self.phase = "approaching" if of_a_task else "searching"
-            verdict = None
-        else:
-            verdict = self._verdict(present, instance, pose, now_ns, images)
-        if verdict is not None:
-            self._act_on(verdict, instance, mission, now_ns)
-        elif present is not None:
+        elif verdict := self._verdict(present, instance, pose, now_ns, images):
+            self._act_on(verdict, present, instance, mission, now_ns)
+        if present is not None and verdict is None:
             self._follow(present, pose, now_ns, images)
         # If nobody drives the robot, it is not the candidate's fault that it stands.
         driven_to = self.goal if self.client.is_driven(pose) else None
@@ -351,7 +351,12 @@ class GoalTracker:
         return None
 
     def _act_on(
-        self, verdict: Verdict, instance: Instance, mission: MissionRun, now_ns: int
+        self,
+        verdict: Verdict,
+        present: _Present,
+        instance: Instance,
+        mission: MissionRun,
+        now_ns: int,
     ) -> None:
         if verdict == "reached" and mission.brief.steps is not None:
             self.drop()  # of a task, it is made sure of: nothing more was wanted here
@@ -368,7 +373,7 @@ class GoalTracker:
             self._tracker.refute(instance.id)
             self.drop()
         else:
-            at = self._present.goal.pose
+            at = present.goal.pose
             if not self._search.missed(instance.id, (at.x_m, at.y_m)):
                 self.drop()  # what came to be known on the way here may lead nearer
                 return

@@ -324,8 +324,8 @@ class LatencyRing:
             count, overruns = self._count.tolist(), self._overruns.tolist()
             drops = tuple(map(sum, zip(self._drops, self._abandoned, strict=True)))
         rows = tuple(
-            StageLatency(s.name, budget_ms, *_summary(window), *counted, in_tick=s.in_tick)
-            for s, budget_ms, window, *counted in zip(
+            StageLatency(s.name, budget_ms, *_summary(window), n, over, dropped, s.in_tick)
+            for s, budget_ms, window, n, over, dropped in zip(
                 self._stages, self._budget_ms, windows, count, overruns, drops, strict=False
             )
         )

@@ -108,13 +108,14 @@ def state_of(
 ) -> Checkpoint[MapState]:
     """Return all but the tiles, as it stands; see `MapState` for the arguments."""
     config, values, policy = parts.map.config, parts.map.grid.values, parts.policy
+    x_m, y_m, yaw_rad = map(float, astuple(sighted.pose))
     state = MapState(
         boot, config.policy.kind, targets, target,
-        tuple(map(float, astuple(sighted.pose))), sighted.stamp_ns, sighted.now_ns,
+        (x_m, y_m, yaw_rad), sighted.stamp_ns, sighted.now_ns,
         config.mapping.resolution_m, config.mapping.obstacle_max_m,
         config.value_source or "", tuple(values.targets), values.side,
     )  # fmt: skip
-    remembered = policy.state_dict() if _remembers(policy) else {}
+    remembered = policy.state_dict() if isinstance(policy, Remembers) else {}
     every = {**parts.map.state_dict(), "goals": parts.goals.state_dict(), "policy": remembered}
     arrays = {f"{part}/{name}": a for part, of in every.items() for name, a in of.items()}
     return Checkpoint(state, arrays)
@@ -127,10 +128,10 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
         ValueError: one line: the map has another resolution or scale of heights, or is none.
     """
     state, mapping, perception = checkpoint.state, config.mapping, config.perception
-    for name in _SCALES:
-        was, now = getattr(state, name), getattr(mapping, name)
+    for scale in _SCALES:
+        was, now = getattr(state, scale), getattr(mapping, scale)
         if was != now:
-            raise ValueError(f"made with mapping.{name} {was:g}, which now is {now:g}")
+            raise ValueError(f"made with mapping.{scale} {was:g}, which now is {now:g}")
     part, grid = checkpoint.part, RollingMap(mapping, config.robot)
     values = grid.values
     same = (state.value_source, state.value_side) == (config.value_source or "", values.side)
@@ -179,15 +180,11 @@ def restore(
         return
     parts.goals.load_state_dict(part("goals"), state.target, sighted.now_ns)
     memory, policy = part("policy"), parts.policy
-    if memory and _remembers(policy) and state.policy == parts.map.config.policy.kind:
+    if memory and isinstance(policy, Remembers) and state.policy == parts.map.config.policy.kind:
         try:
             policy.load_state_dict(memory)
         except (KeyError, TypeError) as error:
             raise ValueError(str(error)) from None
-
-
-def _remembers(policy: Policy | Remembers) -> bool:
-    return hasattr(policy, "state_dict") and hasattr(policy, "load_state_dict")
 
 
 class MapCheckpoint:
@@ -237,9 +234,10 @@ class MapCheckpoint:
         have driven. Without a service it ends its last goal and goes no farther, so only the first
         seconds count. Odometry that began again at the very place and heading is not recognised.
         """
-        state, source, robot = self.loaded.state, self._config.source, self._config.robot
-        if source.localised:
+        source, robot = self._config.source, self._config.robot
+        if source.localised or self.loaded is None:
             return ""
+        state = self.loaded.state
         passed_s = (sighted.stamp_ns - state.stamp_ns) * 1e-9
         if state.boot != self._boot:
             return "the computer was started anew, and its odometry with it"
@@ -266,6 +264,8 @@ class MapCheckpoint:
         loaded = self.loaded
         if not self._config.source.localised:  # nothing goes back to it any more
             self.loaded = None
+        if grid is None or loaded is None:
+            return None
         if elsewhere:
             log.info("%s: what was mapped and seen before the restart is dropped", elsewhere)
             return None
@@ -306,6 +306,7 @@ class MapCheckpoint:
         self.writer.close()
 
     def _copy(self, most: int) -> None:
+        assert self._last is not None
         parts, sighted, targets, target = self._last
         grid = parts.map.grid
         if not self._copier.step(grid.window, grid.planes, most):

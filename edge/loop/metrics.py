@@ -52,7 +52,7 @@ class Look:
         self.rows = service.latency.report(last=1)
         self.histograms = service.latency.histograms()
         self.detector, self.images = running.worker.detector, running.worker.stats
-        self.scorers = {} if service.scorers is None else service.scorers.status()
+        self.scorers: dict[str, Any] = {} if service.scorers is None else service.scorers.status()
         self.checkpoint = None if service.checkpoint is None else service.checkpoint.status()
 
     def stages(self, value: Callable[[Any], float]) -> dict[str, float]:
@@ -74,8 +74,8 @@ class Look:
         yield from ((part, str(said["model"])) for part, said in self.scorers.items())
 
 
-def _seconds(ms: float) -> float:
-    return round(ms * _MS, 9)
+def _seconds(ms: float | None) -> float:
+    return math.nan if ms is None else round(ms * _MS, 9)
 
 
 def _faults(look: Look) -> dict[tuple[str, str], int]:

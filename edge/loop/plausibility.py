@@ -48,6 +48,7 @@ _FARTHEST_M = 100.0  # no depth camera sees only what is farther
 _POSE_OLD_S = 0.05  # at 1 rad/s a wall 2 m away is off by two cells
 
 
+@dataclass(slots=True)
 class FrameFacts:
     """Measurements of one observation. NaN: not measured, so no check fails by it.
 
@@ -66,14 +67,19 @@ class FrameFacts:
         pose_age_s: how much older the frame's pose is than the frame; 0: interpolated.
     """
 
-    __slots__ = (
-        "axis_z", "cloud_driven_m", "cloud_points", "depth_driven_m", "depth_misfit", "depth_scale",
-        "depth_valid", "floor_lost", "late_s", "pose_age_s", "rgb_driven_m", "rgb_level",
-        "rgb_levels",
-    )  # fmt: skip
-
-    def __init__(self) -> None:
-        self.clear()
+    depth_valid: float = math.nan
+    depth_driven_m: float = math.nan
+    depth_misfit: float = math.nan
+    depth_scale: float = math.nan
+    cloud_driven_m: float = math.nan
+    cloud_points: float = math.nan
+    rgb_driven_m: float = math.nan
+    rgb_levels: float = math.nan
+    rgb_level: float = math.nan
+    axis_z: float = math.nan
+    floor_lost: float = math.nan
+    late_s: float = math.nan
+    pose_age_s: float = math.nan
 
     def clear(self) -> None:
         """Set every measurement to NaN."""
@@ -107,7 +113,9 @@ class DataCheck:
 def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
     """Return the table of checks for the sensors that a configuration uses."""
     mapped, lifted = config.mapping.input, config.perception.lift
-    leaves = {kind: "none" if kind == mapped else "map" for kind in ("depth", "cloud")}
+    leaves: dict[str, Use] = {
+        kind: "none" if kind == mapped else "map" for kind in ("depth", "cloud")
+    }
     frozen = "the same to the bit over {value:.1f} m of driving"
     uncover, restart = "uncover the camera, or restart its driver", "restart its driver"
     unit = "correct its unit (32FC1 is m, 16UC1 is mm) or the camera's mount"
@@ -290,15 +298,16 @@ class Plausibility:
                 most = 0.5 * facts.depth_valid * sample.size
                 close = np.count_nonzero(valid & (sample < _CLOSE_M)) > most
                 self._close_at = seen.pose if close else None
-                wall = np.count_nonzero(valid & (sample < _WALL_M)) > most
+                wall = bool(np.count_nonzero(valid & (sample < _WALL_M)) > most)
             elif self._is_close(seen.pose):
                 facts.depth_valid = math.nan
             if facts.depth_valid > 0.0:
                 facts.depth_driven_m = self._repeated(self._depth, seen.depth_m, step, now_ns)
             if slow:
-                self._scale = self._floor.scale(sample, valid, self._depth.stride, seen)
+                shape, stride, T = seen.depth_m.shape, self._depth.stride, seen.T_base_camera
+                self._scale = self._floor.scale(sample, valid, shape, stride, seen.camera, T)
             facts.depth_scale = self._scale
-            facts.depth_misfit = self._misfit(seen, sample, now_ns)
+            facts.depth_misfit = self._misfit(seen, seen.depth_m, seen.camera, sample, now_ns)
         if seen.rgb is not None:
             sample = self._rgb.sample(seen.rgb)
             if slow:
@@ -336,10 +345,17 @@ class Plausibility:
         at = self._close_at
         return at is not None and pose.distance_to(at.x_m, at.y_m) < _CLOSE_WAY_M
 
-    def _misfit(self, seen: Observation, sample: np.ndarray, now_ns: int) -> float:
+    def _misfit(
+        self,
+        seen: Observation,
+        depth_m: np.ndarray,
+        camera: CameraModel,
+        sample: np.ndarray,
+        now_ns: int,
+    ) -> float:
         T, stride = seen.T_map_base, self._depth.stride
         misfit = self._motion.misfit(
-            seen.depth_m, sample, stride, seen.camera, T @ seen.T_base_camera, T[2, 3],
+            depth_m, sample, stride, camera, T @ seen.T_base_camera, T[2, 3],
             seen.stamp_ns, now_ns, self._depth.repeats,
         )  # fmt: skip
         if misfit > MISFIT:
@@ -368,7 +384,7 @@ class _Repeats:
         self.stride = (1, 1)
         self.since_ns = 0
         self.repeats = False
-        self._sample = np.empty(0)
+        self._sample: np.ndarray = np.empty(0)
         # By checksum of the sample, of the last few: checksum of all, known once it came again.
         self._known: dict[int, int | None] = {}
         self._way = np.zeros(3)
@@ -391,8 +407,8 @@ class _Repeats:
         Its longest step does not count: a localisation may have corrected the pose of a robot that
         stands. The whole frame is read only if its sample is one of the last few.
         """
-        crc, known = zlib.crc32(self._sample), self._known
-        whole = zlib.crc32(np.ascontiguousarray(array)) if crc in known else None
+        crc, known = zlib.crc32(self._sample.data), self._known
+        whole = zlib.crc32(np.ascontiguousarray(array).data) if crc in known else None
         self.repeats = whole is not None and known[crc] in (None, whole)
         if not self.repeats:
             known.pop(crc, None)
@@ -422,20 +438,27 @@ class _FloorLimit:
     def __init__(self) -> None:
         self._of: tuple[CameraModel, np.ndarray] | None = None
         self._steep = np.empty(0, np.bool_)
-        self._floor_m = self._limit_m = np.empty(0)
+        self._floor_m: np.ndarray = np.empty(0)
+        self._limit_m: np.ndarray = np.empty(0)
 
     def scale(
-        self, sample: np.ndarray, valid: np.ndarray, stride: tuple[int, int], seen: Observation
+        self,
+        sample: np.ndarray,
+        valid: np.ndarray,
+        shape: tuple[int, ...],
+        stride: tuple[int, int],
+        camera: CameraModel,
+        T: np.ndarray,
     ) -> float:
         """Return how many times as far as the floor the image is; 1: part of it is near enough."""
-        camera, T = seen.camera, seen.T_base_camera
         if self._of is None or self._of[0] != camera or self._of[1] is not T:
             self._of = camera, T
-            self._lay(seen.depth_m.shape, camera, T, stride)
-        judged, limit_m, floor_m = valid & self._steep, self._limit_m, self._floor_m
+            self._lay(shape, camera, T, stride)
+        judged, floor_m = valid & self._steep, self._floor_m
+        limit_m: np.ndarray | float = self._limit_m
         n = np.count_nonzero(judged)
         if n < _FEWEST:  # none looks down: nothing but the farthest of all tells
-            judged, limit_m, floor_m = valid, _FARTHEST_M, self._floor_m
+            judged, limit_m = valid, _FARTHEST_M
             n = np.count_nonzero(valid)
         if n < _FEWEST or np.count_nonzero((sample < limit_m) & judged) >= _NEAR_SHARE * n:
             return 1.0

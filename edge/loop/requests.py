@@ -176,8 +176,9 @@ def _robot(service: Service, amiss: Sequence[str]) -> dict[str, object]:
     """
     pose, goals = service.pose, service.goals
     known: dict[str, float] = {}
-    for found in service.map.tracker.all if pose is not None else ():
-        if found.state != "refuted" and found.hits >= service.config.perception.min_hits:
+    least = service.config.perception.min_hits
+    for found in service.map.tracker.all:
+        if pose is not None and found.state != "refuted" and found.hits >= least:
             away_m = round(pose.distance_to(*map(float, found.center_m[:2])), 2)
             known[found.label] = min(away_m, known.get(found.label, away_m))
     return {
@@ -219,25 +220,25 @@ def handle_model(
         SwapError: it cannot be begun.
         UserError: there are no scorers to be paused.
     """
-    swap = None if scorers is None else scorers.swap
+    choices = None if scorers is None else scorers.swap
     if request.do in ("pause", "resume"):
         if scorers is None:
             raise UserError("no scorers are configured: nothing to pause")
         scorers.paused = request.do == "pause"
     elif request.do == "use" and isinstance(request.prepared, DirectionsCard):
-        if swap is None:
+        if scorers is None or choices is None:
             raise SwapError(
                 "no model that runs here chooses directions: set perception.choice.kind to onnx"
             )
-        swap.request(request.fields["model"])
+        choices.request(request.fields["model"])
         scorers.newest_swap = True
     elif request.do == "use":
         swapper.request(request.fields["model"], request.fields["force"], now_ns)
         if scorers is not None:
             scorers.newest_swap = False
-    if swap is None:
+    if scorers is None or choices is None:
         return swapper.status()
-    newest = swap if scorers.newest_swap else swapper
+    newest = choices if scorers.newest_swap else swapper
     # One count for both: whoever follows a swap sees that another has begun.
-    number = sum(int(one.status()["number"]) for one in (swapper, swap))
+    number = swapper.number + choices.number
     return {**newest.status(), "number": number, "paused": scorers.paused}

@@ -383,27 +383,34 @@ def make_scorers(
         asked = make_choice(choice, perception)
     if card is None and asked is None:
         return None
-    how = {
-        "inline": config.loop.lockstep,
-        "rest_s": getattr(choice, "rest_s", 0.0),
-        "feeds": config.value_source,
-    }
+    remake: Callable[[str], ViewScorer] | None = None
     if isinstance(choice, ChoiceOnnx):
 
-        def remake(name: str) -> ViewScorer:
+        def made_again(name: str) -> ViewScorer:
             wanted = choice.model_copy(update={"card": name})
             if perception.isolation == "thread":  # a model that never ends is killed only there
                 apart = perception.model_copy(update={"isolation": "process"})
                 make_choice(wanted, apart).close()
             return make_choice(wanted, perception)
 
-        how["remake"] = remake
-    if card is None:
-        return Scorers(None, asked, **how)
-    if is_running_detector(card, perception):
+        remake = made_again
+    similarity, from_detections = None, None
+    score_of: ScoreOf = best_scores
+    if card is not None and is_running_detector(card, perception):
+        from_detections = card.name
         score_of = best_scores if card.related is None else RelatedScores()
-        return Scorers(None, asked, from_detections=card.name, score_of=score_of, **how)
-    return Scorers(make_similarity(card, perception, targets), asked, **how)
+    elif card is not None:
+        similarity = make_similarity(card, perception, targets)
+    return Scorers(
+        similarity,
+        asked,
+        from_detections,
+        score_of,
+        inline=config.loop.lockstep,
+        rest_s=getattr(choice, "rest_s", 0.0),
+        feeds=config.value_source,
+        remake=remake,
+    )
 
 
 def _by(keys: Sequence[object], values: np.ndarray) -> dict[str, float]:

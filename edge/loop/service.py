@@ -135,7 +135,7 @@ class Service:
         self.plausibility = Plausibility(config, self.blind_s, self.event)
         self._health = HealthWatch(
             worker, self.swapper, scorers, checkpoint, self.faults, overruns,
-            lambda: self.governor and self.governor.status(),
+            lambda: None if self.governor is None else self.governor.status(),
             self.event, sinks, inputs, self.plausibility.status,
         )  # fmt: skip
         self._publisher = Publisher(
@@ -143,7 +143,6 @@ class Service:
         )
         self._changed = NOTHING_CHANGED
         self._detections: Detections | None = None  # of this tick, as what follows
-        self._context: Context | None = None
         self.scores = np.zeros(0, np.float32)
         self.pose: SE2 | None = None
         self._looked_ns = 0  # when the last observation was dealt with
@@ -215,11 +214,11 @@ class Service:
         self._lap(CANDIDATES)
         if self.scorers is not None:
             self._consult(self.scorers, observation)
-        self._score(observation, now_ns)
+        context = self._score(observation, now_ns)
         self._lap(SCORE)
-        self._plan(observation, now_ns)
+        context = self._plan(context)
         self._lap(PLAN)
-        goal = self._select()
+        goal = self._select(context)
         self._lap(SELECT)
         self.goals.tell(self.mission, pose, now_ns)
         self._report(observation, now_ns)
@@ -293,9 +292,9 @@ class Service:
         if self.config.loop.lockstep:  # the models ran inside `ask`, beside the tick's time
             self.latency.resume(perf_counter_ns())
 
-    def _score(self, observation: Observation, now_ns: int) -> None:
+    def _score(self, observation: Observation, now_ns: int) -> Context:
         """Stage 6: what the policy makes of the candidates, by all that it may go by."""
-        self._context = Context(
+        context = Context(
             observation,
             observation.pose,
             self.map.view,
@@ -309,31 +308,32 @@ class Service:
             self.map.sightings.shown,
             self.map.prior,
         )
-        self.scores = scores_of(self.policy, self._context)
+        self.scores = scores_of(self.policy, context)
+        return context
 
-    def _plan(self, observation: Observation, now_ns: int) -> None:
-        """Stage 7: count time, let the behaviour advance the mission, and check its limits."""
-        mission = self.mission
+    def _plan(self, context: Context) -> Context:
+        """Stage 7: count time, let the behaviour advance the mission, and check its limits.
+
+        If the plan set out for another target, its candidates are scored at once.
+        """
+        mission, now_ns = self.mission, context.now_ns
         if not mission.started:
             mission.start(now_ns)
-        mission.observe(observation.pose, now_ns, self.behaviour.searching)
-        self.behaviour.plan(self._context, self._images)
+        mission.observe(context.pose, now_ns, self.behaviour.searching)
+        self.behaviour.plan(context, self._images)
         mission.check_limits(now_ns)
-        if not (self.goals.follows(mission) or mission.done):
-            self._turn(observation, now_ns)
+        if self.goals.follows(mission) or mission.done:
+            return context
+        self.goals.set_out(mission)
+        self.map.gather(self.behaviour.gather(), context.observation, now_ns)
+        return self._score(context.observation, now_ns)
 
-    def _turn(self, observation: Observation, now_ns: int) -> None:
-        """The plan set out for a target: choose among its candidates, by its scores, at once."""
-        self.goals.set_out(self.mission)
-        self.map.gather(self.behaviour.gather(), observation, now_ns)
-        self._score(observation, now_ns)
-
-    def _select(self) -> Goal | None:
+    def _select(self, context: Context) -> Goal | None:
         """Stage 8: the behaviour's goal; none while no mission is under way."""
         if not self.mission.active:
             self.goals.rest()
             return None
-        return self.behaviour.select(self._context, self.scores, self._images)
+        return self.behaviour.select(context, self.scores, self._images)
 
     def _report(self, observation: Observation | None, now_ns: int) -> None:
         """Write the checkpoint, and tell the sinks."""
@@ -479,7 +479,6 @@ class Service:
         """
         self._journal.note("jump", now_ns=now_ns)
         self.event("pose jumped: map and instances dropped", now_ns)
-        self._context = None
         self.map.forget()
         self.policy.reset("pose")
         self.mission.forget_distances()

@@ -43,9 +43,8 @@ class Standstill:
 
         A robot that was only to turn on the spot is not held up by what is ahead.
         """
-        told = goal is not None
-        far = told and pose.distance_to(goal.pose.x_m, goal.pose.y_m) > self._radius_m
-        stuck = self._any.update(pose, told, now_ns)
+        far = goal is not None and pose.distance_to(goal.pose.x_m, goal.pose.y_m) > self._radius_m
+        stuck = self._any.update(pose, goal is not None, now_ns)
         if self._far.update(pose, far, now_ns):
             self._hold_up(grid, pose, pose.ahead(self._radius_m), now_ns)
         return stuck

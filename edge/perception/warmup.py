@@ -18,7 +18,7 @@ from edge.perception.tracking.sightings import SightingTracker
 from edge.types import Detections, Observation
 
 
-def warmup(lifts: Sequence[Literal["depth", "cloud"]] = ("depth", "cloud")) -> None:
+def warmup(lifts: Sequence[str] = ("depth", "cloud")) -> None:
     """Run every kernel once with the types it is called with; cached on disk afterwards.
 
     Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -203,6 +203,7 @@ class Policy(Protocol):
         ...
 
 
+@runtime_checkable
 class Remembers(Protocol):
     """A policy whose memory is in the checkpoint: one that has these is asked."""
 

@@ -49,7 +49,7 @@ def test_what_was_seen_as_context_is_driven_to_at_once(found_a_bed):
 
 
 def test_policies_see_what_was_seen_and_cannot_write_there(found_a_bed):
-    seen = found_a_bed.service._context.sightings
+    seen = found_a_bed.service.map.sightings.shown
     assert {"bed", "sofa", "carpet"} <= {seen.words[w] for w in seen.word[: seen.n]}
     with pytest.raises(ValueError, match="read-only"):
         seen.confidence[0] = 1.0

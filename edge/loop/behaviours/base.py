@@ -19,11 +19,11 @@ class Behaviour(Protocol):
     It holds the mission, the semantic map and the goals that it was made with, and nothing of the
     sensors: each tick's observation comes in the `Context`.
 
-    Attributes:
-        searching: the active target is being looked for, and the time counts as searching it.
     """
 
-    searching: bool
+    @property
+    def searching(self) -> bool:
+        """Whether the active target is looked for, so the time counts as searching it."""
 
     def gather(self) -> Sequence[Instance]:
         """Stage 5: return the objects that are candidates in this tick, next to the frontiers."""

@@ -104,9 +104,8 @@ class Order:
     rounds: list[Round] = field(default_factory=list)
 
 
-def told(draft: Draft, order: Order) -> str:
-    """A trajectory, for the story."""
-    refined = draft.refined
+def told(draft: Draft, refined: Refined, order: Order) -> str:
+    """Return a line on a draft's trajectory, for the mission's log."""
     length_m = float(np.hypot(*np.diff(refined.poses[:, :2], axis=0).T).sum())
     what = draft.understood or "written by the model"
     if order.before is not None:
@@ -128,7 +127,9 @@ def carried_out(order: Look | Order) -> Draft | None:
     try:
         if order.nearer_to is not None:
             return _nearer(order, order.nearer_to)
-        return _refined(order) if order.before is not None else _written(order)
+        if order.before is not None and order.before.refined is not None:
+            return _refined(order, order.before, order.before.refined)
+        return _written(order)
     except UserError as error:
         return Draft(error=str(error), hopeless=isinstance(error, TranslationError))
     except Exception as error:
@@ -183,10 +184,11 @@ def _written_up_to(upto: int, order: Order, scene: Scene) -> Draft:
     return replace(draft, refined=refined, rounds=tuple(order.rounds))
 
 
-def _refined(order: Order) -> Draft:
-    config, before = order.config, order.before
+def _refined(order: Order, before: Draft, refined: Refined) -> Draft:
+    """The rest of the trajectory of a draft, refined on the map that there is by now."""
+    config = order.config
     limits = _limits(config, before)
-    refined = refine_again(_scene(order), before.refined, order.index, _body(config), limits)
+    refined = refine_again(_scene(order), refined, order.index, _body(config), limits)
     return replace(before, refined=refined)
 
 
@@ -197,8 +199,8 @@ def _nearer(order: Order, thing: tuple[int, str]) -> Draft:
     found = _found_again(thing, scene)
     if found is None:
         return Draft()
-    whole = {"first": 0, "ends": (1,), "n_steps": 1}
-    draft = _written(replace(order, instruction=f"go to object {found.id}", **whole))
+    there = f"go to object {found.id}"
+    draft = _written(replace(order, instruction=there, first=0, ends=(1,), n_steps=1))
     if draft.refined is None:
         return draft
     x_m, y_m, _, yaw_rad = draft.refined.poses[-1].tolist()

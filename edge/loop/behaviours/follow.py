@@ -30,7 +30,7 @@ from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
 from edge.mission.task_step import TaskStep
 from edge.policies.base import Context
-from edge.tasks.facts import StepFacts, TaskFacts, TaskPhase
+from edge.tasks.facts import StepFacts, StepState, TaskFacts, TaskPhase
 from edge.tasks.follow import blocked_ahead_m, end_of, goal_ahead, index_at_goal, leg_end
 from edge.tasks.objects import ObjectMap
 from edge.tasks.refine import Refined
@@ -230,7 +230,7 @@ class FollowBehaviour:
         return TaskFacts(
             instruction=mission.brief.translation.instruction,
             phase=outcome if outcome in ("reached", "failed") else self.phase,
-            writer=f"{planner.model} at {planner.url}" if self._by_model else planner.kind,
+            writer=f"{planner.model} at {planner.url}" if planner.kind == "model" else planner.kind,
             missing=self.missing,
             understood=draft.understood,
             prompt=draft.prompt,
@@ -248,6 +248,7 @@ class FollowBehaviour:
         mission, order, missing = self._mission, self._order, set(self.missing)
         upto = self._draft.upto if order is None else order.ends[0]
         for n, step in enumerate(self._steps):
+            state: StepState
             if n < mission.state:
                 state = "driven"
             elif mission.done:
@@ -304,9 +305,10 @@ class FollowBehaviour:
 
         A copy of the picture costs less than a frame that is held while a model is asked.
         """
-        pictured = self._by_model and before is None and seen.rgb is not None
-        rgb = seen.rgb.copy() if pictured else None
-        still = replace(seen, rgb=rgb, depth_m=None, cloud_m=None, slot=None)
+        rgb = seen.rgb if self._by_model and before is None else None
+        still = replace(
+            seen, rgb=None if rgb is None else rgb.copy(), depth_m=None, cloud_m=None, slot=None
+        )
         instances = {
             one.id: one.copied()
             for label in self._mission.brief.targets
@@ -346,13 +348,14 @@ class FollowBehaviour:
             if said.error and order.before is None:
                 mission.tell(_line(f"answer {n} of the model: {said.error}"), now_ns)
         if draft.refined is not None:
+            refined = draft.refined
             if order.nearer_to is not None:  # the task's trajectory is still the one before
-                draft = replace(self._draft, refined=draft.refined, stops_at=None)
+                draft = replace(self._draft, refined=refined, stops_at=None)
             self._draft, self._index, self._looked_ns = draft, 0, 0
             self._refinements += 1
-            self._halt = self._next_halt(draft.refined)
+            self._halt = self._next_halt(refined)
             self.phase, self._refused = "driving", ""
-            mission.tell(_line(told(draft, order)), now_ns)
+            mission.tell(_line(told(draft, refined, order)), now_ns)
         elif order.nearer_to is not None:
             self._stop(now_ns)
         elif order.before is not None:
@@ -390,7 +393,7 @@ class FollowBehaviour:
             self._index = index_at_goal(refined, goal.pose, self._index)
         elif stuck or state == "failed":
             why = "the robot is held up"
-            if not stuck:
+            if answer is not None and not stuck:
                 why = f"the controller failed: {answer.reason}"
             before, self._held_up_at = self._held_up_at, pose
             if before is not None and pose.distance_to(before.x_m, before.y_m) < SAME_PLACE_M:
@@ -444,7 +447,7 @@ class FollowBehaviour:
         thing = self._map.tracker.get(number)
         found = next((one for one in here if self._map.tracker.confirmed(one)), None)
         away = thing is not None and thing.state != "refuted" and not here
-        if away and not self._map.tracker.confirmed(thing):
+        if thing is not None and away and not self._map.tracker.confirmed(thing):
             away_m = thing.distance_m(pose.x_m, pose.y_m)
             said = f"{label} {number} is {away_m:.1f} m away: too far to make sure that it is one"
             self._mission.tell(_line(said), now_ns)

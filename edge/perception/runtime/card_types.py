@@ -512,7 +512,7 @@ class ChoiceCard(BaseCard):
         return all(os.path.isfile(self.path_of(part)) for part in self.parts)
 
 
-DirectionsCard = Union[ChoiceCard, MarksCard]
+DirectionsCard = ChoiceCard | MarksCard
 """What `perception.choice.card` may name."""
 FileCard = Union[
     DetectCard, TextCard, ImageCard, MarksCard, MaskEncoderCard, MaskDecoderCard, TranslateCard

@@ -153,6 +153,7 @@ class Swap(Generic[Model]):
 
     Attributes:
         outcomes: how many swaps ended how (`OVER`), since the start.
+        number: how many were begun.
     """
 
     def __init__(
@@ -165,7 +166,7 @@ class Swap(Generic[Model]):
         self._attempt: Attempt[Model, Any] | None = None
         self._ended: list[Attempt[Model, Any]] = []
         self._until_s = 0.0
-        self._number = 0
+        self.number = 0
         self.outcomes = dict.fromkeys(OVER, 0)
         self._over = {"state": "idle", "model": self.running, "previous": "", "detail": ""}
 
@@ -183,10 +184,10 @@ class Swap(Generic[Model]):
         """The swap under way, or the outcome of the last one; JSON-ready.
 
         `detail` is a line that changes with the state, `progress` changes more often, and
-        `number` counts the swaps since the start.
+        `number` is the attribute.
         """
         told = self._over if self._attempt is None else self._attempt.status()
-        return {"progress": "", **told, "number": self._number}
+        return {"progress": "", **told, "number": self.number}
 
     def step(self, now_ns: int = 0, idle: bool = False) -> None:
         """Take the next step if it is time for one: between two ticks, and never waiting.
@@ -244,7 +245,7 @@ class Swap(Generic[Model]):
             raise SwapError(f"{late}, which was refused, is still being loaded; try again later")
 
     def _begin(self, attempt: Attempt[Model, Any], now_ns: int) -> None:
-        self._number += 1
+        self.number += 1
         self._attempt = attempt
         self._until_s = self._clock() + LOAD_TIMEOUT_S
         attempt.start()
