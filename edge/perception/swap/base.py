@@ -189,8 +189,8 @@ class Swap(Generic[Model]):
         told = self._over if self._attempt is None else self._attempt.status()
         return {"progress": "", **told, "number": self.number}
 
-    def step(self, now_ns: int = 0, idle: bool = False) -> None:
-        """Take the next step if it is time for one: between two ticks, and never waiting.
+    def step(self, now_ns: int = 0, *, idle: bool = False) -> None:
+        """Take the next step if it is due, without waiting.
 
         Args:
             idle: see `Attempt.verdict`.
