@@ -212,7 +212,8 @@ class Instance:
 # "look": there was nothing to go to, so the robot turns on the spot, or goes to where the camera
 # sees what it saw badly before. "trajectory": a task's, which moves ahead of the robot, or its turn
 # on the spot.
-CandidateKind = Literal["frontier", "instance", "look", "trajectory"]
+# "place": a named place that the mission goes to.
+CandidateKind = Literal["frontier", "instance", "look", "trajectory", "place"]
 
 
 @dataclass(frozen=True, slots=True)

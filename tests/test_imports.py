@@ -22,7 +22,7 @@ LAYERS = (
     ("host",),
     ("config",),
     ("bus", "chat"),
-    ("mapping", "perception", "trajectory"),
+    ("mapping", "perception", "trajectory", "memory"),
     ("policies", "mission"),
     ("tasks",),
     ("loop",),

@@ -100,6 +100,8 @@ class Mission(Section):
     same on every machine: the default takes a few seconds at most.
     `checkpoint` is the file that a mission goes on from after a restart; what was mapped and seen
     is kept beside it, in a file of that name and `.map` (docs/service.md).
+    `site` is a GeoJSON file of places, zones and room names, read at the start and written when one
+    changes (docs/places.md).
     `on_request`: none is begun at the start, unless the command line names one; the robot stands
     until it is asked for one."""
 
@@ -120,6 +122,7 @@ class Mission(Section):
     max_states: Annotated[int, Field(ge=2)] = 20000
     max_targets: Annotated[int, Field(ge=1, le=40)] = 16
     checkpoint: str | None = None
+    site: str | None = None
     on_request: bool = False
     search_limit_s: Positive | None = None
     time_limit_s: Positive = 300.0

@@ -11,6 +11,7 @@ from edge.bus import topics
 from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_text, shown
 from edge.errors import UserError
 from edge.loop.result import facts_of
+from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.loop.status import answer_of
 from edge.mission.brief import Brief
 from edge.perception.runtime.card_types import DetectCard, DirectionsCard
@@ -48,6 +49,7 @@ def served(
             MODEL_VERBS,
             partial(handle_model, service.swapper, scorers=service.scorers),
         ),
+        topics.SITE_REQUEST: (SITE_VERBS, partial(handle_site, service)),
     }
 
 

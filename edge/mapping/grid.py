@@ -236,7 +236,9 @@ class RollingMap:
             x1, y1 = (min(int(v) + margin, n) for v in self._explored[2:])
             cells = np.empty((max(y1 - y0, 0), max(x1 - x0, 0)), np.int8)
             corner = origin[0] + x0, origin[1] + y0
-            compose(self._layers, self._body, *corner, inflated, cells)
+            # In a map that is closed all around it, a controller would not drive out of a zone.
+            zones = self._robot is None or not self.zones.holds_cell(*self._robot)
+            compose(self._layers, self._body, *corner, inflated, zones, cells)
             if self.window.origin == origin:
                 corner_m = (corner[0] * self.resolution_m, corner[1] * self.resolution_m)
                 return Grid(cells, corner_m, self.resolution_m)

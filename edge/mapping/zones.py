@@ -85,7 +85,10 @@ class Zones:
 
     def holds(self, x_m: float, y_m: float) -> bool:
         """Return True if the zones close the cell of a point."""
-        x, y = self._window.cell_of(x_m, y_m)
+        return self.holds_cell(*self._window.cell_of(x_m, y_m))
+
+    def holds_cell(self, x: int, y: int) -> bool:
+        """Return True if the zones close a world cell."""
         n = self._window.n
         return self._window.holds(x, y) and bool(self._layers.near[y % n, x % n] & ZONE)
 

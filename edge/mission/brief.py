@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -10,7 +11,10 @@ import numpy as np
 from edge import names
 from edge.config import Mission, TranslatorLtl
 from edge.errors import UserError
+from edge.geometry import SE2
+from edge.memory import Site
 from edge.mission.language.english import describe
+from edge.mission.language.places import HERE, START, quote_places
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
@@ -20,6 +24,7 @@ from edge.mission.task_step import TaskStep
 from edge.mission.translate import Translation, make_translator
 from edge.text import one_line
 
+_NO_SITE = Site()
 _MOST_SHOWN = 600  # of the parts of a contradiction
 
 
@@ -36,6 +41,8 @@ class Brief:
             is the number of steps that were driven, one with each step in which nothing is reached.
         targets: the propositions that matter, in order of first appearance: what the detector
             is asked for, one VL channel each.
+        prompts: what the detector looks for: the targets that are things, or else the target of
+            the configuration.
         steps: of a task (`edge.tasks`), at least one. None: it is no task.
     """
 
@@ -43,7 +50,12 @@ class Brief:
     automaton: Automaton
     diagnosis: Diagnosis
     targets: tuple[str, ...]
+    prompts: tuple[str, ...]
     steps: tuple[TaskStep, ...] | None = None
+
+    def prompt_for(self, target: str) -> str:
+        """Return the prompt to score frontiers for while this target is pursued."""
+        return target if target in self.prompts else self.prompts[0]
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -64,6 +76,7 @@ def prepare(
     instruction: str | None = None,
     formula: str | None = None,
     reading: int | None = None,
+    site: Site = _NO_SITE,
 ) -> Brief:
     """Translate, compile and check a mission; may take as long as its translator does.
 
@@ -75,6 +88,7 @@ def prepare(
             configuration's own instruction or target is taken.
         reading: which of the given instruction's readings is meant, counted from 1; of the
             configuration's own, `config.reading` tells.
+        site: its places are targets that need no search.
 
     Raises:
         AmbiguousError: the instruction can be read in several ways, and none was chosen.
@@ -82,23 +96,38 @@ def prepare(
             contradiction (the parts that conflict are named), asks for nothing, or is too large for
             the configured planner.
     """
+    names_of_places = [place.name for place in site.places]
     if formula is not None:
         translation = make_translator(TranslatorLtl()).translate(formula)
     elif instruction is not None or config.instruction is not None:
         translator = make_translator(config.translator)
         if instruction is not None:
-            translation = translator.translate(instruction, reading)
+            said = quote_places(instruction, names_of_places)
+            translation = translator.translate(said, reading)
         else:
-            translation = translator.translate(config.instruction, config.reading, ask=False)
+            instruction = config.instruction
+            said = quote_places(instruction, names_of_places)
+            translation = translator.translate(said, config.reading, ask=False)
+        translation = replace(translation, instruction=instruction)
     else:
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")
-    return brief_of(config, translation)
+    return brief_of(config, located(translation, site))
+
+
+def located(translation: Translation, site: Site) -> Translation:
+    """Return a translation in which propositions with the name of a place mean that place."""
+    found: dict[str, SE2 | None] = {}
+    for letter in ltl.propositions(translation.formula):
+        place = site.place(letter)
+        if place is not None or letter in (START, HERE):
+            found[letter] = None if place is None else place.pose
+    return replace(translation, places=found)
 
 
 def brief_of(config: Mission, translation: Translation) -> Brief:
     """Compile and check what was translated, and that the planner can take it on; see `prepare`."""
-    formula = _unified(translation.formula)
+    formula = _unified(translation.formula, translation.places)
     translation = replace(translation, formula=formula)
     letters = ltl.propositions(formula)
     _check_number(config, len(letters))
@@ -121,7 +150,8 @@ def brief_of(config: Mission, translation: Translation) -> Brief:
     make_planner(
         config.planner, automaton, translation.instruction
     )  # refuses what it cannot take on
-    return Brief(translation, automaton, diagnosis, targets)
+    things = tuple(letter for letter in targets if letter not in translation.places)
+    return Brief(translation, automaton, diagnosis, targets, things or (config.target,))
 
 
 def brief_of_task(
@@ -141,7 +171,7 @@ def brief_of_task(
     delta = np.repeat(states[:, None], len(targets) + 1, axis=1)
     delta[:-1, -1] += 1
     chain = Automaton(ltl.TRUE, targets, delta, states == len(steps), np.zeros_like(states))
-    return Brief(translation, chain, Diagnosis((), True, ()), targets, steps)
+    return Brief(translation, chain, Diagnosis((), True, ()), targets, targets, steps)
 
 
 def task_of(brief: Brief) -> dict[str, Any] | None:
@@ -176,9 +206,16 @@ def _narrowed(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
     return replace(automaton, letters=letters, delta=delta)
 
 
-def _unified(formula: Formula) -> Formula:
-    """The formula with one word for one thing: of synonyms, the one that came first."""
+def _unified(formula: Formula, places: Collection[str]) -> Formula:
+    """Return the formula with one word for one thing: of synonyms, the one that came first.
+
+    A place keeps its name: what a person calls a place is no synonym of a thing.
+    """
     first: dict[str, str] = {}
+
+    def key(name: str) -> str:
+        return f"place {name}" if name in places else names.canonical(name)
+
     for name in ltl.propositions(formula):
-        first.setdefault(names.canonical(name), name)
-    return ltl.renamed(formula, lambda name: first[names.canonical(name)])
+        first.setdefault(key(name), name)
+    return ltl.renamed(formula, lambda name: first[key(name)])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated
 
 from pydantic import ConfigDict, Field
 
 from edge.errors import UserError
+from edge.geometry import SE2
 from edge.host.checkpoint import CheckpointFormat
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.logic.ltl import parse, propositions
@@ -28,7 +29,7 @@ class MissionState:
             follows from running them, whatever number a later compiler gives to it.
         reached: R of ViTL III; `failed` is B, `detected` is D. All are propositions of `formula`.
         target: the proposition that was pursued, or None.
-        reading, readings, implied: see `edge.mission.translate.Translation`.
+        reading, readings, implied, places: see `edge.mission.translate.Translation`.
         id: see `edge.mission.run.MissionRun`.
         task: it is a task (`edge.tasks`): `word` has one `NOTHING` for each step that was driven.
     """
@@ -52,11 +53,12 @@ class MissionState:
     reading: Annotated[int, Field(ge=1)] | None = None
     readings: tuple[str, ...] = ()
     implied: bool = False
+    places: Annotated[dict[Word, SE2 | None], Field(max_length=100)] = field(default_factory=dict)
     id: Word = ""
     task: bool = False
 
 
-OF_TRANSLATION = ("instruction", "backend", "english", "reading", "readings", "implied")
+OF_TRANSLATION = ("instruction", "backend", "english", "reading", "readings", "implied", "places")
 _OF_RUN = ("word", "reached", "target", "reason", "paused", "elapsed_s", "path_m", "id")
 
 
@@ -66,7 +68,8 @@ def state_of(mission: MissionRun, phase: str) -> MissionState:
     return MissionState(
         formula=str(brief.automaton.formula), phase=phase, task=brief.steps is not None,
         failed=tuple(sorted(mission.failed)), detected=tuple(sorted(mission.detected)),
-        **{name: getattr(brief.translation, name) for name in OF_TRANSLATION},
+        **{name: getattr(brief.translation, name) for name in OF_TRANSLATION}
+        | {"places": dict(mission.places)},
         **{name: getattr(mission, name) for name in _OF_RUN},
     )  # fmt: skip
 

@@ -40,6 +40,7 @@ class MissionRun:
         turns: counts how often a target was set out for.
         changes: counts everything that a checkpoint should hold.
         config: its limits; may be set to one with others.
+        places: targets that are places, with their poses; None for a pose that `locate` sets.
         id: what whoever asked for it calls it; "" where it has no name.
     """
 
@@ -58,8 +59,9 @@ class MissionRun:
         self.id = id
         self.state = 0
         self.target = brief.targets[0]
+        self.places: dict[str, SE2 | None] = dict(brief.translation.places)
         self.word: tuple[str, ...] = ()
-        self.detected: frozenset[str] = frozenset()
+        self.detected: frozenset[str] = frozenset(self.places)
         self.reached: tuple[str, ...] = ()
         self.failed: frozenset[str] = frozenset()
         self.started = False
@@ -81,7 +83,7 @@ class MissionRun:
         self._distance_m: np.ndarray | None = None
         self._ended: Literal["idle", "reached", "failed"] | None = None
         self._why_failed: dict[str, str] = {}
-        self._newest: dict[str, int] = {}
+        self._newest: dict[str, int] = dict.fromkeys(self.places, 0)
         self._stale: dict[str, int] = {}
         self._pursued_s: dict[str, float] = {}
         self._last_ns: int | None = None
@@ -137,6 +139,18 @@ class MissionRun:
         )
 
     # -- time, path and limits ----------------------------------------------------------------
+
+    def locate(self, start: SE2, here: SE2) -> None:
+        """Set the poses that were not known when the mission was prepared.
+
+        Args:
+            start: the first pose of the service.
+            here: the robot's pose now.
+        """
+        for name, pose in (("start", start), ("here", here)):
+            if name in self.places and self.places[name] is None:
+                self.places[name] = pose
+                self.changes += 1
 
     def start(self, now_ns: int) -> None:
         """Write the first steps of the story: what was understood, and where to go first."""

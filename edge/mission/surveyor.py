@@ -48,7 +48,13 @@ class Surveyor:
             mission.survey(found, now_ns)
         if self.due(now_ns):
             letters = mission.brief.automaton.letters
-            xy_m = [[one.center_m[:2] for one in tracker.of(letter)] for letter in letters]
+            places = {name: at for name, at in mission.places.items() if at is not None}
+            xy_m = [
+                [(places[letter].x_m, places[letter].y_m)]
+                if letter in places
+                else [one.center_m[:2] for one in tracker.of(letter)]
+                for letter in letters
+            ]
             known = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
             self.ask(grid, pose, known, now_ns)
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from edge.config import Translator as TranslatorConfig
 from edge.config import TranslatorLlm
+from edge.geometry import SE2
 from edge.mission.language import grammar
 from edge.mission.language.bans import bans_in, does_imply
 from edge.mission.language.beyond import refuse_beyond
@@ -50,6 +51,8 @@ class Translation:
         reading: which of the readings was taken, counted from 1; None: there is but one.
         readings: all of an ambiguous instruction's readings in English; none of another's.
         implied: the reading was taken unasked, since it implies all others.
+        places: propositions of the formula that are places, not things, with their poses; None for
+            a pose that is known only when the mission begins.
     """
 
     instruction: str
@@ -60,6 +63,7 @@ class Translation:
     reading: int | None = None
     readings: tuple[str, ...] = ()
     implied: bool = False
+    places: Mapping[str, SE2 | None] = field(default_factory=dict)
 
     @property
     def understood(self) -> str:

@@ -6,6 +6,7 @@ import re
 
 from edge import names
 from edge.config import Config, WriterModel
+from edge.memory import Site
 from edge.mission.brief import Brief, MissionError, brief_of_task, prepare
 from edge.mission.logic import ltl
 from edge.mission.task_step import TaskStep
@@ -13,11 +14,14 @@ from edge.mission.translate import Translation
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS
 from edge.tasks.reading import named, task_steps
 
+_NO_SITE = Site()
 _MOST_WORDS = 4
 """Of a name that is looked for in an instruction."""
 
 
-def prepared(config: Config, task: str | None = None, **mission: str | int | None) -> Brief:
+def prepared(
+    config: Config, task: str | None = None, site: Site = _NO_SITE, **mission: str | int | None
+) -> Brief:
     """A task, or else a mission as `edge.mission.brief.prepare` makes it.
 
     Raises:
@@ -25,7 +29,7 @@ def prepared(config: Config, task: str | None = None, **mission: str | int | Non
     """
     if task is not None:
         return prepare_task(config, task)
-    return prepare(config.mission, **mission)
+    return prepare(config.mission, site=site, **mission)
 
 
 def prepare_task(config: Config, task: str) -> Brief:

@@ -18,6 +18,7 @@ from edge.lab.sim.worlds import load_world
 from edge.loop.result import Sink, TickResult
 from edge.loop.scorers import make_scorers
 from edge.loop.service import Service
+from edge.memory import Site, SiteFile
 from edge.perception.detection.sim import Segmentation
 from edge.perception.factory import make_detector
 from edge.perception.masks.masker import make_masker
@@ -61,6 +62,7 @@ class ClosedLoop:
         sinks: take each tick's result, as they would in a service.
         world: where `config` was already used to load it; None: `sim.world` is loaded.
         task: in the place of the configuration's mission (`edge.tasks.brief`).
+        site: places and zones to begin with.
         colour: False: no pictures are taken, depth and object ids only, which is quicker; for
             detectors and scorers that need none (see `wants_colour`).
 
@@ -74,6 +76,7 @@ class ClosedLoop:
     world: World | None = None
     colour: bool = True
     task: str | None = None
+    site: Site = field(default_factory=Site)
 
     def __post_init__(self) -> None:
         config = self.config
@@ -83,15 +86,18 @@ class ClosedLoop:
         self.rig = CameraRig(config, world, self.colour)
         self.lidar = None if config.sensors.lidar is None else LidarRig(config, world)
         self.labels = tuple(o.label for o in world.objects)
-        brief = prepared(config, self.task)
+        brief = prepared(config, self.task, self.site)
         masker = make_masker(config.perception, timed=False)
-        detector = make_detector(config.perception, brief.targets, truth=self.truth)
+        detector = make_detector(config.perception, brief.prompts, truth=self.truth)
         self.worker = DetectorWorker(detector, True, masker)
-        self.scorers = make_scorers(config, brief.targets)
+        self.scorers = make_scorers(config, brief.prompts)
         sinks = [self.notes, *self.sinks]
         truth = {"world": world, "robot_radius_m": config.robot.radius_m}
         policy = make_policy(config.policy, config.origin("policy"), truth)
-        self.service = Service(config, brief, self.worker, policy, sinks, scorers=self.scorers)
+        self.service = Service(
+            config, brief, self.worker, policy, sinks, scorers=self.scorers,
+            site=SiteFile(site=self.site),
+        )  # fmt: skip
         self.controller = Controller(config)
         self._seq = 0
         self._map_due_ns = 0
