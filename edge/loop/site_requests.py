@@ -57,7 +57,7 @@ def handle_site(service: Service, request: Request, now_ns: int) -> dict:
                 raise UserError("the robot's pose is not known yet: wait for the first observation")
             xy_m = (service.pose.x_m, service.pose.y_m)
             is_place = isinstance(item, Place)
-            item = Place(item.name, service.pose) if is_place else RoomName(item.name, xy_m)
+            item = Place.at(item.name, service.pose) if is_place else RoomName(item.name, xy_m)
         service.change_site(site.with_item(item), now_ns)
         done = describe_item(item)
     elif request.do == "remove":

@@ -80,6 +80,12 @@ class Place:
     name: str
     pose: SE2
 
+    @classmethod
+    def at(cls, name: str, pose: SE2) -> Place:
+        """Return a place whose heading is a whole hundredth of a degree, as a file keeps it."""
+        yaw_rad = math.radians(round(math.degrees(pose.yaw_rad), 2))
+        return cls(name, SE2(pose.x_m, pose.y_m, yaw_rad))
+
     def feature(self) -> dict[str, Any]:
         """Return the place as a GeoJSON feature."""
         heading = {"heading_deg": round(math.degrees(self.pose.yaw_rad), 2)}
