@@ -60,6 +60,8 @@ GOAL_STATUS = Topic("goal_status", "json", "urgent", 0, "controller")
 MISSION_REQUEST = "mission/request"
 MODELS_REQUEST = "models/request"
 SITE_REQUEST = "site/request"
+MEMORY_REQUEST = "memory/request"
+REQUESTS = (MISSION_REQUEST, MODELS_REQUEST, SITE_REQUEST, MEMORY_REQUEST)
 
 # Nor is this one: below it lies the liveliness token of the service (see `edge.bus.presence`).
 ALIVE = "alive"

@@ -1,5 +1,6 @@
-"""What people tell the robot of a site: named places, zones, room names."""
+"""What is remembered: objects that were seen; places, zones and room names that people gave."""
 
+from edge.memory.objects import KnownObject, known_objects, where_is
 from edge.memory.site import (
     START,
     Item,
@@ -17,6 +18,6 @@ from edge.memory.site import (
 )
 
 __all__ = [
-    "START", "Item", "Place", "RoomName", "Site", "SiteError", "SiteFile", "Zone", "item_of",
-    "merged", "read_site", "site_of", "write_site",
+    "START", "Item", "KnownObject", "Place", "RoomName", "Site", "SiteError", "SiteFile", "Zone", "item_of",
+    "known_objects", "merged", "read_site", "site_of", "where_is", "write_site",
 ]  # fmt: skip

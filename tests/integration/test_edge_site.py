@@ -59,5 +59,15 @@ def test_places_and_zones_by_command(edge, endpoint, tmp_path, command):
     code, said = command("mission", "new", config, "go to the shelf, then to the dock")
     assert code == 0, said
     eventually(lambda: "dock" in kept.read_text())
+    # Nothing is known where the robot has not looked; by then it may have seen something.
+    code, said = command("memory", "find", config, "unicorn")
+    assert (code, said) == (1, "no unicorn has been seen: the detector is not looking for it\n")
+    eventually(lambda: command("memory", "list", config)[1] != "none\n")
+    code, said = command("memory", "list", config, "--json")
+    name = json.loads(said)[0]["name"]
+    code, said = command("memory", "find", config, name)
+    assert (code, said.startswith(f"{name}: at (")) == (0, True)
+    assert command("memory", "export", config, str(exported))[0] == 0
+    assert {"id", "name", "xyz"} <= json.loads(exported.read_text())[0].keys()
     code, said = command("place", "import", config, str(tmp_path / "none"))
     assert (code, "no such file" in said) == (os.EX_DATAERR, True)
