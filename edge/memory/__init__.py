@@ -18,6 +18,6 @@ from edge.memory.site import (
 )
 
 __all__ = [
-    "START", "Item", "KnownObject", "Place", "RoomName", "Site", "SiteError", "SiteFile", "Zone", "item_of",
-    "known_objects", "merged", "read_site", "site_of", "where_is", "write_site",
+    "START", "Item", "KnownObject", "Place", "RoomName", "Site", "SiteError", "SiteFile", "Zone",
+    "item_of", "known_objects", "merged", "read_site", "site_of", "where_is", "write_site",
 ]  # fmt: skip

@@ -14,7 +14,7 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import Site
 from edge.mission.language.english import describe
-from edge.mission.language.places import HERE, START, quote_places
+from edge.mission.language.places import EXPLORED, HERE, START, quote_places
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
@@ -25,6 +25,10 @@ from edge.mission.translate import Translation, make_translator
 from edge.text import one_line
 
 _NO_SITE = Site()
+_IN_ENGLISH = {
+    START: "the start", HERE: "the place where this mission begins",
+    EXPLORED: "the end of exploring",
+}  # fmt: skip
 _MOST_SHOWN = 600  # of the parts of a contradiction
 
 
@@ -108,7 +112,10 @@ def prepare(
             instruction = config.instruction
             said = quote_places(instruction, names_of_places)
             translation = translator.translate(said, config.reading, ask=False)
-        translation = replace(translation, instruction=instruction)
+        english = translation.english
+        for name, plain in _IN_ENGLISH.items():
+            english = english.replace(f'"{name}"', plain)
+        translation = replace(translation, instruction=instruction, english=english)
     else:
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")
@@ -120,7 +127,7 @@ def located(translation: Translation, site: Site) -> Translation:
     found: dict[str, SE2 | None] = {}
     for letter in ltl.propositions(translation.formula):
         place = site.place(letter)
-        if place is not None or letter in (START, HERE):
+        if place is not None or letter in (START, HERE, EXPLORED):
             found[letter] = None if place is None else place.pose
     return replace(translation, places=found)
 

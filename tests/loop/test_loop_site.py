@@ -114,6 +114,22 @@ def test_it_stays_inside():
     assert max(abs(pose.x_m - START[0]), abs(pose.y_m - START[1])) < 1.5 - 0.2
 
 
+def test_it_explores_and_knows_more_than_when_it_only_looked_around():
+    loop = driven("explore the house, then come back", seconds=280.0)
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert loop.service.map.grid.known_m2 > 30.0
+    assert "reached: explored" in " ".join(loop.notes.events)
+    assert loop.drive.motion.pose.distance_to(*START) < 0.6
+
+
+def test_it_patrols():
+    loop = driven("patrol the dock and the start 2 times", FAR, seconds=280.0)
+    reached = [
+        e.split()[1] for e in loop.notes.events if e.startswith("reached: ") and "m from" in e
+    ]
+    assert reached == ["dock", "start", "dock", "start"]
+
+
 def test_a_jump_of_odometry_drops_places_and_zones():
     loop = driven("go to the dock", FAR, Zone("mat", "keep_out", square(9.0, 9.0, 0.3)), seconds=1)
     loop.service.forget_places(0)

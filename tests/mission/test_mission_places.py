@@ -34,6 +34,19 @@ NAMES = [place.name for place in SITE.places]
         ("go to the bed and return to the dock", 'go to the bed, then go to "dock"'),
         ("go to the bed and then get back to the start", 'go to the bed, then go to "start"'),
         ("Come back.", 'go to "here".'),
+        ("explore the whole house, then come back", 'go to "explored", then go to "here"'),
+        ("Explore.", 'go to "explored".'),
+        ("explore the kitchen", "explore the kitchen"),
+        ("patrol the dock and the bed twice", 'patrol "dock" and the bed twice'),
+        (
+            "patrol the dock and the bed 2 times.",
+            'go to "dock", then go to the bed, then go to "dock", then go to the bed.',
+        ),
+        (
+            "patrol between bed, sofa, and dock one times",
+            'go to bed, then go to sofa, then go to "dock"',
+        ),
+        ("patrol the dock and the bed 99 times", 'patrol "dock" and the bed 99 times'),
         ("return the mug to the bed", "return the mug to the bed"),
         ("go back to the bed", "go back to the bed"),
     ],
@@ -54,6 +67,10 @@ def briefed(instruction: str):
         ("find the mug and come back", "F (mug & F here)", ["here"], ("mug",)),
         ("go to the loading bay 2 and then return to the start",
          'F ("loading bay two" & F start)', ["loading bay two", "start"], ("chair",)),
+        ("explore the house and return to the dock", "F (explored & F dock)",
+         ["explored", "dock"], ("chair",)),
+        ("patrol the dock and the bed 2 times", "F (dock & F (bed & F (dock & F bed)))", ["dock"],
+         ("bed",)),
         ("visit the sofa and the bed", "F sofa & F bed", [], ("sofa", "bed")),
     ],
 )  # fmt: skip
@@ -65,6 +82,7 @@ def test_a_place_is_a_target_that_the_detector_does_not_look_for(
     assert list(brief.translation.places) == places
     assert brief.prompts == prompts
     assert brief.translation.instruction == instruction
+    assert '"' not in brief.translation.english.replace('"loading bay two"', "")
 
 
 def test_a_pose_that_is_not_known_yet_is_left_open():

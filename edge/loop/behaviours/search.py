@@ -39,12 +39,12 @@ class SearchBehaviour:
 
     @property
     def _place(self) -> SE2 | None:
-        """The active target's pose, if it is a named place."""
+        """The active target's pose if it is a place; None for a thing, and for exploring."""
         return self._mission.places.get(self._mission.target)
 
     def gather(self) -> Sequence[Instance]:
         """Return the objects of the active target; a place has none."""
-        if self._mission.done or self._place is not None:
+        if self._mission.done or self._mission.target in self._mission.places:
             return ()
         sure, doubted = not self._config.policy.instances, self._goals.searched
         return self._map.tracker.of(self._mission.target, sure, doubted=doubted)
@@ -60,7 +60,9 @@ class SearchBehaviour:
             self._surveyor.step(mission, grid, self._map.tracker, pose, now_ns)
         if goals.follows(mission) and mission.active:
             goals.judge(grid, pose, mission, images, now_ns)
-            if goals.exhausted:
+            if goals.exhausted and mission.target in mission.places and self._place is None:
+                mission.arrive(f"{grid.known_m2:.0f} m² are known", now_ns)
+            elif goals.exhausted:
                 mission.give_up(goals.why_in_vain(mission, grid), now_ns)
 
     def select(self, context: Context, scores: np.ndarray, images: int) -> Goal | None:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 
-START, HERE = "start", "here"
-"""The first pose of the service, and the pose at which a mission begins."""
+from edge import names as words
+
+START, HERE, EXPLORED = "start", "here", "explored"
+"""The first pose of the service; the pose at which a mission begins; wherever exploring ends."""
+MAX_ROUNDS = 10
 
 _WENT = r"(?:you|we)\s+(?:started|began|set\s+off|came)(?:\s+from)?"
 _THEN = r"(?P<then>(?:\s*,)?\s+(?:and\s+)?(?:then\s+)?)?"
@@ -18,6 +21,16 @@ _PHRASES = (
         f'"{START}"',
     ),
     (re.compile(r"\bto\s+(?:the\s+)?start\b", re.I), f'to "{START}"'),
+)
+_EXPLORE = re.compile(
+    r"\b(?:(?:explore|map|scan|survey)\s+(?:(?:the|this|your|my|our|whole|entire|all|of)\s+)*"
+    r"(?:house|home|flat|apartment|building|floor|area|place|surroundings|environment|rooms|"
+    r"everything|everywhere)|explore|look\s+around)" + _END,
+    re.I,
+)  # fmt: skip
+_PATROL = re.compile(
+    r"\bpatrol\s+(?:between\s+)?(?P<stops>[^.;!?]+?)[,\s]+(?P<rounds>\w+)\s+(?:times|rounds)\b",
+    re.I,
 )
 _BACK = re.compile(
     _THEN + r"\b(?:(?:come|go|get|drive|head|return|run)\s+back(?:\s+here)?|return(?:\s+here)?)"
@@ -32,6 +45,15 @@ def _then(place: str) -> Callable[[re.Match[str]], str]:
     return lambda found: f"{', then ' if found['then'] else ''}go to {place}"
 
 
+def _rounds(found: re.Match[str]) -> str:
+    """Return a patrol as the stops of all its rounds; unchanged if their number is not clear."""
+    rounds = words.number([found["rounds"].lower()])
+    stops = re.split(r"\s*,\s*(?:and\s+)?|\s+and\s+", found["stops"].strip())
+    if rounds is None or not 1 <= rounds <= MAX_ROUNDS or len(stops) < 2:
+        return found[0]
+    return ", then ".join(f"go to {stop}" for stop in stops * rounds)
+
+
 def quote_places(instruction: str, names: Iterable[str]) -> str:
     """Put the names of places, and the words for where the robot was, into double quotes.
 
@@ -42,7 +64,7 @@ def quote_places(instruction: str, names: Iterable[str]) -> str:
         >>> quote_places("Go to the charging dock, then come back.", ["charging dock"])
         'Go to "charging dock", then go to "here".'
     """
-    pieces = re.split(r'("[^"]*")', instruction)
+    pieces = re.split(r'("[^"]*")', _PATROL.sub(_rounds, instruction))
     known = sorted(names, key=len, reverse=True)
     if known:
         any_name = "|".join(r"\s+".join(map(re.escape, name.split())) for name in known)
@@ -51,6 +73,7 @@ def quote_places(instruction: str, names: Iterable[str]) -> str:
         text = pieces[i]
         for phrase, place in _PHRASES:
             text = phrase.sub(place, text)
+        text = _EXPLORE.sub(f'go to "{EXPLORED}"', text)
         text = _BACK.sub(_then(f'"{HERE}"'), text)
         if known:
             outside = re.split(r'("[^"]*")', text)
