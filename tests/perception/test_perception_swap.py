@@ -264,7 +264,9 @@ def test_one_swap_at_a_time_and_none_to_the_model_that_runs(bench):
     with pytest.raises(SwapError, match=r"^old runs already$"):
         b.swapper.request("old", False, 0)
     b.swapper.request("new", False, 0)
-    with pytest.raises(SwapError, match=r"^new is still (loading|checking); wait until that swap e"):
+    with pytest.raises(
+        SwapError, match=r"^new is still (loading|checking); wait until that swap e"
+    ):
         b.swapper.request("other", False, 0)
     b.until("on probation")
     with pytest.raises(SwapError, match=r"^new is still on probation"):
