@@ -638,7 +638,7 @@ def test_closing_gives_up_what_is_asked(endless):
     eventually(lambda: endless._deadline.options is not before)
     endless.close()
     thread.join(PATIENCE_S)
-    assert raised == ["model tiny: given up: it was told to end"]
+    assert raised == ["model tiny: aborted: the model was closed"]
 
 
 def test_the_card_says_what_is_missing(models_dir):
