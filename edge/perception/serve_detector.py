@@ -32,7 +32,7 @@ def main(make: Make = make_detector) -> int:
     Args:
         make: makes the detector.
     """
-    told, images, control, frames = begin()
+    request, images, control, frames = begin()
     speaking = threading.Lock()
 
     def progress(health: Health) -> None:  # on any thread, but only until `make` returns
@@ -40,8 +40,8 @@ def main(make: Make = make_detector) -> int:
             control.send(wire.encode(health=health))
 
     try:
-        perception = config.Perception.model_validate(told["perception"])
-        detector = make(perception, told["prompts"], progress)
+        perception = config.Perception.model_validate(request["perception"])
+        detector = make(perception, request["prompts"], progress)
         _run_empty(detector)
     except Exception as error:
         control.send(wire.encode_error(error))
@@ -64,8 +64,8 @@ def _run_empty(detector: Detector) -> None:
 
 def check_prompts(control: socket.socket, detector: Detector) -> None:
     """Answer prompt checks on `control`, while `answer_images` runs."""
-    while said := control.recv(wire.MAX_BYTES):
-        request = read_json_object(said)
+    while message := control.recv(wire.MAX_BYTES):
+        request = read_json_object(message)
         try:
             detector.set_prompts(request["prompts"])
             control.send(wire.encode(id=request["id"]))
@@ -75,8 +75,8 @@ def check_prompts(control: socket.socket, detector: Detector) -> None:
 
 def answer_images(images: socket.socket, detector: Detector, frames: FrameView) -> None:
     """Answer every image with its detections, or with the error that was raised."""
-    while said := images.recv(wire.MAX_BYTES):
-        request = read_json_object(said)
+    while message := images.recv(wire.MAX_BYTES):
+        request = read_json_object(message)
         seq, prompts = request["seq"], tuple(request["prompts"])
         try:
             if prompts != detector.prompts:

@@ -92,10 +92,10 @@ def competitors(prompts: Sequence[str], things: Sequence[str], text: TextEncoder
     for row, prompt in enumerate(prompts):
         contrasts = set(text.contrasts(prompt))
         seen_in_part = set(text.contrasts(prompt, whole=False))
-        for column, said in enumerate(words):
-            contrast = not contrasts.isdisjoint(said)
-            unseen = contrast and seen_in_part.isdisjoint(said)
-            near = any(names.near(a, b) for a in words[row] for b in said)
+        for column, others in enumerate(words):
+            contrast = not contrasts.isdisjoint(others)
+            unseen = contrast and seen_in_part.isdisjoint(others)
+            near = any(names.near(a, b) for a in words[row] for b in others)
             competes[0, row, column] = contrast or not near
             competes[1, row, column] = competes[0, row, column] and not unseen
     return competes

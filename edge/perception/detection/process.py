@@ -52,7 +52,7 @@ class ProcessDetector(KeptProcess):
         self._perception = perception.model_copy(update={"isolation": "thread"})
         self._prompts = self._looked_for = tuple(prompts)
         self._progress = progress
-        self._own, self._told = Health(), Health()
+        self._own, self._reported = Health(), Health()
         self._answered: Link | None = None
         self._invalid_before = 0
         self._cancelled = cancelled or threading.Event()
@@ -87,7 +87,7 @@ class ProcessDetector(KeptProcess):
         answer = link.detect(rgb, self._prompts, self._rules.timeout_s)
         if link is not self._answered:  # a new process counts from 0
             self._answered, self._invalid_before = link, self.invalid_boxes
-        self._looked_for, self._told = answer.found.prompts, answer.health
+        self._looked_for, self._reported = answer.found.prompts, answer.health
         self.invalid_boxes = self._invalid_before + answer.invalid_boxes
         took_ns = time.perf_counter_ns() - start_ns
         return replace(answer.found, observation=observation, model=self.name, latency_ns=took_ns)
@@ -98,7 +98,7 @@ class ProcessDetector(KeptProcess):
             return self._own
         if self._link is not None and self._link.fault:  # the thread is about to report it
             return Health("restarting", self._link.fault)
-        return self._told
+        return self._reported
 
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
         """See `KeptProcess`.
@@ -116,12 +116,12 @@ class ProcessDetector(KeptProcess):
 
     def _run_with(self, prompts: Sequence[str], first: Future[None]) -> tuple[float, str]:
         perception = self._perception.model_dump(mode="json")
-        told = {"perception": perception, "prompts": list(prompts)}
-        return self._run_link(first, told, self._load)
+        request = {"perception": perception, "prompts": list(prompts)}
+        return self._run_link(first, request, self._load)
 
     def _ready(self, again: bool) -> None:
         """See `KeptProcess`."""
-        self._told = Health()
+        self._reported = Health()
         self._say(Health())
 
     def _ended(self, why: str, failed: Exception | None, pause: Pause) -> None:
@@ -130,7 +130,7 @@ class ProcessDetector(KeptProcess):
         state = "restarting" if known and not pause.limit else "degraded"
         self._say(Health(state, f"{why}; {self._outlook(pause)}"))
 
-    def _told_to_end(self, first: Future[None]) -> bool:
+    def _is_cancelled(self, first: Future[None]) -> bool:
         return self._closing.is_set() or (self._cancelled.is_set() and not first.done())
 
     def _load(self, health: Health) -> None:

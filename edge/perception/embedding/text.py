@@ -152,8 +152,8 @@ def find_vocabulary(configured: str | None) -> Path:
     Raises:
         PromptError: it is missing.
     """
-    told = configured or os.environ.get("EDGE_VOCABULARY")
-    path = resources.expand(told) if told else resources.models_dir() / VOCABULARY_FILE
+    named = configured or os.environ.get("EDGE_VOCABULARY")
+    path = resources.expand(named) if named else resources.models_dir() / VOCABULARY_FILE
     if path.is_file():
         return path
     raise PromptError(

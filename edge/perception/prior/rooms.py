@@ -37,8 +37,8 @@ def beliefs(table: Table, chance: np.ndarray, held: np.ndarray) -> np.ndarray:
         (m, kinds) float64, rows sum to 1.
     """
     prior = average(table)
-    tell = np.log(chance) - np.log(prior @ chance)
-    log_p = np.log(prior) + table.evidence * (held @ tell.T)
+    log_ratio = np.log(chance) - np.log(prior @ chance)
+    log_p = np.log(prior) + table.evidence * (held @ log_ratio.T)
     p = np.exp(log_p - log_p.max(1, keepdims=True))
     return p / p.sum(1, keepdims=True)
 

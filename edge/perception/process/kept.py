@@ -133,12 +133,18 @@ class KeptProcess(ABC):
         """
 
     def _run_link(
-        self, first: Future[None], told: dict[str, Any], progress: Tell, program: Sequence[str] = ()
+        self,
+        first: Future[None],
+        request: dict[str, Any],
+        progress: Tell,
+        program: Sequence[str] = (),
     ) -> tuple[float, str]:
-        """See `_run_once`; `told` and `program` as `Link` takes them."""
-        link = Link(told, self.name, self._frames, program)
+        """See `_run_once`; `request` and `program` as `Link` takes them."""
+        link = Link(request, self.name, self._frames, program)
         try:
-            link.wait_ready(self._rules.start_timeout_s, lambda: self._told_to_end(first), progress)
+            link.wait_ready(
+                self._rules.start_timeout_s, lambda: self._is_cancelled(first), progress
+            )
             ready_s, self._link = time.monotonic(), link
             self._ready(again=first.done())
             if not first.done():
@@ -149,7 +155,7 @@ class KeptProcess(ABC):
         finally:
             link.close()
 
-    def _told_to_end(self, first: Future[None]) -> bool:
+    def _is_cancelled(self, first: Future[None]) -> bool:
         """Return True if the process that is starting is no longer wanted."""
         return self._closing.is_set()
 

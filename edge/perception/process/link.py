@@ -42,7 +42,7 @@ class Link:
     The kernel ends the process with the thread that makes this object.
 
     Args:
-        told: the request for the program; the fields common to all programs are added.
+        request: for the program; the fields common to all programs are added.
         name: of the model.
         frames: the frame file.
         program: command line; by default the one for detectors.
@@ -56,7 +56,7 @@ class Link:
     """
 
     def __init__(
-        self, told: dict[str, Any], name: str, frames: FrameFile, program: Sequence[str] = ()
+        self, request: dict[str, Any], name: str, frames: FrameFile, program: Sequence[str] = ()
     ) -> None:
         self.name, self.fault = name, ""
         self._frames = frames
@@ -69,7 +69,7 @@ class Link:
                 self._control, control = _channel(stack)
                 with images, control:
                     fds = images.fileno(), control.fileno(), frames.fd
-                    self._process = _start(program or PROGRAM, fds, told)
+                    self._process = _start(program or PROGRAM, fds, request)
             except OSError as error:
                 raise ModelProcessError(
                     f"model {name}: its process cannot be started: {error}"
@@ -79,7 +79,7 @@ class Link:
     def wait_ready(
         self,
         timeout_s: float,
-        told_to_end: Callable[[], bool],
+        cancelled: Callable[[], bool],
         progress: Tell,
         limit: str = "perception.process.start_timeout_s",
     ) -> dict[str, Any]:
@@ -87,7 +87,7 @@ class Link:
 
         Args:
             timeout_s: longest time without a message.
-            told_to_end: polled; True aborts the start.
+            cancelled: polled; True aborts the start.
             progress: called with the health that the process sends while it loads.
             limit: configuration key or option of `timeout_s`, for messages.
 
@@ -99,31 +99,29 @@ class Link:
                 process.
             ModelProcessError: it ended, took too long, or is no longer wanted.
         """
-        while "health" in (header := self._hear(timeout_s, told_to_end, limit)):
+        while "health" in (header := self._hear(timeout_s, cancelled, limit)):
             progress(self._decode(wire.decode_health, header))
         wire.raise_error(header, self.name)
         return header
 
-    def _hear(
-        self, timeout_s: float, told_to_end: Callable[[], bool], limit: str
-    ) -> dict[str, Any]:
+    def _hear(self, timeout_s: float, cancelled: Callable[[], bool], limit: str) -> dict[str, Any]:
         """Return the next message of a process that is not ready yet; see `wait_ready`."""
         deadline_s = time.monotonic() + timeout_s
-        while (said := _receive(self._control)) is None:
-            if told_to_end():
+        while (message := _receive(self._control)) is None:
+            if cancelled():
                 raise self.give_up("stopped during its start")
             if time.monotonic() >= deadline_s:
                 raise self.give_up(f"not ready after {timeout_s:g} s ({limit}): killed")
-        if not said:
+        if not message:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 code = self._process.wait(_END_S)
                 raise self.give_up(f"{_how(code)} before it was ready")
-        return self._decode(read_json_object, said)
+        return self._decode(read_json_object, message)
 
-    def _decode(self, decode: Callable[[Any], T], said: Any) -> T:
+    def _decode(self, decode: Callable[[Any], T], message: Any) -> T:
         """Decode a message of a process that is not ready yet; kill the process if that fails."""
         try:
-            return decode(said)
+            return decode(message)
         except ValueError as error:
             raise self.give_up(f"damaged message ({error}): killed") from None
 
@@ -178,9 +176,9 @@ class Link:
                         f"{shared_dir()}: no room for images: {error}"
                     ) from None
             hw = None if rgb is None else rgb.shape[:2]
-            said = self._exchange(wire.encode(seq=seq, hw=hw, **request), timeout_s, limit)
+            answered = self._exchange(wire.encode(seq=seq, hw=hw, **request), timeout_s, limit)
         try:
-            head, _, block = said.partition(wire.END_OF_HEADER)
+            head, _, block = answered.partition(wire.END_OF_HEADER)
             header = read_json_object(head)
             answer = None if "error" in header else decode(seq, header, block)
         except ValueError as error:
@@ -194,7 +192,7 @@ class Link:
     def _exchange(self, request: bytes, timeout_s: float, limit: str) -> bytes:
         deadline_s = time.monotonic() + timeout_s
         sent, before_s = _send(self._images, request), None
-        while (said := _receive(self._images)) is None:
+        while (message := _receive(self._images)) is None:
             if self._ended.is_set():
                 raise ModelProcessError(self.fault)
             if before_s is None:
@@ -203,10 +201,10 @@ class Link:
                 _queued_s(self._process.pid) - before_s, timeout_s
             ):
                 raise self.give_up(f"no answer within {timeout_s:g} s ({limit}): killed")
-        if not (sent and said):  # the other end is closed
+        if not (sent and message):  # the other end is closed
             self._ended.wait(_END_S)
             raise self.give_up("takes no requests: killed")
-        return said
+        return message
 
     def check(self, prompts: Sequence[str], timeout_s: float) -> bool:
         """Return True if the process confirmed within this time that it can use the prompts.
@@ -223,9 +221,9 @@ class Link:
             while header.get("id") != number:
                 if self._ended.is_set() or time.monotonic() >= deadline_s:
                     return False
-                if said := _receive(self._control):
+                if message := _receive(self._control):
                     try:
-                        header = read_json_object(said)
+                        header = read_json_object(message)
                     except ValueError as error:  # not the fault of the prompts
                         self.give_up(f"damaged message ({error}): killed")
                         return False
@@ -289,7 +287,7 @@ def _channel(stack: contextlib.ExitStack) -> tuple[socket.socket, socket.socket]
 
 
 def _start(
-    program: Sequence[str], descriptors: tuple[int, int, int], told: dict[str, Any]
+    program: Sequence[str], descriptors: tuple[int, int, int], request: dict[str, Any]
 ) -> subprocess.Popen[bytes]:
     """Start the program and write its request to stdin; see `edge.perception.process`."""
     level, as_json = _logging()
@@ -300,7 +298,7 @@ def _start(
         program, stdin=subprocess.PIPE, stdout=2, pass_fds=descriptors, start_new_session=True
     )
     with contextlib.suppress(BrokenPipeError), process.stdin:  # it ended: `wait_ready` reports it
-        process.stdin.write(json.dumps({**told, **ours}).encode())
+        process.stdin.write(json.dumps({**request, **ours}).encode())
     return process
 
 

@@ -92,10 +92,10 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
         raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
     if type(invalid) is not int:
         raise ValueError(f"invalid_boxes {bounded_repr(invalid, 40)}")
-    told = header.get("context")
-    if not (told is None or isinstance(told, dict)):
-        raise ValueError(f"context {bounded_repr(told, 40)}")
-    words, m = ([], 0) if told is None else (told.get("words"), told.get("n"))
+    around = header.get("context")
+    if not (around is None or isinstance(around, dict)):
+        raise ValueError(f"context {bounded_repr(around, 40)}")
+    words, m = ([], 0) if around is None else (around.get("words"), around.get("n"))
     _check_words("prompts", prompts)
     _check_words("context", words)
     n = header.get("n")
@@ -107,7 +107,7 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
         )
     xyxy, score, class_id, rival = _unpacked(block[: n * _BOX_BYTES], n, prompts)
     context = None
-    if told is not None:
+    if around is not None:
         context = ContextBoxes(*_unpacked(block[n * _BOX_BYTES :], m, words)[:3], tuple(words))
     found = Detections(
         None, xyxy, score, class_id, tuple(prompts), rival if header.get("rival") is True else None,
@@ -141,12 +141,16 @@ def decode_health(header: dict[str, Any]) -> Health:
     Raises:
         ValueError: there is none, or it is invalid.
     """
-    told = header.get("health")
-    if not isinstance(told, list) or len(told) != 2 or not all(isinstance(t, str) for t in told):
-        raise ValueError(f"health {bounded_repr(told, 40)}")
-    if told[0] not in _STATES:
-        raise ValueError(f"health {bounded_repr(told[0], 40)} (choices: {', '.join(_STATES)})")
-    return Health(*told)
+    health = header.get("health")
+    if (
+        not isinstance(health, list)
+        or len(health) != 2
+        or not all(isinstance(t, str) for t in health)
+    ):
+        raise ValueError(f"health {bounded_repr(health, 40)}")
+    if health[0] not in _STATES:
+        raise ValueError(f"health {bounded_repr(health[0], 40)} (choices: {', '.join(_STATES)})")
+    return Health(*health)
 
 
 def raise_error(header: dict[str, Any], name: str) -> None:

@@ -104,12 +104,12 @@ def engine_of(
         **built_with,
     }
 
-    def build_and_tell(folder: Path) -> None:
+    def build_with_progress(folder: Path) -> None:
         check_unchanged(path, sha256)
         with telling(options.model, options.progress) as note:
             build(folder, note)
 
-    return obtain(key, options.folder, build_and_tell, options.progress)
+    return obtain(key, options.folder, build_with_progress, options.progress)
 
 
 @contextlib.contextmanager
@@ -129,7 +129,7 @@ def telling(
     """
     over, notes, start_s = threading.Event(), [first], time.monotonic()
 
-    def tell() -> None:
+    def report() -> None:
         while True:
             took_s = time.monotonic() - start_s
             progress(Health("building engine", f"{model}: {took_s:.0f} s, {notes[-1]}"))
@@ -139,7 +139,7 @@ def telling(
     def note(text: str) -> None:
         notes[:] = [text or first]
 
-    thread = threading.Thread(target=tell, name="building", daemon=True)
+    thread = threading.Thread(target=report, name="building", daemon=True)
     thread.start()
     try:
         yield note

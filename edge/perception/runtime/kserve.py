@@ -59,7 +59,7 @@ class RemoteSession:
         self.name, self._server = card.name, card.server
         self.binary = False
         inputs, outputs = wanted(card)
-        self._inputs, self._outputs = _told(inputs), _told(outputs)
+        self._inputs, self._outputs = _specs(inputs), _specs(outputs)
         self._line: _Line | None = None
         self._under_way: Exchange | None = None
         self._lock, self._closed = threading.Lock(), False
@@ -233,7 +233,7 @@ class _Line:
         self.connection = Connection()
 
 
-def _told(values: Sequence[Value]) -> dict[str, tuple[str, messages.Shape]]:
+def _specs(values: Sequence[Value]) -> dict[str, tuple[str, messages.Shape]]:
     """Return datatype and shape by name; None stands for a free size."""
     return {
         v.name: (_DATATYPES[v.dtype], tuple(s if s and s > 0 else None for s in v.shape or ()))
@@ -245,6 +245,6 @@ def _refusal(reply: Reply) -> str:
     if 300 <= reply.status < 400:
         where = one_line(without_secrets(reply.headers.get("Location", "nowhere")))
         return f"HTTP {reply.status}, see {where}; configure another URL"
-    said = explanation(reply.body)
-    said = said.decode("utf-8", "replace") if isinstance(said, bytes) else said
-    return f"HTTP {reply.status}: {one_line(said) or 'it does not say why'}; see the server's log"
+    reason = explanation(reply.body)
+    reason = reason.decode("utf-8", "replace") if isinstance(reason, bytes) else reason
+    return f"HTTP {reply.status}: {one_line(reason) or 'it does not say why'}; see the server's log"

@@ -37,7 +37,7 @@ def infer_request(
         outputs: names of the outputs.
         binary: True: send and ask for tensors as bytes.
     """
-    told: list[dict[str, Any]] = []
+    entries: list[dict[str, Any]] = []
     blocks: list[bytes] = []
     for name, array in inputs.items():
         entry = {"name": name, "shape": list(array.shape), "datatype": _NAMES[array.dtype]}
@@ -47,9 +47,9 @@ def infer_request(
             blocks.append(block)
         else:
             entry["data"] = array.ravel().tolist()
-        told.append(entry)
+        entries.append(entry)
     wanted = [{"name": name, "parameters": {"binary_data": binary}} for name in outputs]
-    head = json.dumps({"inputs": told, "outputs": wanted}).encode()
+    head = json.dumps({"inputs": entries, "outputs": wanted}).encode()
     if not binary:
         return {"Content-Type": "application/json"}, head
     headers = {"Content-Type": "application/octet-stream", HEADER_LENGTH: str(len(head))}
@@ -74,11 +74,11 @@ def infer_answer(
     """
     length = len(body) if head_bytes is None else _length(head_bytes, len(body))
     answer, at = read_json_object(body[:length]), length
-    told = answer.get("outputs")
-    if not isinstance(told, list) or not all(isinstance(entry, dict) for entry in told):
+    entries = answer.get("outputs")
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise ValueError("it has no list of outputs")
     found: dict[str, np.ndarray] = {}
-    for entry in told:
+    for entry in entries:
         name = entry.get("name")
         size = _binary_size(entry)
         block = None if size is None else memoryview(body)[at : at + size]
@@ -111,9 +111,9 @@ def check_metadata(
     Raises:
         ValueError: the model is another; one line.
     """
-    told = read_json_object(body)
+    metadata = read_json_object(body)
     for kind, wanted in (("inputs", inputs), ("outputs", outputs)):
-        entries = told.get(kind)
+        entries = metadata.get(kind)
         entries = entries if isinstance(entries, list) else []
         named = {e["name"]: e for e in entries if isinstance(e, dict) and _is_name(e.get("name"))}
         if not named:

@@ -202,7 +202,7 @@ def provider_options(
         return {"device_id": str(device_id)}
     if provider != ORT_TENSORRT:
         return {}
-    told = {
+    options = {
         "device_id": str(device_id),
         "trt_engine_cache_enable": "True",
         "trt_engine_cache_path": str(folder),
@@ -214,8 +214,8 @@ def provider_options(
     for index, end in enumerate(("min", "opt", "max")):
         shapes = (f"{n}:{'x'.join(map(str, s[index]))}" for n, s in engine.shapes.items())
         if text := ",".join(shapes):
-            told[f"trt_profile_{end}_shapes"] = text
-    return told
+            options[f"trt_profile_{end}_shapes"] = text
+    return options
 
 
 def tensorrt_version() -> str:

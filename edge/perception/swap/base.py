@@ -149,7 +149,7 @@ class Swap(Generic[Model]):
 
     Args:
         worker: runs the model.
-        tell: called with a line for every step.
+        report: called with a line for every step.
         clock: returns seconds, for `LOAD_TIMEOUT_S`.
 
     Attributes:
@@ -160,10 +160,10 @@ class Swap(Generic[Model]):
     def __init__(
         self,
         worker: ModelWorker[Any, Any, Model],
-        tell: Tell,
+        report: Tell,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._worker, self._tell, self._clock = worker, tell, clock
+        self._worker, self._report, self._clock = worker, report, clock
         self._attempt: Attempt[Model, Any] | None = None
         self._ended: list[Attempt[Model, Any]] = []
         self._until_s = 0.0
@@ -197,7 +197,7 @@ class Swap(Generic[Model]):
         for detectors.
 
         Args:
-            now_ns: the loop's time, passed on to `tell`.
+            now_ns: the loop's time, passed on to `report`.
             idle: see `Attempt.verdict`.
         """
         attempt = self._attempt
@@ -214,7 +214,7 @@ class Swap(Generic[Model]):
                 self._end(attempt, "kept", verdict, now_ns)
         elif not attempt.fault and attempt.switch():
             line = f"switched to, on probation for {attempt.probation}; {attempt.finding}"
-            self._tell(f"model {attempt.name}: {line}", now_ns, logging.INFO)
+            self._report(f"model {attempt.name}: {line}", now_ns, logging.INFO)
         elif fault := attempt.fault or self._overdue(attempt):
             self._end(attempt, "refused", f"{fault}; {previous.name} goes on", now_ns)
 
@@ -257,7 +257,7 @@ class Swap(Generic[Model]):
         self._attempt = attempt
         self._until_s = self._clock() + LOAD_TIMEOUT_S
         attempt.start()
-        self._tell(f"model {attempt.name}: loading, {self.running} runs", now_ns, logging.INFO)
+        self._report(f"model {attempt.name}: loading, {self.running} runs", now_ns, logging.INFO)
 
     def _overdue(self, attempt: Attempt[Model, Any]) -> str:
         """Return the reason to stop waiting for the model; "" if there is none yet."""
@@ -274,7 +274,7 @@ class Swap(Generic[Model]):
         }  # fmt: skip
         self._finish(attempt)
         level = logging.INFO if state == "kept" else logging.WARNING
-        self._tell(f"model {attempt.name}: {state}: {detail}", now_ns, level)
+        self._report(f"model {attempt.name}: {state}: {detail}", now_ns, level)
 
     def _finish(self, attempt: Attempt[Model, Any]) -> None:
         """End the attempt; its thread closes the model that does not run."""

@@ -36,7 +36,7 @@ class DetectorSwap(Swap[Detector]):
     Args:
         perception: see the attribute.
         worker: runs the detector.
-        tell, clock: see `Swap`.
+        report, clock: see `Swap`.
         make: makes the new detector.
 
     Attributes:
@@ -48,11 +48,11 @@ class DetectorSwap(Swap[Detector]):
         self,
         perception: Perception,
         worker: DetectorWorker,
-        tell: Tell,
+        report: Tell,
         make: Make = make_detector,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(worker, tell, clock)
+        super().__init__(worker, report, clock)
         self.perception, self._make = perception, make
 
     def request(

@@ -198,7 +198,7 @@ def strongest_rival(surface, centers, points, n_points, word, confidence, n, aga
     """
     k = len(surface)
     x, y = np.mean(surface[:, 0]), np.mean(surface[:, 1])
-    told = np.zeros(len(against), np.bool_)
+    found = np.zeros(len(against), np.bool_)
     cover = np.zeros((len(against), k), np.float32)
     for i in range(n):
         dx, dy = centers[i, 0] - x, centers[i, 1] - y
@@ -218,12 +218,12 @@ def strongest_rival(surface, centers, points, n_points, word, confidence, n, aga
                     lies = True
             inside += lies
         share = min(1.0, inside / (WITHIN * n_points[i]))
-        told[word[i]] = True
+        found[word[i]] = True
         for s in range(k):
             if on[s]:
                 cover[word[i], s] = max(cover[word[i], s], share * confidence[i])
     best = np.float32(0.0)
     for w in range(len(against)):
-        if told[w]:
+        if found[w]:
             best = max(best, against[w] * np.mean(cover[w]))
     return best

@@ -119,7 +119,9 @@ class SightingTracker:
         self._weight = np.zeros(cap, np.float32)
         self._total = np.zeros(cap, np.float32)
         self._cursor = np.zeros(cap, np.int32)
-        self._told = np.zeros((cap, 4), np.float32)  # confidence and place at the last generation
+        self._counted = np.zeros(
+            (cap, 4), np.float32
+        )  # confidence and place at the last generation
         self._number: dict[str, int] = {}
         self._rivals: dict[str, np.ndarray] = {}
         self._asked = np.zeros(0, np.bool_)
@@ -243,7 +245,7 @@ class SightingTracker:
             ("last_seen_ns", s.last_seen_ns), ("id", s.id), ("hits", s.hits),
             ("near_hits", s.near_hits), ("points_m", s.points_m), ("n_points", s.n_points),
             ("weight", self._weight), ("total", self._total), ("cursor", self._cursor),
-            ("told", self._told),
+            ("told", self._counted),
         )  # fmt: skip
 
     def _ask(self, prompts: tuple[str, ...], words: tuple[str, ...]) -> None:
@@ -324,7 +326,7 @@ class SightingTracker:
         s.points_m[at] = 0.0  # clear the old row: a checkpoint saves all of it
         s.confidence[at] = s.hits[at] = s.near_hits[at] = s.n_points[at] = 0
         self._weight[at] = self._total[at] = self._cursor[at] = self._now[at] = 0
-        self._told[at] = -1.0
+        self._counted[at] = -1.0
         self._next_id += 1
         return at
 
@@ -351,7 +353,7 @@ class SightingTracker:
         last = s.n - 1
         for array in (
             s.xyz_m, s.word, s.confidence, s.last_seen_ns, s.id, s.hits, s.near_hits, s.points_m,
-            s.n_points, self._now, self._weight, self._total, self._cursor, self._told,
+            s.n_points, self._now, self._weight, self._total, self._cursor, self._counted,
         ):  # fmt: skip
             array[at] = array[last]
         s.n = last
@@ -359,12 +361,12 @@ class SightingTracker:
 
     def _count(self) -> None:
         """Raise the generation if any confidence or place has changed enough."""
-        s, told = self._all, self._told
-        moved = np.abs(s.confidence[: s.n] - told[: s.n, 0]) > _MATTERS
-        moved |= np.abs(s.xyz_m[: s.n] - told[: s.n, 1:]).max(axis=1, initial=0) > 2 * _MATTERS
+        s, counted = self._all, self._counted
+        moved = np.abs(s.confidence[: s.n] - counted[: s.n, 0]) > _MATTERS
+        moved |= np.abs(s.xyz_m[: s.n] - counted[: s.n, 1:]).max(axis=1, initial=0) > 2 * _MATTERS
         if moved.any():
             at = np.flatnonzero(moved)
-            told[at, 0], told[at, 1:] = s.confidence[at], s.xyz_m[at]
+            counted[at, 0], counted[at, 1:] = s.confidence[at], s.xyz_m[at]
             s.generation += 1
         self._show()
 

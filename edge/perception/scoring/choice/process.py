@@ -47,7 +47,7 @@ class _Process(KeptProcess):
         self, card: DirectionsCard, choice: config.ChoiceOnnx, rules: config.ModelProcess
     ) -> None:
         super().__init__(card.name, rules)
-        self._told = {"choice": choice.model_dump(mode="json")}
+        self._request = {"choice": choice.model_dump(mode="json")}
         self._why = f"model {self.name}: its process is not ready"
         self._begin("choice-model")
 
@@ -70,7 +70,7 @@ class _Process(KeptProcess):
 
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
         """See `KeptProcess`."""
-        return self._run_link(first, self._told, log_progress, PROGRAM)
+        return self._run_link(first, self._request, log_progress, PROGRAM)
 
     def _ready(self, again: bool) -> None:
         """See `KeptProcess`."""
@@ -140,13 +140,13 @@ def _decode(
     """
     if header.get("seq") != seq:
         raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
-    told = header.get("p")
-    if not isinstance(told, list) or len(told) != len(sizes):
-        raise ValueError(f"p {bounded_repr(told, 40)}")
+    values = header.get("p")
+    if not isinstance(values, list) or len(values) != len(sizes):
+        raise ValueError(f"p {bounded_repr(values, 40)}")
     try:
-        found = [np.array(p, np.float32) for p in told]
+        found = [np.array(p, np.float32) for p in values]
     except (TypeError, ValueError):
-        raise ValueError(f"p {bounded_repr(told, 40)}") from None
+        raise ValueError(f"p {bounded_repr(values, 40)}") from None
     for p, size in zip(found, sizes, strict=True):
         if p.shape != (size,) or not (p >= 0).all() or abs(float(p.sum()) - 1.0) > _SUM_ERROR:
             raise ValueError(f"shares {bounded_repr(p.tolist(), 40)} for {size} answers")

@@ -28,10 +28,10 @@ Answer = Callable[[dict[str, Any], Any], list[np.ndarray]]
 
 def main() -> int:
     """Read the request from stdin, load the model, and answer until the service ends it."""
-    told, questions, control, frames = begin()
+    request, questions, control, frames = begin()
     give_way()  # before it starts threads
     try:
-        answer = open_answer(ChoiceOnnx.model_validate(told["choice"]))
+        answer = open_answer(ChoiceOnnx.model_validate(request["choice"]))
     except Exception as error:
         control.send(wire.encode_error(error))
         return 1
@@ -39,7 +39,7 @@ def main() -> int:
     try:
         answer_questions(questions, answer, frames)
     except BaseException:
-        log.exception("model %s: its process ends", told["choice"]["card"])
+        log.exception("model %s: its process ends", request["choice"]["card"])
         os._exit(1)
     return 0
 
@@ -70,8 +70,8 @@ def open_answer(choice: ChoiceOnnx) -> Answer:
 
 def answer_questions(questions: socket.socket, answer: Answer, frames: FrameView) -> None:
     """Answer every request with the probabilities of its answers, or with the error raised."""
-    while said := questions.recv(wire.MAX_BYTES):
-        request = read_json_object(said)
+    while message := questions.recv(wire.MAX_BYTES):
+        request = read_json_object(message)
         seq = request["seq"]
         try:
             image = None if request["hw"] is None else frames.read(seq, request["hw"])

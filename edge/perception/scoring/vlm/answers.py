@@ -48,9 +48,9 @@ def probabilities(tokens: Sequence[tuple[str, float]], answers: Sequence[str]) -
         if i is not None:
             logits[i] = np.logaddexp(logits[i], logprob)
     if not np.isfinite(logits).any():
-        said = ", ".join(repr(token) for token, _ in tokens[:3])
+        likeliest = ", ".join(repr(token) for token, _ in tokens[:3])
         raise NoAnswerError(
-            f"the model begins its answer with {said:.60}, not with {', '.join(answers)}; "
+            f"the model begins its answer with {likeliest:.60}, not with {', '.join(answers)}; "
             "use one that answers at once"
         )
     missing = np.isneginf(logits)

@@ -83,11 +83,11 @@ class Decoder:
 
     def _no_past(self) -> Iterator[tuple[str, np.ndarray]]:
         """Yield an empty cache, shaped by the decoder or else by the configuration."""
-        told = self._files.text_config
-        heads = told.get("num_key_value_heads", told.get("num_attention_heads"))
-        size = told.get("head_dim")
-        if size is None and "hidden_size" in told and "num_attention_heads" in told:
-            size = told["hidden_size"] // told["num_attention_heads"]
+        config = self._files.text_config
+        heads = config.get("num_key_value_heads", config.get("num_attention_heads"))
+        size = config.get("head_dim")
+        if size is None and "hidden_size" in config and "num_attention_heads" in config:
+            size = config["hidden_size"] // config["num_attention_heads"]
         for name, value in self._inputs.items():
             if name.startswith(_PAST):
                 n, d = (

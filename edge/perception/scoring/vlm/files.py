@@ -125,11 +125,11 @@ def _template(card: ChoiceCard, tokenizer: dict[str, Any]) -> str:
         ) from None
 
 
-def _text_of(told: Any) -> str:
+def _text_of(template: Any) -> str:
     """Return the text of a template, which is a text or a list of named ones with a `default`."""
-    if isinstance(told, str):
-        return told
-    return str(next(one["template"] for one in told if one["name"] == "default"))
+    if isinstance(template, str):
+        return template
+    return str(next(one["template"] for one in template if one["name"] == "default"))
 
 
 def open_tokenizer(files: ModelFiles) -> Any:

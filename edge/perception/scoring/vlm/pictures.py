@@ -53,15 +53,15 @@ def make_prepare(files: ModelFiles, image_token: str, most_tokens: int) -> Prepa
     Raises:
         ModelError: the processor is not supported, or its configuration lacks something.
     """
-    told = files.image or {}
-    kind = str(told.get("image_processor_type", "")).removesuffix("Fast")
+    settings = files.image or {}
+    kind = str(settings.get("image_processor_type", "")).removesuffix("Fast")
     if kind not in FAMILIES:
         raise ModelError(
             f"{files.folder}: model {files.name}: image_processor_type {bounded_repr(kind, 60)} is "
             f"not supported (choices: {', '.join(FAMILIES)})"
         )
     try:
-        return FAMILIES[kind](told, files, image_token, most_tokens)
+        return FAMILIES[kind](settings, files, image_token, most_tokens)
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(
             f"{files.folder}: model {files.name}: its image processor's configuration is "
@@ -79,12 +79,16 @@ def _resize(rgb: np.ndarray, size_wh: tuple[int, int], resample: Image.Resamplin
 class _Normalise:
     """Converts pixels to the encoder's numbers, (3, h, w) float32."""
 
-    def __init__(self, told: dict[str, Any]) -> None:
-        scale = float(told.get("rescale_factor", 1 / 255)) if told.get("do_rescale", True) else 1.0
+    def __init__(self, settings: dict[str, Any]) -> None:
+        scale = (
+            float(settings.get("rescale_factor", 1 / 255))
+            if settings.get("do_rescale", True)
+            else 1.0
+        )
         mean, std = np.zeros(3, np.float32), np.ones(3, np.float32)
-        if told.get("do_normalize", True):
-            mean = np.asarray(told["image_mean"], np.float32)
-            std = np.asarray(told["image_std"], np.float32)
+        if settings.get("do_normalize", True):
+            mean = np.asarray(settings["image_mean"], np.float32)
+            std = np.asarray(settings["image_std"], np.float32)
         if mean.shape != (3,) or std.shape != (3,) or not std.all():
             raise ValueError("image_mean or image_std")
         self._scale, self._shift = (scale / std).astype(np.float32), (mean / std).astype(np.float32)
@@ -93,25 +97,25 @@ class _Normalise:
         return (rgb.astype(np.float32) * self._scale - self._shift).transpose(2, 0, 1)
 
 
-def _size(told: dict[str, Any], key: str, most: int, default: int | None = None) -> int:
+def _size(settings: dict[str, Any], key: str, most: int, default: int | None = None) -> int:
     """Return a whole number of 1 to `most`; raise KeyError or ValueError."""
-    found = int(told[key] if default is None else told.get(key, default))
+    found = int(settings[key] if default is None else settings.get(key, default))
     if not 1 <= found <= most:
         raise ValueError(f"{key} {found} (1 to {most})")
     return found
 
 
 def _idefics3(
-    told: dict[str, Any], files: ModelFiles, image_token: str, most_tokens: int
+    settings: dict[str, Any], files: ModelFiles, image_token: str, most_tokens: int
 ) -> Prepare:
     """Prepare images for Idefics3 and SmolVLM: one square of the whole image, and tiles."""
-    side = _size(told["max_image_size"], "longest_edge", MAX_EDGE_PX)
-    longest = min(_size(told["size"], "longest_edge", 1 << 30), MAX_EDGE_PX)
-    resample = Image.Resampling(told.get("resample", 1))
-    normalise = _Normalise(told)
+    side = _size(settings["max_image_size"], "longest_edge", MAX_EDGE_PX)
+    longest = min(_size(settings["size"], "longest_edge", 1 << 30), MAX_EDGE_PX)
+    resample = Image.Resampling(settings.get("resample", 1))
+    normalise = _Normalise(settings)
     length = _size(files.processor, "image_seq_len", 1 << 30, 169)
     _check_limit(most_tokens, length)
-    most_squares = most_tokens // length if told.get("do_image_splitting", True) else 1
+    most_squares = most_tokens // length if settings.get("do_image_splitting", True) else 1
     fake, whole, marks = "<fake_token_around_image>", "<global-img>", image_token * length
 
     def prepare(rgb: np.ndarray) -> Picture:
@@ -164,23 +168,23 @@ def _tiling(rgb: np.ndarray, longest: int, side: int) -> tuple[int, int]:
 
 
 def _qwen2_vl(
-    told: dict[str, Any], files: ModelFiles, image_token: str, most_tokens: int
+    settings: dict[str, Any], files: ModelFiles, image_token: str, most_tokens: int
 ) -> Prepare:
     """Prepare images for Qwen2-VL: patches at about the image's own size, merged by the encoder."""
-    patch, merge = (_size(told, key, MAX_EDGE_PX) for key in ("patch_size", "merge_size"))
-    times = _size(told, "temporal_patch_size", _MAX_FRAMES, 2)
-    resample = Image.Resampling(told.get("resample", 3))
+    patch, merge = (_size(settings, key, MAX_EDGE_PX) for key in ("patch_size", "merge_size"))
+    times = _size(settings, "temporal_patch_size", _MAX_FRAMES, 2)
+    resample = Image.Resampling(settings.get("resample", 3))
     if patch * merge > MAX_EDGE_PX:
         raise ValueError(f"patch_size times merge_size {patch * merge} (1 to {MAX_EDGE_PX})")
-    size = told.get("size") or {}
-    least = int(told.get("min_pixels") or size["shortest_edge"])
-    most = int(told.get("max_pixels") or size["longest_edge"])
+    size = settings.get("size") or {}
+    least = int(settings.get("min_pixels") or size["shortest_edge"])
+    most = int(settings.get("max_pixels") or size["longest_edge"])
     per_token_px = (patch * merge) ** 2
     _check_limit(most_tokens, math.ceil(least / per_token_px))
     if max(least, per_token_px) > MAX_EDGE_PX**2 or most < per_token_px:
         raise ValueError(f"min_pixels {least} or max_pixels {most}")
     most = min(most, most_tokens * per_token_px, MAX_EDGE_PX**2)
-    normalise = _Normalise(told)
+    normalise = _Normalise(settings)
 
     def prepare(rgb: np.ndarray) -> Picture:
         height, width = smart_resize(rgb.shape[0], rgb.shape[1], patch * merge, least, most)
