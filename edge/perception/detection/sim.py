@@ -75,6 +75,14 @@ class SimDetector:
 
     Raises:
         PromptError: no prompt, or an empty one.
+
+    Example:
+        >>> truth = Segmentation(np.ones((48, 64), np.uint16), ("chair",))
+        >>> detector = SimDetector(config.DetectorSim(), ["chair"], lambda stamp_ns: truth)
+        >>> depth_m = np.full((48, 64), 2.0, np.float32)
+        >>> found = detector.detect(Observation(0, 0, np.eye(4), depth_m=depth_m))
+        >>> len(found), found.prompts
+        (1, ('chair',))
     """
 
     name = "sim (ground-truth ids + noise, no neural network)"

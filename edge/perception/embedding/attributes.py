@@ -209,6 +209,14 @@ class AttributeEncoder:
 
     Raises:
         ModelError: the model is missing or unusable, or has no vocabulary in it.
+
+    Example:
+        >>> from edge.perception.runtime.cards import load_card_of
+        >>> encoder = AttributeEncoder(load_card_of(TextCard, "mini-house-text"))
+        >>> encoder.resolve("high white trash bin")
+        'tall white trash can'
+        >>> encoder.embed(["chair", "red bed"]).shape == (1, 2, encoder.dim)
+        True
     """
 
     def __init__(self, card: TextCard) -> None:

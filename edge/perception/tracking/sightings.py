@@ -119,9 +119,8 @@ class SightingTracker:
         self._weight = np.zeros(cap, np.float32)
         self._total = np.zeros(cap, np.float32)
         self._cursor = np.zeros(cap, np.int32)
-        self._counted = np.zeros(
-            (cap, 4), np.float32
-        )  # confidence and place at the last generation
+        # Confidence and place at the last generation.
+        self._counted = np.zeros((cap, 4), np.float32)
         self._number: dict[str, int] = {}
         self._rivals: dict[str, np.ndarray] = {}
         self._asked = np.zeros(0, np.bool_)
