@@ -78,8 +78,8 @@ def cut(path, n):
 
 BROKEN = {
     "no calibration": (lambda f: (f / "calib.txt").unlink(), r"calib\.txt: cannot be read"),
-    "no P2": (lambda f: (f / "calib.txt").write_text(f"Tr: {TR}\n"), r"calib\.txt: expected a line `P2:`"),
-    "no Tr": (lambda f: (f / "calib.txt").write_text(f"P2: {IDENTITY}\n"), r"calib\.txt: expected a line `Tr:`"),
+    "no P2": (lambda f: (f / "calib.txt").write_text(f"Tr: {TR}\n"), "a line `P2:`"),
+    "no Tr": (lambda f: (f / "calib.txt").write_text(f"P2: {IDENTITY}\n"), "a line `Tr:`"),
     "words for numbers": (lambda f: (f / "calib.txt").write_text("P2: a b\n"), "P2: not 12"),
     "short poses": (lambda f: (f / "poses.txt").write_text("1 0 0\n"), r"poses\.txt: not a table"),
     "no poses": (lambda f: (f / "poses.txt").write_text(""), r"poses\.txt: not a table"),
