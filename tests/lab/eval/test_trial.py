@@ -149,13 +149,13 @@ def test_a_chain_that_is_none_is_one_line(tmp_path, capsys, monkeypatch, chain, 
 WRONG = {
     "no such place": (["nowhere", "go to the car"], os.EX_DATAERR, "nowhere: no frame with"),
     "no number of a street": (["street:-1", "go to the car"], os.EX_DATAERR,
-                              "street:-1: no street; give it a number, as street:3"),
+                              "street:-1: not a street; give a number, such as street:3"),
     "frames of a street": (["street:3", "go to the car", "--frames", "1"], os.EX_DATAERR,
-                           "street:3: it has no frames"),
+                           "street:3: a street has no frames"),
     "no such configuration": (["street:3", "go to the car", "--config", "x.yaml"], os.EX_CONFIG,
                               "x.yaml"),
     "a robot without a LiDAR": (["street:3", "go to the car", "--config", "demo"], os.EX_DATAERR,
-                                "sensors.lidar: a street is seen with a LiDAR"),
+                                "sensors.lidar: a street needs a LiDAR"),
     "no URL": (["street:3", "go to the car", "--url", "ftp://x"], os.EX_UNAVAILABLE,
                "not the URL of a chat server: 'ftp://x'"),
 }  # fmt: skip
@@ -173,7 +173,7 @@ def test_what_cannot_be_used_is_one_line(tmp_path, capsys, case):
 def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys):
     (tmp_path / "out").write_text("a file")
     assert trajectory(tmp_path, "nowhere", "go to the car")[0] == os.EX_IOERR
-    assert "out: cannot be written: File exists: give another --out" in capsys.readouterr().err
+    assert "out: cannot be written: File exists: choose another --out" in capsys.readouterr().err
 
 
 def test_a_model_leaves_what_it_was_told_and_what_it_said(tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""What is to be seen of the service from outside: what it publishes, its pages, its processes."""
+"""Monitor of the service from outside: its topics, its pages, its processes."""
 
 from __future__ import annotations
 
@@ -36,22 +36,25 @@ _LOGGED = re.compile(r"\d\d:\d\d:\d\d")
 
 
 class Watch:
-    """For the soak's own thread, but for what Zenoh hands in.
+    """State of the service, for the soak's own thread. Zenoh's callbacks take a lock.
 
-    Times are `time.monotonic`'s, in seconds.
+    Times are `time.monotonic` in seconds.
 
     Attributes:
-        status: the newest status message; `status_s`: when it came.
-        beats: the newest of `edge.lab.eval.soak.beat`, with when they came, oldest first.
-        ready: what `/readyz` says is amiss, where `/healthz` was 200; `ready_s`: since when so.
-        alive_s: when `/healthz` was 200 last.
-        counts: goals, the controller's answers by state, missions by how they ended.
-        checkpoint, places: why the mission's, and that of the map beside it, cannot be read; empty
-            while they can.
-        recordings: what is recorded.
-        calm: there is no fault; may be set.
-        mutes: a fault keeps all that is published from being heard; may be set. `muted_s`: when one
-            did so last.
+        status: the newest status message.
+        status_s: its time.
+        beats: the newest messages of `edge.lab.eval.soak.beat` with their times, oldest first.
+        ready: problems that `/readyz` reports.
+        is_ready: `/readyz` was 200.
+        seen_s: time of the last sample.
+        alive_s: time at which `/healthz` was last 200.
+        counts: number of goals, and of goals reached and failed.
+        checkpoint: why the mission's checkpoint cannot be read; "" if it can.
+        places: the same for the map's checkpoint.
+        recordings: check of the recordings.
+        calm: there is no fault; can be set.
+        mutes: a fault stops all published messages; can be set.
+        muted_s: last time of that.
     """
 
     def __init__(self, stage: Stage) -> None:
@@ -109,24 +112,24 @@ class Watch:
             self.counts[f"goals {state}"] += 1
 
     def _on_goal(self, sample: zenoh.Sample) -> None:
-        """A goal is sent again until it is answered."""
+        """Count a goal once: it is sent again until it is answered."""
         payload = sample.payload.to_bytes()
         with self._hand:
             if payload not in self._goals:
                 self._goals = {payload}
                 self.counts["goals"] += 1
 
-    # -- on the soak's ---------------------------------------------------------------------------
+    # -- on the soak's thread --------------------------------------------------------------------
 
     @property
     def usual_hz(self) -> float:
-        """Ticks a second without a fault."""
+        """Median rate of ticks without a fault [1/s]."""
         with self._hand:
             known = list(self._calm_hz)
         return float(np.median(known)) if known else 0.0
 
     def ticks_hz(self, since_s: float) -> float:
-        """Ticks a second by the newest two beats after `since_s`, 0 before there are two."""
+        """Return the tick rate by the newest two beats after `since_s`; 0 if there are not two."""
         with self._hand:
             newest = list(self.beats)[-2:]
         if len(newest) < 2 or newest[0][0] < since_s + newest[0][1]["seconds"]:
@@ -136,12 +139,12 @@ class Watch:
 
     @property
     def beat_s(self) -> float:
-        """When the loop's beat was heard last."""
+        """Time of the newest beat."""
         with self._hand:
             return self.beats[-1][0] if self.beats else self.began_s
 
     def look(self) -> dict[str, Any]:
-        """Look at pages, processes and checkpoint; a sample, JSON-ready."""
+        """Take a sample of pages, processes and checkpoints. Return it, JSON-ready."""
         stage, now_s = self._stage, time.monotonic()
         codes = {path: stage.page(path) for path in PROBES}
         health, ready = (codes[path] for path in PROBES)
@@ -197,13 +200,13 @@ class Watch:
 
 
 def dropped(page: str) -> dict[str, int]:
-    """Messages that became part of no observation since the start, by reason, of `/metrics`."""
+    """Return the messages that became part of no observation, by reason, from `/metrics`."""
     samples = (s for family in text_string_to_metric_families(page) for s in family.samples)
     return {s.labels["reason"]: int(s.value) for s in samples if s.name == _DROPPED and s.value}
 
 
 def _is_logged(line: str) -> bool:
-    """Whether it is a line of the log, not of what a signal has it show."""
+    """Return True for a line of the log; a list of threads after a signal is not one."""
     return _LOGGED.match(line) is not None
 
 
@@ -215,7 +218,7 @@ def _age_s(path: Path) -> float | None:
 
 
 def _unreadable(path: Path, form: CheckpointFormat) -> str:
-    """Why a checkpoint is no whole one; empty where it is, or where there is none yet."""
+    """Return why a checkpoint cannot be read; "" if it can, or if it is not there yet."""
     try:
         with path.open("rb") as file:
             form.decode(file.read(form.max_bytes + 1))
