@@ -183,7 +183,7 @@ BAD_HOUSES = {
             {"category": "box", "at": [0, 0], "size": [1, -1, 1]}]}),
         r"objects\.0\.size\.1",
     ),
-    "nothing in it": (json.dumps({"name": "x", "start": [0, 0, 0]}), "nothing in it"),
+    "the world is empty": (json.dumps({"name": "x", "start": [0, 0, 0]}), "nothing in it"),
     "a list": ("[]", "top"),
 }  # fmt: skip
 
