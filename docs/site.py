@@ -142,5 +142,5 @@ def topics_page() -> str:
     for topic in topics.ALL:
         rate = f"{topic.rate_hz:g}" if topic.rate_hz else "on events"
         lines.append(f"| `{topic.key}` | {topic.type} | {rate} | {topic.writer} |")
-    requests = ", ".join(f"`{key}`" for key in (topics.MISSION_REQUEST, topics.MODELS_REQUEST))
+    requests = ", ".join(f"`{key}`" for key in topics.REQUESTS)
     return "\n".join([*lines, "", f"Queryables, JSON in both directions: {requests}.", ""])
