@@ -69,11 +69,10 @@ def _section(path: str, section: dict, definitions: dict) -> Iterator[str]:
             if any(_objects(value, definitions)):
                 inner.append((f"{path}.{key}", value))
             else:
-                text = " ".join(value.get("description", "").split())
                 default = json.dumps(value["default"]) if "default" in value else "required"
-                rows.append(f"| `{key}` | {_type(value, definitions)} | `{default}` | {text} |")
+                rows.append(f"| `{key}` | {_type(value, definitions)} | `{default}` |")
         if rows:
-            yield from ("| key | values | default | meaning |", "|---|---|---|---|", *rows)
+            yield from ("| key | values | default |", "|---|---|---|", *rows)
         for each in inner:
             yield from _section(*each, definitions)
 
