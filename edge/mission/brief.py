@@ -1,4 +1,4 @@
-"""From an instruction to a mission that can be run, or to one line that says why not."""
+"""Preparation of a mission: from an instruction or a formula to a `Brief`, or a one-line error."""
 
 from __future__ import annotations
 
@@ -33,21 +33,23 @@ _MOST_SHOWN = 600  # of the parts of a contradiction
 
 
 class MissionError(UserError):
-    """A mission that is refused before it begins; one line."""
+    """A mission that is refused before it starts; the message has one line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Brief:
-    """A mission, ready to be run.
+    """A mission that is ready to run.
 
     Attributes:
-        automaton: over the targets; letters that do not matter are left out. Of a task its state
-            is the number of steps that were driven, one with each step in which nothing is reached.
-        targets: the propositions that matter, in order of first appearance: what the detector
-            is asked for, one VL channel each.
-        prompts: what the detector looks for: the targets that are things, or else the target of
-            the configuration.
-        steps: of a task (`edge.tasks`), at least one. None: it is no task.
+        translation: the instruction and its formula.
+        automaton: over the targets; propositions that make no difference are removed. For a task,
+            the state is the number of completed steps: each step without a reached object
+            (`NOTHING`) adds one.
+        diagnosis: result of checking the formula.
+        targets: the propositions that make a difference, in order of first appearance.
+        prompts: the targets that are things, or else the target of the configuration. The detector
+            searches for them; each has one VL channel.
+        steps: steps of a task (`edge.tasks`), at least one; None if this is no task.
     """
 
     translation: Translation
@@ -63,16 +65,16 @@ class Brief:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a person should know before the robot drives."""
+        """Warnings for the operator before the robot drives."""
         unused = one_line(", ".join(self.diagnosis.unused))
-        told = [f"does not matter to the mission: {unused}"] if unused else []
+        lines = [f"does not affect the mission: {unused}"] if unused else []
         if self.translation.implied:
             ways = len(self.translation.readings)
-            told.append(
-                f"it can be read in {ways} ways: nobody was there to choose, so reading "
-                f"{self.translation.reading} was taken, which fulfils all of them"
+            lines.append(
+                f"the instruction has {ways} readings and nobody chose one, so reading "
+                f"{self.translation.reading} was taken: it fulfils all of them"
             )
-        return tuple(told)
+        return tuple(lines)
 
 
 def prepare(
@@ -82,23 +84,29 @@ def prepare(
     reading: int | None = None,
     site: Site = _NO_SITE,
 ) -> Brief:
-    """Translate, compile and check a mission; may take as long as its translator does.
+    """Translate, compile and check a mission; this can take as long as the translator does.
 
     Args:
-        instruction: read by the configured translator. Whoever gives it can be asked; of the
-            configuration's own, which nobody may be there to choose for, the safer reading is
-            taken (see `Translator.translate`).
-        formula: linear temporal logic, in place of an instruction. With neither, the
-            configuration's own instruction or target is taken.
-        reading: which of the given instruction's readings is meant, counted from 1; of the
-            configuration's own, `config.reading` tells.
-        site: its places are targets that need no search.
+        config: the `mission` section.
+        instruction: text for the configured translator. Its sender can choose a reading. Nobody may
+            be present to choose a reading of the configuration's own instruction, so the safer one
+            is taken (see `Translator.translate`).
+        formula: linear temporal logic, instead of an instruction. With neither, the instruction
+            or the target of the configuration is used.
+        reading: the chosen reading of the given instruction, counted from 1. For the
+            configuration's own instruction, `config.reading` applies.
+        site: a place of the site is a target that needs no search.
 
     Raises:
-        AmbiguousError: the instruction can be read in several ways, and none was chosen.
-        UserError: the instruction was not understood, the formula is malformed, too large, a
-            contradiction (the parts that conflict are named), asks for nothing, or is too large for
-            the configured planner.
+        AmbiguousError: the instruction has several readings, and none was chosen.
+        UserError: the instruction was not understood, or the formula cannot be used: it is
+            malformed, too large (also for the configured planner), a contradiction (the error
+            names the parts in conflict), or asks for nothing.
+
+    Example:
+        >>> brief = prepare(Mission(), "Go to the bed, then to the sofa.")
+        >>> str(brief.automaton.formula), brief.targets
+        ('F (bed & F sofa)', ('bed', 'sofa'))
     """
     names_of_places = [place.name for place in site.places]
     if formula is not None:
@@ -133,7 +141,7 @@ def located(translation: Translation, site: Site) -> Translation:
 
 
 def brief_of(config: Mission, translation: Translation) -> Brief:
-    """Compile and check what was translated, and that the planner can take it on; see `prepare`."""
+    """Compile and check a translated formula for the configured planner; see `prepare`."""
     formula = _unified(translation.formula, translation.places)
     translation = replace(translation, formula=formula)
     letters = ltl.propositions(formula)
@@ -145,7 +153,7 @@ def brief_of(config: Mission, translation: Translation) -> Brief:
         shown = ((one_line(part), one_line(describe(part))) for part in diagnosis.contradiction)
         parts = one_line("; ".join(f"{part} ({english})" for part, english in shown), _MOST_SHOWN)
         what = "these conflict" if len(diagnosis.contradiction) > 1 else "this cannot be done"
-        raise MissionError(f"mission: a contradiction, {what}: {parts}")
+        raise MissionError(f"mission: a contradiction, {what}: {parts}; remove or change a part")
     if automaton.steps_left[0] == 0:
         always = ", whatever is reached" if diagnosis.tautology else ""
         raise MissionError(
@@ -154,9 +162,8 @@ def brief_of(config: Mission, translation: Translation) -> Brief:
         )
     targets = tuple(letter for letter in letters if letter not in diagnosis.unused)
     automaton = _narrowed(automaton, targets)
-    make_planner(
-        config.planner, automaton, translation.instruction
-    )  # refuses what it cannot take on
+    # Check now that the planner accepts the mission.
+    make_planner(config.planner, automaton, translation.instruction)
     things = tuple(letter for letter in targets if letter not in translation.places)
     return Brief(translation, automaton, diagnosis, targets, things or (config.target,))
 
@@ -164,14 +171,18 @@ def brief_of(config: Mission, translation: Translation) -> Brief:
 def brief_of_task(
     config: Mission, translation: Translation, targets: tuple[str, ...], steps: tuple[TaskStep, ...]
 ) -> Brief:
-    """A task: what is to be reached is a trajectory's end, so no formula says anything of it.
+    """Return the `Brief` of a task, whose automaton counts completed steps.
+
+    No formula describes a task: its goal is the end of a trajectory.
 
     Args:
-        targets: what the detector is to look for, at least one name.
-        steps: at least one.
+        config: the `mission` section.
+        translation: the instruction as it was understood.
+        targets: names for the detector, at least one.
+        steps: steps of the task, at least one.
 
     Raises:
-        MissionError: there are more targets than are allowed.
+        MissionError: more targets than `mission.max_targets`.
     """
     _check_number(config, len(targets))
     states = np.arange(len(steps) + 1, dtype=np.int32)
@@ -182,14 +193,14 @@ def brief_of_task(
 
 
 def task_of(brief: Brief) -> dict[str, Any] | None:
-    """What makes a task of a mission, beside its translation: the arguments of `brief_of_task`."""
+    """Return the arguments of `brief_of_task` that the translation lacks, or None for a mission."""
     if brief.steps is None:
         return None
     return {"targets": brief.targets, "steps": [asdict(step) for step in brief.steps]}
 
 
 def brief_again(config: Mission, translation: Translation, task: dict[str, Any] | None) -> Brief:
-    """A mission or a task again, from what `task_of` gave."""
+    """Return the mission or task again from its translation and the result of `task_of`."""
     if task is None:
         return brief_of(config, translation)
     steps = tuple(TaskStep(s["said"], tuple(s["names"]), s["joined"]) for s in task["steps"])
@@ -205,7 +216,7 @@ def _check_number(config: Mission, targets: int) -> None:
 
 
 def _narrowed(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
-    """Without the letters that do not matter: no planner is to send the robot looking for them."""
+    """Remove propositions that make no difference, so that the planner never searches for them."""
     if letters == automaton.letters:
         return automaton
     columns = [automaton.letters.index(letter) for letter in letters]
@@ -214,7 +225,7 @@ def _narrowed(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
 
 
 def _unified(formula: Formula, places: Collection[str]) -> Formula:
-    """Return the formula with one word for one thing: of synonyms, the one that came first.
+    """Return the formula with one name for each object: the first one of its synonyms.
 
     A place keeps its name: what a person calls a place is no synonym of a thing.
     """
