@@ -74,7 +74,7 @@ class Model(nn.Module):
 def train_on_cores(frames: Callable[[], Frames], plan: Plan, checkpoint: Path, cores: int) -> None:
     """Train with one process per core; the weights are in `checkpoint` afterwards.
 
-    Each process takes its share of every batch, and the gradients are summed once a step. Threads
+    Each process takes its share of every batch, and the gradients are averaged once a step. Threads
     would synchronise after every layer, and wait for the slowest core each time.
 
     Raises:
