@@ -48,7 +48,7 @@ def run_alone(module: str, job: object, limit_s: float, key: str = "") -> Any:
         module: module to run; it must call `main`.
         job: argument of its `measure` function; must be picklable.
         limit_s: the process is killed after this time.
-        key: configuration key of the limit, for the error message.
+        key: origin of the limit, for the error message.
 
     Returns:
         The result, or one line of text (str) that says why there is none.

@@ -31,7 +31,10 @@ TICKS_S = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600, 7200, 18000, 3600
 
 
 class Span(NamedTuple):
-    """Time in which one target was pursued; `settled` if it was reached or failed in that time."""
+    """Time in which one target was pursued.
+
+    `settled` is True if the target was reached or failed in that time, and for the last span.
+    """
 
     label: str
     start_s: float
