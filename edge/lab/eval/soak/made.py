@@ -179,7 +179,7 @@ def log_reader_stuck(stage: Stage, rng: np.random.Generator) -> Made:
 
 def viewer_stopped(stage: Stage, rng: np.random.Generator) -> Made:
     stage.start_viewer()
-    stops_s = time.monotonic() + 3.0  # once it is there
+    stops_s = time.monotonic() + 3.0  # after it has started
     try:
         while time.monotonic() < stops_s:
             yield
