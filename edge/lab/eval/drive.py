@@ -159,12 +159,12 @@ def over_zenoh(
         truth = TrueMotion(running.session, config)
         over = threading.Event()  # also set if a child ends by itself
 
-        def heed() -> None:
+        def check_stop() -> None:
             if stop.is_set():
                 over.set()
 
         with children(config, over, ("sim", "--no-motion"), ("sim", "--motion-only")):
-            loop(running, over, once=True, each=heed)
+            loop(running, over, once=True, each=check_stop)
         if stop.is_set():
             raise Stopped("stopped on request")
         if page is not None:

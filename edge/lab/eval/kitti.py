@@ -145,12 +145,12 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> Frame:
     height, width = bgr.shape[:2]
     try:
         camera = CameraModel(width, height, P2[0, 0], P2[1, 1], P2[0, 2], P2[1, 2])
-        beside_m = np.linalg.solve(P2[:, :3], P2[:, 3])  # P2 = K [I | t]
+        offset_m = np.linalg.solve(P2[:, :3], P2[:, 3])  # P2 = K [I | t]
     except ValueError as error:  # includes a matrix without an inverse
         raise KittiError(f"{path}: P2 of calib.txt: {error}") from None
     T_cam0_velo = _rigid(calibration["Tr"], folder / "calib.txt: Tr")
     T_cam2_cam0 = np.eye(4)
-    T_cam2_cam0[:3, 3] = beside_m
+    T_cam2_cam0[:3, 3] = offset_m
     T_base_velo = np.eye(4)
     T_base_velo[2, 3] = LIDAR_HEIGHT_M
     to_base = T_base_velo @ invert(T_cam0_velo)

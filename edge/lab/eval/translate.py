@@ -158,9 +158,9 @@ def clean_up_cases(path: Path) -> tuple[list[Case], Counter[str]]:
             row = json.loads(line)
             prefix = [_ROOMS.get(word, word) for word in row["raw_ltl"].split()]
             rooms = {word for word in prefix if word in _ROOMS.values() or word in "XZ"}
-            said = {found[1].lower() for found in _ROOM.finditer(row["natural"])}
+            named = {found[1].lower() for found in _ROOM.finditer(row["natural"])}
             part = " ".join("r" if word in rooms else word for word in prefix)
-            if said != rooms:
+            if named != rooms:
                 left_out[part] += 1
                 continue
             formula = renamed(from_prefix(" ".join(prefix)), "{} room".format)
@@ -187,13 +187,15 @@ def own_cases(path: Path) -> tuple[list[Case], Counter[str]]:
     with _table(path, "a table of sentences") as file:
         next(file, None)
         for line in file:
-            said, right = (json.loads(cell) for cell in line.split("\t")[:2])
+            sentence, right = (json.loads(cell) for cell in line.split("\t")[:2])
             if right == ["LONG"]:
                 left_out[TO_READ] += 1
                 continue
             part = MAY_REFUSE if [] in right else TO_READ
             formulas = tuple(parse(text) for text in right if text)
-            cases.append(Case(part, said, formulas[0] if formulas else FALSE, others=formulas[1:]))
+            cases.append(
+                Case(part, sentence, formulas[0] if formulas else FALSE, others=formulas[1:])
+            )
     return cases, left_out
 
 
@@ -356,18 +358,20 @@ def overview(result: dict[str, Any], not_seen: dict[str, dict[str, dict[str, int
     rows = [["set", "translator", "cases", *OUTCOMES, ""]]
     for title, by in result.items():
         if isinstance(by, dict):
-            rows += [_shares(title, name, told, SEEN.get(title, "")) for name, told in by.items()]
             rows += [
-                _shares(title, name, told, NOT_SEEN)
-                for name, told in not_seen.get(title, {}).items()
+                _shares(title, name, counts, SEEN.get(title, "")) for name, counts in by.items()
+            ]
+            rows += [
+                _shares(title, name, counts, NOT_SEEN)
+                for name, counts in not_seen.get(title, {}).items()
                 if name in by
             ]
     return aligned(rows)
 
 
-def _shares(title: str, name: str, told: dict[str, Any], note: str) -> list[str]:
-    cases = sum(told[outcome] for outcome in OUTCOMES)
-    shares = (f"{100 * told[outcome] / max(cases, 1):.1f} %" for outcome in OUTCOMES)
+def _shares(title: str, name: str, counts: dict[str, Any], note: str) -> list[str]:
+    cases = sum(counts[outcome] for outcome in OUTCOMES)
+    shares = (f"{100 * counts[outcome] / max(cases, 1):.1f} %" for outcome in OUTCOMES)
     return [title, name, str(cases), *shares, note]
 
 

@@ -90,7 +90,7 @@ class Witness:
         self.now: Truth | None = None
         self.seconds = 0.0
         self.things: dict[str, list[WorldObject]] = {}
-        self._mine: dict[str, np.ndarray] = {}
+        self._target_masks: dict[str, np.ndarray] = {}
         self.trail: list[list[float]] = []
         self.goals: list[Goal] = []
         self.status: MissionStatus | None = None
@@ -109,18 +109,18 @@ class Witness:
             self.goals += result.goals
             self.status = result.status
             if result.observation is not None:
-                self._look(result, result.observation)
+                self._on_observation(result, result.observation)
         except Exception as error:
             self.fault = self.fault or error
             raise
 
-    def _look(self, result: TickResult, observation: Observation) -> None:
+    def _on_observation(self, result: TickResult, observation: Observation) -> None:
         truth = self._truth(observation.stamp_ns)
         if self.now is None:
             self._begin(result.targets, truth, observation.stamp_ns)
         self.now, self.seconds = truth, 1e-9 * (observation.stamp_ns - self._began_ns)
         self._follow(truth)
-        self._see(truth, observation.depth_m)
+        self._record_sights(truth, observation.depth_m)
         if result.events:
             self._judge_steps(result, truth)
         instances = result.instances()
@@ -131,7 +131,9 @@ class Witness:
     def _begin(self, targets: Sequence[str], truth: Truth, stamp_ns: int) -> None:
         self.things = {target: named(self._world, target) for target in targets}
         most = max((thing.id for thing in self._world.objects), default=0)
-        self._mine = {target: mask_of(things, most) for target, things in self.things.items()}
+        self._target_masks = {
+            target: mask_of(things, most) for target, things in self.things.items()
+        }
         self.confirmed = {target: set() for target in targets}
         self._began_ns, self._anchor = stamp_ns, (0.0, truth.x_m, truth.y_m)
 
@@ -145,11 +147,11 @@ class Witness:
         if math.dist(self._anchor[1:], (truth.x_m, truth.y_m)) > STANDING_M:
             self._anchor = (self.seconds, truth.x_m, truth.y_m)
 
-    def _see(self, truth: Truth, depth_m: np.ndarray | None) -> None:
-        for target, mine in self._mine.items():
+    def _record_sights(self, truth: Truth, depth_m: np.ndarray | None) -> None:
+        for target, mask in self._target_masks.items():
             if target in self.sights or depth_m is None or not len(self.things[target]):
                 continue
-            if visible_px(truth.ids, depth_m, mine, self._range_m) >= MIN_PX:
+            if visible_px(truth.ids, depth_m, mask, self._range_m) >= MIN_PX:
                 self.sights[target] = Sight(self.seconds, truth.path_m)
 
     def _judge_steps(self, result: TickResult, truth: Truth) -> None:

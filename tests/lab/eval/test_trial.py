@@ -90,7 +90,7 @@ def test_what_cannot_be_reached_is_told(tmp_path, capsys):
 def test_the_detector_of_the_configuration_looks_for_what_is_named(tmp_path, capsys):
     code, _ = trajectory(tmp_path, "street:3", "go to the red car", "--objects", "detector")
     assert code == os.EX_OK
-    assert "by the simulated detector" in capsys.readouterr().out
+    assert "from the simulated detector" in capsys.readouterr().out
 
 
 def test_a_detector_needs_an_image_and_a_scan_and_no_labels(tmp_path, capsys, monkeypatch):
@@ -103,7 +103,7 @@ def test_a_detector_needs_an_image_and_a_scan_and_no_labels(tmp_path, capsys, mo
     code, out = trajectory(tmp_path, str(folder), "go straight for 8 metres", *options)
     said = capsys.readouterr()
     assert code == os.EX_OK, said.err
-    assert "0 things by mini-house-256x320-int8-cpu, 1 regions of ground" in said.out
+    assert "0 objects from mini-house-256x320-int8-cpu, 1 regions of ground" in said.out
     poses = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))["poses"]
     np.testing.assert_allclose(poses[-1][:2], (8.0, 0.0), atol=0.3)
 
@@ -117,7 +117,7 @@ def test_a_chain_of_ones_own_sees_in_place_of_the_detector(tmp_path, capsys, mon
     code, out = trajectory(tmp_path, str(folder), "go to the mailbox", *options)
     said = capsys.readouterr()
     assert code == os.EX_OK, said.err
-    assert "1 things by own_chain:make" in said.out
+    assert "1 objects from own_chain:make" in said.out
     assert "a yellow box, " in said.out
     end = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))["poses"][-1]
     assert np.hypot(end[0] - 10.0, end[1]) < 2.5

@@ -69,9 +69,8 @@ def distances(comparison: Comparison) -> Figure:
         for inside in bins
     ]
     for c in range(len(outcomes.columns)):
-        shift = 1.0 + 0.012 * (
-            c - (len(outcomes.columns) - 1) / 2
-        )  # so that whiskers do not overlap
+        # Shift each arm, so that whiskers do not overlap.
+        shift = 1.0 + 0.012 * (c - (len(outcomes.columns) - 1) / 2)
         _curve(axes, [shift * m for m in middles], [row[c] for row in found], c, outcomes)
     axes.set_ylim(0.0, 1.0)
     axes.set_xlabel("shortest path, m (median of each fifth of the episodes)"

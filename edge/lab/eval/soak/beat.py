@@ -48,10 +48,10 @@ class BeatSink:
             self._intervals_s.append(now_s - self._tick_s)
             self._tick_s = now_s
         if now_s - self._began_s >= PERIOD_S:
-            self._worker.submit(json.dumps(self._told(result, now_s - self._began_s)).encode())
+            self._worker.submit(json.dumps(self._message(result, now_s - self._began_s)).encode())
             self._began_s, self._intervals_s, self._gaps_s = now_s, [], []
 
-    def _told(self, result: TickResult, passed_s: float) -> dict[str, object]:
+    def _message(self, result: TickResult, passed_s: float) -> dict[str, object]:
         ticks = len(self._intervals_s)
         tick = result.latency(last=ticks).tick
         return {

@@ -61,23 +61,23 @@ def says(pattern: str) -> Hold:
 
 def checkpoint_fails(stage: Stage, watch: Watch, when: When) -> str:
     """Check that the status reports that the checkpoint cannot be written."""
-    told = watch.status.get("checkpoint") or {}
-    if watch.status_s > when.began_s and told.get("problem"):
+    checkpoint = watch.status.get("checkpoint") or {}
+    if watch.status_s > when.began_s and checkpoint.get("problem"):
         return ""
     return "the status does not report that the checkpoint cannot be written"
 
 
 def checkpoint_written(stage: Stage, watch: Watch, when: When) -> str:
     """Check that the checkpoint is written again."""
-    told = watch.status.get("checkpoint") or {}
-    if watch.status_s > when.ended_s and not told.get("problem"):
+    checkpoint = watch.status.get("checkpoint") or {}
+    if watch.status_s > when.ended_s and not checkpoint.get("problem"):
         return ""
-    return f"the checkpoint is not written: {told.get('problem')}"
+    return f"the checkpoint is not written: {checkpoint.get('problem')}"
 
 
 def recording_fails(stage: Stage, watch: Watch, when: When) -> str:
     """Check that the status reports that the recording cannot be written."""
-    if all(told["problem"] for told in _recorders(watch)) and watch.status_s > when.began_s:
+    if all(sink["problem"] for sink in _recorders(watch)) and watch.status_s > when.began_s:
         return ""
     return "the status does not report that the recording cannot be written"
 
@@ -86,13 +86,13 @@ def recording_goes_on(stage: Stage, watch: Watch, when: When) -> str:
     """Check that the recording continues."""
     if watch.status_s <= when.ended_s:
         return "no status message since"
-    stopped = [told for told in _recorders(watch) if told["problem"] or not told["file"]]
+    stopped = [sink for sink in _recorders(watch) if sink["problem"] or not sink["file"]]
     return f"nothing is recorded: {stopped[0]['problem']}" if stopped else ""
 
 
 def _recorders(watch: Watch) -> list[dict[str, Any]]:
     """Return the status of each sink that writes files."""
-    return [told for told in (watch.status.get("sinks") or {}).values() if "file" in told]
+    return [sink for sink in (watch.status.get("sinks") or {}).values() if "file" in sink]
 
 
 def page_answers(stage: Stage, watch: Watch, when: When) -> str:

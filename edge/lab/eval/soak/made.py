@@ -179,7 +179,7 @@ def log_reader_stuck(stage: Stage, rng: np.random.Generator) -> Made:
 
 def viewer_stopped(stage: Stage, rng: np.random.Generator) -> Made:
     stage.start_viewer()
-    stops_s = time.monotonic() + 3.0  # once it is there
+    stops_s = time.monotonic() + 3.0  # after it has started
     try:
         while time.monotonic() < stops_s:
             yield
@@ -200,10 +200,10 @@ def visitors_stuck(stage: Stage, rng: np.random.Generator) -> Made:
     address = stage.config.http.host, stage.config.http.port
     with ExitStack() as opened:
         while True:
-            for said in _HALVES:
+            for request in _HALVES:
                 with suppress(OSError):  # at times there are too many
                     visitor = socket.create_connection(address, ANSWER_S)
-                    opened.enter_context(visitor).sendall(said)
+                    opened.enter_context(visitor).sendall(request)
             yield
 
 

@@ -68,7 +68,7 @@ class Recordings:
                 os.link(files[0], self.first)  # stays valid if the file is renamed
         self.size_mb = sum(map(_size, files)) / _MB
         if self.size_mb > self._most_mb + _SPARE_MB:
-            self._tell(f"{self.size_mb:.1f} MB, keep_mb is {self._most_mb:g}")
+            self._report(f"{self.size_mb:.1f} MB, keep_mb is {self._most_mb:g}")
         new = (path for path in files if not path.name.endswith(PARTIAL))
         if (path := next((path for path in new if path not in self._read), None)) is not None:
             self._read.add(path)
@@ -101,11 +101,11 @@ class Recordings:
         except FileNotFoundError:  # the service deletes the oldest
             return
         except Exception as error:  # a decompressor may raise anything for damaged data
-            self._tell(f"{path.name}: {one_line(error, 120) or type(error).__name__}")
+            self._report(f"{path.name}: {one_line(error, 120) or type(error).__name__}")
             return
-        told = summary and summary.statistics and summary.statistics.message_count
-        if not read or read != told:
-            self._tell(f"{path.name}: {read} messages, but its index has {told}")
+        indexed = summary and summary.statistics and summary.statistics.message_count
+        if not read or read != indexed:
+            self._report(f"{path.name}: {read} messages, but its index has {indexed}")
         self.files += 1
         self.messages += read
 
@@ -115,16 +115,16 @@ class Recordings:
             reading = McapReading(path)
             read = sum(1 for _ in reading)
         except RecordingError as error:
-            self._tell(str(error))
+            self._report(str(error))
             return
         if reading.cut not in ("", "cut off"):
-            self._tell(f"{path.name}: {reading.cut}")
+            self._report(f"{path.name}: {reading.cut}")
         self.files += 1
         self.messages += read
 
     def _replayed(self) -> dict[str, Any]:
         if not self.first.exists():
-            self._tell("nothing was recorded")
+            self._report("nothing was recorded")
             return {}
         logging.disable(logging.WARNING)  # the service logged this the first time
         try:
@@ -132,21 +132,21 @@ class Recordings:
             warm_up(session.config())
             outcome = replay(session)
         except UserError as error:
-            self._tell(f"replay: {error}")
+            self._report(f"replay: {error}")
             return {}
         except Exception as error:  # a bug, which the report must name
-            self._tell(f"replay: {type(error).__name__}: {one_line(error)}")
+            self._report(f"replay: {type(error).__name__}: {one_line(error)}")
             return {}
         finally:
             logging.disable(logging.NOTSET)
         if outcome.differing or not outcome.ticks:
             first = outcome.first.tick if outcome.first else 0
-            self._tell(
+            self._report(
                 f"replay: {outcome.differing} of {outcome.ticks} ticks differ, first tick {first}"
             )
         return {"ticks": outcome.ticks, "differing": outcome.differing, "ended": outcome.ended}
 
-    def _tell(self, problem: str) -> None:
+    def _report(self, problem: str) -> None:
         self.problem = self.problem or problem
 
 

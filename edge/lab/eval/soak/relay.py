@@ -126,10 +126,12 @@ def _put(publisher: zenoh.Publisher, payload: bytes) -> None:
 
 def moved(payload: bytes, x_m: float, yaw_rad: float = 0.0) -> bytes:
     """Return odometry that is rotated about the origin of `map`, then moved along x."""
-    told = messages.decode_odometry(payload)
+    odometry = messages.decode_odometry(payload)
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     T = np.array([[c, -s, 0, x_m], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-    return messages.encode_odometry(told.stamp_ns, T @ told.T_map_base, told.v_mps, told.w_radps)
+    return messages.encode_odometry(
+        odometry.stamp_ns, T @ odometry.T_map_base, odometry.v_mps, odometry.w_radps
+    )
 
 
 def restamped(payload: bytes, stamp_ns: int) -> bytes:
@@ -176,10 +178,10 @@ def elsewhere(x_m: float, yaw_rad: float) -> Alter:
 
 def garbage(rng: np.random.Generator) -> Alter:
     """Return an `Alter` that sends a malformed message before each message."""
-    hand = threading.Lock()  # the generator is not thread-safe, and Zenoh has several threads
+    lock = threading.Lock()  # the generator is not thread-safe, and Zenoh has several threads
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
-        with hand:
+        with lock:
             return broken(payload, rng), payload
 
     return alter

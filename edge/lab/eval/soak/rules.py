@@ -61,7 +61,7 @@ def _unreadable(stage: Stage, watch: Watch, sample: Sample) -> str:
     return watch.checkpoint
 
 
-def _places_lost(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _map_lost(stage: Stage, watch: Watch, sample: Sample) -> str:
     age_s = sample["places_age_s"]
     if watch.calm and age_s is not None and age_s > OLD_S:
         return f"written {age_s:.0f} s ago"
@@ -77,13 +77,13 @@ def _floods(stage: Stage, watch: Watch, sample: Sample) -> str:
     return f"{lines} lines in a minute" if lines > LOG_A_MINUTE else ""
 
 
-def _endless(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _overdue(stage: Stage, watch: Watch, sample: Sample) -> str:
     elapsed_s = watch.status.get("elapsed_s", 0.0)
     limit_s = stage.config.mission.time_limit_s + _SPARE_S
     return f"a mission runs for {elapsed_s:.0f} s" if elapsed_s > limit_s else ""
 
 
-def _unsaid(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _without_reason(stage: Stage, watch: Watch, sample: Sample) -> str:
     status = watch.status
     silent = status.get("phase") == "failed" and not status.get("reason")
     return "a mission failed without a reason" if silent else ""
@@ -106,7 +106,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "map",
         f"`….map` is complete, too; without a fault it is at most {OLD_S:g} s old",
-        _places_lost,
+        _map_lost,
     ),
     Rule(
         "recordings",
@@ -114,8 +114,8 @@ RULES: tuple[Rule, ...] = (
         _recorded_badly,
     ),
     Rule("log", f"at most {LOG_A_MINUTE} lines a minute", _floods),
-    Rule("missions end", f"at most {_SPARE_S:g} s after `mission.time_limit_s`", _endless),
-    Rule("missions say why", "each failed mission has a reason", _unsaid),
+    Rule("missions end", f"at most {_SPARE_S:g} s after `mission.time_limit_s`", _overdue),
+    Rule("missions say why", "each failed mission has a reason", _without_reason),
     Rule("others live", "simulator, controller and router never exit by themselves", _others_end),
 )
 

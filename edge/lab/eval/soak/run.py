@@ -83,11 +83,11 @@ class Soak:
     ) -> None:
         self._stage, self._record, self._faults = stage, record, faults
         # Separate streams: the order of faults depends on the seed only, not on their duration.
-        self._drawn, self._chance, self._worded = map(
+        self._schedule_rng, self._fault_rng, self._mission_rng = map(
             np.random.default_rng, np.random.SeedSequence(seed).spawn(3)
         )
         self._lasts_s = lasts_s
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         record.add("begin", seed=seed, minutes=lasts_s / 60.0, faults=[f.name for f in faults],
                    config=stage.config.model_dump(mode="json"))  # fmt: skip
 
@@ -97,7 +97,7 @@ class Soak:
         It ends early if `stop` is set, or if the run cannot continue.
         """
         self._watch = Watch(self._stage)
-        self._missions = Missions(self._stage, self._watch, self._worded)
+        self._missions = Missions(self._stage, self._watch, self._mission_rng)
         self._record.began_s = time.monotonic()
         ends_s, look_s = self._record.began_s + self._lasts_s, 0.0
         with closing(self._all_faults(ends_s)) as faults:
@@ -126,8 +126,8 @@ class Soak:
 
     def _break(self, rule: str, why: str) -> None:
         """Report a broken rule, once a rule."""
-        if rule not in self._told:
-            self._told.add(rule)
+        if rule not in self._reported:
+            self._reported.add(rule)
             log.error("broken: %s: %s", rule, why)
             self._record.add("broken", rule=rule, why=why)
 
@@ -136,9 +136,9 @@ class Soak:
     def _all_faults(self, ends_s: float) -> Steps:
         """Inject the faults, one step each time that the generator is resumed."""
         yield from self._pause(min(_WARM_UP_S, _WARM_UP * self._lasts_s))
-        for drawn in rounds(self._faults, self._drawn):
+        for drawn in rounds(self._faults, self._schedule_rng):
             yield from self._one(drawn)
-            yield from self._pause(float(self._drawn.uniform(*_CALM_S)))
+            yield from self._pause(float(self._schedule_rng.uniform(*_CALM_S)))
             if time.monotonic() >= ends_s:
                 return ""
         return ""
@@ -155,7 +155,7 @@ class Soak:
         faults = [fault for fault, _ in drawn]
         name, alone = " + ".join(fault.name for fault in faults), len(faults) == 1
         watch.calm = False
-        why = yield from make(drawn, self._stage, watch, self._chance)
+        why = yield from make(drawn, self._stage, watch, self._fault_rng)
         watch.mutes, ended_s = False, time.monotonic()
         why = why if alone else ""
         why = why or (yield from self._recovers(faults, When(began_s, ended_s)))

@@ -105,7 +105,7 @@ class Stage:
         self._environ["EDGE_CACHE_DIR"] = str(_cache(config, out / "cache"))
         self._robot = Zenoh(endpoint=_endpoint(), prefix=config.zenoh.prefix)
         self.log = Log(out / "service.pipe", out / "service.log")
-        self._said = (out / "others.log").open("wb")
+        self._output = (out / "others.log").open("wb")
         self._http = httpx.Client(base_url=f"http://127.0.0.1:{config.http.port}", timeout=_HTTP_S)
         self.write_config()
 
@@ -114,8 +114,8 @@ class Stage:
     def start(self) -> None:
         """Start the service first, then the processes that connect to it."""
         self.start_router()
-        with os.fdopen(self.log.writer(), "wb") as said:
-            self.service = self._start("service", "run", str(self.config_file), out=said)
+        with os.fdopen(self.log.writer(), "wb") as output:
+            self.service = self._start("service", "run", str(self.config_file), out=output)
         self._until(
             lambda: self.page("/readyz")[1].get("state") == "running", "edge run did not start"
         )
@@ -135,8 +135,8 @@ class Stage:
             raise_if_stopped(self._stop)
             self.log.poll()
             if self.gone() or time.monotonic() > deadline_s:
-                said = self.log.lines[-1][1] if self.log.lines else "no output"
-                raise UserError(f"{otherwise}: {'; '.join([*self.gone(), said])}")
+                last_line = self.log.lines[-1][1] if self.log.lines else "no output"
+                raise UserError(f"{otherwise}: {'; '.join([*self.gone(), last_line])}")
             time.sleep(_LOOK_S)
 
     def close(self) -> None:
@@ -150,7 +150,7 @@ class Stage:
             self._session.__exit__(None, None, None)
         self.kill("service")
         self.log.close()
-        self._said.close()
+        self._output.close()
         self._http.close()
 
     def stop_service(self) -> int | None:
@@ -254,7 +254,7 @@ class Stage:
         self, name: str, arguments: Sequence[str], out: Any = None
     ) -> subprocess.Popen[bytes]:
         module, *rest = arguments
-        out = self._said if out is None else out
+        out = self._output if out is None else out
         # With its own session, a child gets neither the terminal's Ctrl-C nor its hangup: this
         # process stops all children in order.
         child = subprocess.Popen(
@@ -306,10 +306,10 @@ class Stage:
 
         A section with a `kind` is replaced as a whole.
         """
-        told = json.loads(self.config.model_dump_json(exclude={"path"}))
+        data = json.loads(self.config.model_dump_json(exclude={"path"}))
         for section, values in changes.items():
-            told[section] = values if "kind" in values else {**told[section], **values}
-        write_atomically(self.config_file, json.dumps(told, indent=1).encode())
+            data[section] = values if "kind" in values else {**data[section], **values}
+        write_atomically(self.config_file, json.dumps(data, indent=1).encode())
 
 
 def _cache(config: Config, folder: Path) -> Path:
@@ -321,10 +321,10 @@ def _cache(config: Config, folder: Path) -> Path:
     detector = config.perception.detector
     if isinstance(detector, DetectorOnnx):
         card = load_detector_card(detector.model)
-        told = read_yaml(card_path(detector.model))
+        card_data = read_yaml(card_path(detector.model))
         for name in (TWIN, BROKEN):
             own = {"name": name, "file": f"{name}.onnx", "parity": None}
-            text = yaml.safe_dump({**told, **own}, sort_keys=False)
+            text = yaml.safe_dump({**card_data, **own}, sort_keys=False)
             (models / f"{name}.yaml").write_text(text, encoding="utf-8")
         shutil.copyfile(card.path, models / f"{TWIN}.onnx")
         (models / f"{BROKEN}.onnx").write_bytes(card.path.read_bytes()[:-1])

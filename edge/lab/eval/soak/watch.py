@@ -59,7 +59,7 @@ class Watch:
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
-        self._hand = threading.Lock()
+        self._lock = threading.Lock()
         self.status: dict[str, Any] = {}
         self.latency: dict[str, Any] = {}
         self.beats: deque[tuple[float, dict[str, Any]]] = deque(maxlen=_KEPT_BEATS)
@@ -90,31 +90,31 @@ class Watch:
 
     def _on_json(self, take: Callable[[dict[str, Any]], None], sample: zenoh.Sample) -> None:
         try:
-            told = read_json_object(sample.payload.to_bytes())
+            message = read_json_object(sample.payload.to_bytes())
         except ValueError:  # the soak itself sends garbage
             return
-        with self._hand:
-            take(told)
+        with self._lock:
+            take(message)
 
-    def _on_status(self, told: dict[str, Any]) -> None:
-        self.status, self.status_s = told, time.monotonic()
+    def _on_status(self, message: dict[str, Any]) -> None:
+        self.status, self.status_s = message, time.monotonic()
 
-    def _on_latency(self, told: dict[str, Any]) -> None:
-        self.latency = told
+    def _on_latency(self, message: dict[str, Any]) -> None:
+        self.latency = message
 
-    def _on_beat(self, told: dict[str, Any]) -> None:
-        self.beats.append((time.monotonic(), told))
-        if self.calm and told["ticks"]:
-            self._calm_hz.append(told["ticks"] / told["seconds"])
+    def _on_beat(self, message: dict[str, Any]) -> None:
+        self.beats.append((time.monotonic(), message))
+        if self.calm and message["ticks"]:
+            self._calm_hz.append(message["ticks"] / message["seconds"])
 
-    def _on_answer(self, told: dict[str, Any]) -> None:
-        if isinstance(state := told.get("state"), str) and state in ("reached", "failed"):
+    def _on_answer(self, message: dict[str, Any]) -> None:
+        if isinstance(state := message.get("state"), str) and state in ("reached", "failed"):
             self.counts[f"goals {state}"] += 1
 
     def _on_goal(self, sample: zenoh.Sample) -> None:
         """Count a goal once: it is sent again until it is answered."""
         payload = sample.payload.to_bytes()
-        with self._hand:
+        with self._lock:
             if payload not in self._goals:
                 self._goals = {payload}
                 self.counts["goals"] += 1
@@ -124,23 +124,23 @@ class Watch:
     @property
     def usual_hz(self) -> float:
         """Median rate of ticks without a fault [1/s]."""
-        with self._hand:
+        with self._lock:
             known = list(self._calm_hz)
         return float(np.median(known)) if known else 0.0
 
     def ticks_hz(self, since_s: float) -> float:
         """Return the tick rate by the newest two beats after `since_s`; 0 if there are not two."""
-        with self._hand:
+        with self._lock:
             newest = list(self.beats)[-2:]
         if len(newest) < 2 or newest[0][0] < since_s + newest[0][1]["seconds"]:
             return 0.0
-        seconds = sum(told["seconds"] for _, told in newest)
-        return float(sum(told["ticks"] for _, told in newest) / seconds)
+        seconds = sum(message["seconds"] for _, message in newest)
+        return float(sum(message["ticks"] for _, message in newest) / seconds)
 
     @property
     def beat_s(self) -> float:
         """Time of the newest beat."""
-        with self._hand:
+        with self._lock:
             return self.beats[-1][0] if self.beats else self.began_s
 
     def look(self) -> dict[str, Any]:
@@ -161,7 +161,7 @@ class Watch:
         self.places = _unreadable(places, MAP)
         self.recordings.look()
         stage.look_at_family()
-        with self._hand:
+        with self._lock:
             status, latency = self.status, self.latency
             newest = self.beats[-1] if self.beats else (now_s, {})
         sample: dict[str, Any] = {

@@ -47,11 +47,7 @@ STARTS = 10
 _KEY = 18
 _SPEC = re.compile(r"^streets\[(\d+):(\d+)\]$")
 _MOST_STREETS = 10_000
-_NO_NAMES = (
-    "object",
-    "structure",
-    "vehicle",
-)  # labels of SemanticKITTI that are not used in speech
+_NO_NAMES = ("object", "structure", "vehicle")  # SemanticKITTI's labels that nobody says
 _KITTI_M, _HOUSE_M = (7.0, 45.0), (1.5, 12.0)  # distance of a task's objects from the robot
 _LEAST_HIGH_M, _MOST_OFF_M = 0.15, 0.5  # lower objects do not block; higher ones hang on a wall
 _EYE = CameraModel.from_hfov(320, 240, math.pi / 2)

@@ -52,10 +52,7 @@ _AHEAD_RAD = math.radians(60.0)  # largest bearing of a task's objects
 _ASIDE_RAD = math.radians(8.0)  # a smaller bearing is neither left nor right
 _APART_M = 1.0  # least difference in distance between objects that are counted
 _ARC_FROM_RAD, _ARC_STEP_RAD = math.radians(60.0), math.radians(30.0)
-_AROUND_RAD = (
-    math.radians(150.0),
-    math.radians(300.0),
-)  # allowed angles of the next object, see `_beside`
+_AROUND_RAD = math.radians(150.0), math.radians(300.0)  # of the next object, see `_abeam`
 _ORDER = ("nearest", "second", "third")
 # The viewer's left is clockwise from the direction object → viewer.
 _TURN = {"left": -1.0, "right": 1.0}
@@ -255,13 +252,13 @@ def _segments(
     elif kind == "past":
         if _seen(place, last)[1] < _seen(place, first)[1] + _LEAST_LEG_M:
             return ()
-        way = [_beside(place, first, side, math.pi / 2)[None]]
+        way = [_abeam(place, first, side, math.pi / 2)[None]]
     else:
         until_rad = _turn_rad(place, first, side, last.at_m)
         if not _AROUND_RAD[0] <= until_rad <= _AROUND_RAD[1]:
             return ()
         angles_rad = np.arange(_ARC_FROM_RAD, until_rad, _ARC_STEP_RAD)
-        way = [np.array([_beside(place, first, side, angle) for angle in angles_rad])]
+        way = [np.array([_abeam(place, first, side, angle) for angle in angles_rad])]
     if kind != "to" and way[0] is not None:
         way.append(_stop(place, last, way[0][-1]))
     if any(points is None for points in way):
@@ -271,7 +268,7 @@ def _segments(
     return tuple(way)
 
 
-def _beside(place: Place, thing: Thing, side: str, angle_rad: float) -> np.ndarray:
+def _abeam(place: Place, thing: Thing, side: str, angle_rad: float) -> np.ndarray:
     """Return a point `ASIDE_M` off an object, in a direction relative to the robot.
 
     The angle is 0 on the robot's side of the object, a right angle on its `side`, and pi behind it.
@@ -283,7 +280,7 @@ def _beside(place: Place, thing: Thing, side: str, angle_rad: float) -> np.ndarr
 
 
 def _turn_rad(place: Place, thing: Thing, side: str, at_m: np.ndarray) -> float:
-    """Return the angle, as in `_beside`, of a point: in [0, 2 pi)."""
+    """Return the angle, as in `_abeam`, of a point: in [0, 2 pi)."""
     toward = math.atan2(at_m[1] - thing.at_m[1], at_m[0] - thing.at_m[0])
     return (_TURN[side] * (toward - _back_rad(place, thing))) % math.tau
 

@@ -119,8 +119,8 @@ def facts_of(episode: Episode) -> Facts:
 def outcome_of(episode: Episode, method: str, writer: str, made: Made) -> Outcome:
     """Compare a method's result with the reference and the true place."""
     path_m = made.path_m
-    told, robot_m = episode.scene.occupancy, episode.robot_m
-    like = likeness(path_m, episode.task.reference_m, told, robot_m)
+    occupancy, robot_m = episode.scene.occupancy, episode.robot_m
+    like = likeness(path_m, episode.task.reference_m, occupancy, robot_m)
     if episode.solid_m is None:
         true_contacts = contacts(path_m, episode.truth, robot_m)
     else:

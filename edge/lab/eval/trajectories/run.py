@@ -160,9 +160,9 @@ def _methods(wanted: str | None, config: Tasks) -> tuple[str, ...]:
 
 def _line(episode: Episode, outcome: Outcome) -> str:
     verdict = "ok  " if outcome.success else "FAIL"
-    said = outcome.refused and f"{outcome.refused}: {outcome.reason}"
+    refusal = outcome.refused and f"{outcome.refused}: {outcome.reason}"
     return (
         f"{verdict} {outcome.method:18} {episode.world:15} NE {outcome.error_m:5.2f} m, "
         f"Fréchet {outcome.frechet_m:5.2f} m, NDTW {outcome.ndtw:.2f}, {outcome.contacts} contacts,"
-        f" {outcome.seconds:.2f} s: {episode.task.instruction}{said and f' ({said})'}"
+        f" {outcome.seconds:.2f} s: {episode.task.instruction}{refusal and f' ({refusal})'}"
     )

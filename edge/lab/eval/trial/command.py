@@ -43,7 +43,7 @@ def table(outcome: Outcome, folder: Folder) -> list[tuple[str, str]]:
     """Return the result as rows of a name and a value."""
     view, refined = outcome.view, outcome.refined
     scene, rows = view.scene, [("place", one_line(view.name))]
-    seen = f"{len(scene.objects)} things by {view.by}, {len(scene.regions)} regions of ground"
+    seen = f"{len(scene.objects)} objects from {view.by}, {len(scene.regions)} regions of ground"
     rows.append(("seen", seen))
     if outcome.written is not None:
         by_model = f"by a model, in {len(outcome.rounds)} answers"

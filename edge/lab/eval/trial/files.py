@@ -148,8 +148,8 @@ def _of_the_model(outcome: Outcome) -> dict[str, bytes]:
     """Return the prompt and picture for the model, and each of its answers, by file name."""
     tasks, scene = outcome.config.tasks, outcome.view.scene
     assert isinstance(tasks.planner, WriterModel)
-    told = words(outcome.instruction, scene, tasks.trajectory)
-    files = {"prompt.txt": _bytes(f"{prompt()}\n\n{told}\n")}
+    question = words(outcome.instruction, scene, tasks.trajectory)
+    files = {"prompt.txt": _bytes(f"{prompt()}\n\n{question}\n")}
     jpeg = picture(scene) if tasks.planner.picture else None
     if jpeg is not None:
         files["picture.jpg"] = jpeg

@@ -189,8 +189,8 @@ def _own_chain(config: Config, own: ChainOwn, words: tuple[str, ...]) -> Chain:
             except UserError:
                 raise
             except Exception as error:  # a plugin may raise anything
-                said = one_line(f"{type(error).__name__}: {error}")
-                raise ViewError(f"{where}: {own.kind}: {name}: {said}") from None
+                reason = one_line(f"{type(error).__name__}: {error}")
+                raise ViewError(f"{where}: {own.kind}: {name}: {reason}") from None
 
         return None if part is None else called
 
