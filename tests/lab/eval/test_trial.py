@@ -84,7 +84,7 @@ def test_the_command_leaves_pictures_page_and_trajectory(tmp_path, capsys):
 def test_what_cannot_be_reached_is_told(tmp_path, capsys):
     code, _ = trajectory(tmp_path, "street:3", "go straight for 300 metres")
     assert code == os.EX_DATAERR
-    assert "the way straight on is blocked" in capsys.readouterr().err
+    assert "the path straight on is blocked" in capsys.readouterr().err
 
 
 def test_the_detector_of_the_configuration_looks_for_what_is_named(tmp_path, capsys):
