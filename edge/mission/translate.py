@@ -123,7 +123,7 @@ class Translator:
         Raises:
             UserError: the instruction cannot be translated; a TranslationError names the part.
             AmbiguousError: there are several readings, or one that is not sure, and none was
-            chosen.
+                chosen.
         """
         began_s = time.monotonic()
         read = self.read(instruction)
