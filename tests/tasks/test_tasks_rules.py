@@ -164,7 +164,7 @@ def test_instructions_that_are_understood(instruction, understood):
         ("drive by the van", "by the van", "it can be read in two ways; say 'past' or 'to'"),
         ("go straight to the van", "straight to the van", "a way that is straight to a thing"),
         ("go half a metre to the left", "to the left", "say in which direction"),
-        (f"go straight {'9' * 6000} metres", "999", "this character has no place"),
+        (f"go straight {'9' * 6000} metres", "999", "this character is not allowed"),
         ("stop", "stop", "say where to go first"),
         ("stop past the van", "past the van", "a robot cannot stop there"),
         ("stop at the van, then go to the gate", "stop at the van", "nothing can come after it"),

@@ -52,7 +52,7 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.negated = not clause.negated
         clause.verb = avoid.text
         if reader.sees("you"):  # "go anywhere but you finish at the bed"
-            reader.refuse("say it in two sentences", avoid)
+            reader.refuse("use two sentences", avoid)
         says = Clause(avoid)
         take_mood(reader, says)
         if says.negated:
@@ -74,16 +74,16 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     if reader.take("neither"):
         clause.negated = True
     elif reader.tokens[reader.at - 1].text in _MOTION and not _plainly_named(reader):
-        reader.refuse("no thing that is known; if it is one, say 'to the …'")
+        reader.refuse("not a known object; if it is one, say 'to the …'")
     last = reader.tokens[reader.at - 1]
     warns = clause.verb in ("watch", "look") and reader.tokens[reader.at - 2].text == "out"
     if warns or clause.verb == "starts":  # "watch out for a", "the robot starts in a"
-        reader.refuse("only reaching things can be asked for", last)
+        reader.refuse("the robot can only go to objects", last)
     if last.text in ("off", "out", "with") and clause.verb in _LEAVES:
-        reader.refuse("only reaching things can be asked for", last)
+        reader.refuse("the robot can only go to objects", last)
     passes = last.text.split(" ")[-1] in PASSING or clause.verb.startswith(_PASSES)
     if clause.negated and clause.verb.split()[:1] in _MANNERS and not passes:
-        reader.deny("how to go cannot be told, only where", last)
+        reader.deny("how to go cannot be chosen; say only where to go", last)
     if reader.sees("only") and is_passing(reader, 1, any_way=True):
         reader.at += 2  # "go only through a"
         clause.only = passes = True
@@ -102,7 +102,7 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         if doubly and clause.things:
             clause.things = each_of(clause.things)
         if clause.negated and reader.sees("or") and reader.sees("verb", ahead=1):
-            reader.deny("how far does the ban reach? say it in a sentence of its own")
+            reader.deny("unclear what is forbidden; use a separate sentence")
     elif clause.returns and memory.asked and clause.negated:
         clause.things = memory.asked  # "never go back"
     elif not clause.negated or not clause.verb.startswith("stop"):
@@ -142,19 +142,19 @@ def take_passed(
         verb: the last word before them.
     """
     if clause.negated and clause.verb not in AVOIDING and reader.peek().text in _ALL_OF:
-        reader.deny("none of them, or not all? say it of each", reader.peek())
+        reader.deny("unclear: none of them, or not all? say it for each one", reader.peek())
     if clause.negated and verb and verb.text == "from":
-        reader.deny("which of them not to reach?", verb)
+        reader.deny("unclear which one to avoid; say 'avoid …'", verb)
     things = take_things(reader, memory, banned=clause.negated, way=passes)
     if clause.negated and clause.verb.startswith((*_CARRIES, "move")) and _onto_thing(reader):
-        reader.deny("only reaching things can be asked for", verb)
+        reader.deny("the robot can only go to objects", verb)
     rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, things.names))
     clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
     if clause.verb.startswith("follow") and not rides and not clause.verb.endswith(_ALONG):
-        reader.refuse("only a way can be followed", verb)
+        reader.refuse("the robot can only follow a path", verb)
     across = verb is not None and verb.text == "across" and reader.sees("to")
     if across and things.names[-1].split()[-1] in _STREETS:
-        reader.deny("'across …' says how to go; say only where to, or 'through …'", verb)
+        reader.deny("'across …' is unclear; say only where to go, or 'through …'", verb)
     if verb and verb.text == "from":
         reader.deny(REASONS["origin"], verb)
     while _onward(reader, clause):
@@ -164,7 +164,7 @@ def take_passed(
         further = take_things(reader, memory)
         if clause.verb == "pass" and nouns.PEOPLE.intersection(further.names):
             # "pass the cup to the guest"
-            reader.deny("only reaching things can be asked for", token)
+            reader.deny("the robot can only go to objects", token)
         if clause.route and len(clause.things.groups[-1]) > 1:
             reader.refuse("say it in two sentences: 'go through a to b, or through c to d'", token)
         if clause.negated:  # "do not go through a to b"
@@ -202,9 +202,12 @@ def _refuse_leading(reader: Reader, clause: Clause, ahead: int) -> None:
     moved = moves and said[verb + 1].kind in ("article", "word", "quoted")
     carried = moved or clause.verb.startswith(_CARRIES)
     if carried and not all(map(nouns.is_place, clause.things.names)):
-        reader.deny("only reaching things can be asked for", reader.peek(ahead))
+        reader.deny("the robot can only go to objects", reader.peek(ahead))
     if clause.things.names[-1].split()[-1] in LEADING:
-        reader.deny("what leads there, or one after the other? say 'then to …'", said[verb])
+        reader.deny(
+            "unclear: one thing that leads to the other, or both in turn? say 'then to …'",
+            said[verb],
+        )
 
 
 def _take_onward(reader: Reader) -> bool:

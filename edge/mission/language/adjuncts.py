@@ -38,7 +38,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         clause.next_step = True
         reader.at += 1
     elif clause.negated and _by_way(reader):
-        reader.deny("which way not to take is said so: 'go to … without going through …'", token)
+        reader.deny("to exclude a path, say 'go to … without going through …'", token)
     elif token.text == "now" and clause.negated:
         reader.deny("say until when", token)
     elif token.kind in ("filler", "happen") or (token.kind == "forever" and clause.negated):
@@ -71,7 +71,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         clause.count = narrower(reader, clause.count, count, token)
         several = clause.things is not None and len(clause.things.groups) > 1
         if several and reader.tokens[reader.at - 1].text.endswith(("in total", "overall")):
-            reader.deny("each so often, or all of them together?", token)
+            reader.deny("unclear: this number for each, or for all together?", token)
     elif token.kind == "first" and not (reader.sees("verb", ahead=1) or starts_things(reader, 1)):
         clause.first = True
         reader.at += 1
@@ -117,7 +117,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
             return False  # "visit a if you saw b then visit c": of the next clause
         after = condition.kind == "after" and clause.negated
         if (when or after) and reader.sees("verb", "ensure", "you", "avoid"):
-            reader.deny("of which part is this said? put a comma", condition.token)
+            reader.deny("unclear which part this belongs to; add a comma", condition.token)
         clause.conditions.append(condition)
     else:
         return False
@@ -254,7 +254,7 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     begin = reader.at
     take_mood(reader, says)
     if any(done.text in ("have", "has") for done in reader.tokens[begin : reader.at]):
-        reader.refuse("say what is not to be reached before what", token)
+        reader.refuse("say 'do not visit … before …'", token)
     avoid = reader.take("avoid")
     denied = denied or says.negated or avoid is not None
     skips = avoid is not None and avoid.text == "skipping"
@@ -270,19 +270,19 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     if not starts_things(reader):
         reader.refuse("expected the name of a thing here")
     if token.kind == "without" and reader.peek().text in ("both", "both of"):
-        reader.deny("none of them, or not both? say it of each", reader.peek())
+        reader.deny("unclear: none of them, or not both? say it for each one", reader.peek())
     if token.text == "with no" and not says.verb:
         reader.deny("say 'without …'", token)  # "the room with no window"
     things = take_things(reader, memory, banned=not clause.negated, way=True)
     said = [t.kind for t in reader.tokens[begin : reader.at]]
     if len(things.groups) == 2 and ("comma", "and") in itertools.pairwise(said):
-        reader.deny("is that to be avoided as well? say it in two sentences", token)
+        reader.deny("unclear if this is to be avoided too; use two sentences", token)
     while denied and reader.sees("or", "and") and another_participle(reader):
         skip_particles(reader, says)
         more = take_things(reader, memory, banned=True)
         things = Things(things.groups + more.groups)  # "without entering a or touching b"
     if denied and not things.every and take_count(reader, negated=False) is not None:
-        reader.deny("how often? say it in a sentence of its own", token)
+        reader.deny("unclear how often; use a separate sentence", token)
     if (reader.take("first") or says.first) and not clause.negated:
         if denied:  # "go to a without visiting b first"
             clause.not_first.append(things)
@@ -294,11 +294,11 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     if not denied and things.every:
         count = take_count(reader, negated=False)
         if count is None:
-            reader.refuse("say how often at most", token)
+            reader.refuse("say 'at most … times'", token)
         clause.each = count.most or count.least  # "while only visiting each place once"
         return
     if not denied:
-        reader.refuse("only 'while avoiding …' can be told; say what to reach first", token)
+        reader.refuse("only 'while avoiding …' is possible; say what to visit first", token)
     if things.every and (skips or says.again):
         clause.order = "strict order" if skips else clause.order
         clause.each = 1 if says.again else clause.each

@@ -15,27 +15,27 @@ from edge.mission.language.naming import is_indefinite, is_letter
 from edge.mission.language.routes import RIDDEN
 from edge.mission.language.words import REASONS, Reader, Token
 
-_WHERE = "things are told apart by kind, colour and size, not by where they are; name it alone"
-_WHICH = "which one that is cannot be seen in one picture; say its kind, colour or size"
-_SPOT = "only things can be reached, no spots near them; name the thing"
-_EXPLORE = "only going to things can be asked for, not searching a place; say what to find there"
-_TIME = "times and distances cannot be told, only what to reach"
+_WHERE = "objects differ by kind, colour and size, not by place; give only the name"
+_WHICH = "the camera cannot see which one this is; give its kind, colour or size"
+_SPOT = "the robot can reach objects, not places near them; name the object"
+_EXPLORE = "the robot cannot search a place; say which object to find there"
+_TIME = "times and distances cannot be used; say only what to reach"
 _AT_TIMES = ("for", "in", "after", "before", "at", "within", "until")
-_RIDE = "how to go cannot be told, only where"
-_IF_POSSIBLE = "say whether or not to do it"
-_DENIED = "only reaching things can be forbidden"
+_RIDE = "how to go cannot be chosen; say only where to go"
+_IF_POSSIBLE = "unclear if it must be done; leave out the condition"
+_DENIED = "only reaching objects can be forbidden"
 _THAT = "say 'after the …'"
 _NOWHERE = "say what to visit, and what to avoid"
 _NOR = "'nor' needs 'not' or 'neither' before it"
 _STAY = REASONS["stay"]
 _ROUND_IT = "say what to avoid, or what to go through"
 _LEFT_OUT = "say 'avoid …', or where to go"
-_LAST = "which one is the last cannot be seen; say its kind, colour or size"
-_ASKED = "no order; say for example 'visit the bed'"
-_OTHERS = "what others do is no order"
-_SHUN = "avoid it, or visit it? say which"
-_HOW_LONG = "how long is it to be avoided? say it in a sentence of its own"
-_EACH = "say the whole name of each, as in 'gate a or gate b'"
+_LAST = "the camera cannot see which one is the last; give its kind, colour or size"
+_ASKED = "not an instruction; say for example 'visit the bed'"
+_OTHERS = "not an instruction for the robot"
+_SHUN = "unclear: avoid it or visit it? say which"
+_HOW_LONG = "unclear how long to avoid it; use a separate sentence"
+_EACH = "give the full name of each, as in 'gate a or gate b'"
 
 _LEAVE = nouns.listed(
     """leave leaves leaving exit exits exiting depart departs departing quit quits quitting vacate

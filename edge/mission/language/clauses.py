@@ -121,7 +121,7 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         clause.verb = "be"
         reader.at += 2 if reader.peek().text == "over" else 1
         if clause.negated and reader.sees("all of"):
-            reader.deny("none of them, or not all? say it of each")
+            reader.deny("unclear: none of them, or not all? say it for each one")
         clause.things = take_things(reader, memory, banned=clause.negated)
     elif reader.sees("quota"):
         take_quota(reader, memory, clause)
@@ -130,7 +130,7 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     elif starts_things(reader):
         _take_passive(reader, memory, clause, bare)
     elif before.kind == "be" and reader.peek().text in _PLACED:
-        reader.deny("where something is asks for nothing", clause.token)
+        reader.deny("this describes a place; say where to go", clause.token)
     elif before.text.endswith(("done", "finished")) and reader.peek().text in _PLACED:
         reader.deny("say 'after …'", before)
     elif bare == "yes" and reader.peek().text in ("at", "in") and starts_things(reader, 1):
@@ -166,15 +166,15 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         for condition in clause.conditions:
             condition.recurring = True
     if clause.always and not (clause.negated or clause.avoiding or clause.conditions):
-        reader.deny("a mission ends, so nothing can be asked for always", clause.always)
+        reader.deny("a mission ends, so 'always' is not possible for a visit", clause.always)
     if gerund and not any(t.kind in ("banned", "must") for t in reader.tokens[begin : reader.at]):
-        reader.refuse("no order; say for example 'visit the bed'", clause.token)
+        reader.refuse("not an instruction; say for example 'visit the bed'", clause.token)
     refuse_unclear(clause, reader)
     if clause.negated and clause.first and not clause.conditions and not clause.count:
         own = clause.things.names if clause.things else ()
         others = [name for name in asked.names if name not in own] if asked else []
         if not others:
-            reader.refuse("say before what it is not to be reached", clause.token)
+            reader.refuse("say 'do not visit … before …'", clause.token)
         one = Things((tuple(others),))
         clause.conditions.append(Condition("before", clause.token, one))  # "not b first"
         clause.first = False
@@ -265,7 +265,7 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     start = reader.peek()
     begin = reader.at
     if clause.negated and start.kind == "all of":
-        reader.deny("none of them, or not all? say it of each", start)
+        reader.deny("unclear: none of them, or not all? say it for each one", start)
     things = take_things(reader, memory, subject=True, banned=clause.negated)
     if start.text in _ANY_VISIT and _take_consequence(reader, memory, clause, start, things):
         return
@@ -278,9 +278,9 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         return
     done = "been" in said_before and not {"must", "should", "shall"} & set(said_before)
     if "been" in said_before and any(c.kind == "when" for c in clause.conditions):
-        reader.deny("say what must be reached before what", start)
+        reader.deny("say 'visit … before …'", start)
     if done and not clause.conditions:
-        reader.deny("what has happened asks for nothing", start)  # "the hall has been mopped"
+        reader.deny("this describes the past; say what to do", start)  # "the hall has been mopped"
     barred = any(token.kind == "banned" for token in reader.tokens[begin : reader.at])
     if things.listed and bare == "yes" and (barred or said & AUXILIARIES):
         reader.at = begin  # "…, then a, the hallway is off limits"
@@ -290,18 +290,18 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     if start.kind == "either" and (avoid or says.negated):
         reader.deny("say which to avoid", start)
     if "be" in said and reader.peek().text in STATES:
-        reader.deny("how a thing is cannot be told, only that it is reached", start)
+        reader.deny("the state of an object cannot be used, only that it is reached", start)
     verb = avoid or reader.take("verb", "happen")
     if barred and verb is not None:  # "the cat is forbidden to enter the kitchen"
-        reader.deny("only one robot is spoken to", start)
+        reader.deny("an instruction is for one robot only", start)
     if "be" in said and reader.peek().text in _PLACED:
-        reader.deny("only reaching things can be asked for", start)  # "the dog must be in b"
+        reader.deny("the robot can only go to objects", start)  # "the dog must be in b"
     if barred and verb is None:  # "the hallway is off limits"
         clause.negated, clause.verb = clause.negated != says.negated, "be"
         clause.things = each_of(things)
         return
     if avoid and says.mood == "can" and not says.negated:
-        reader.deny("what may be left out asks for nothing", start)
+        reader.deny("this is optional and asks for nothing; leave it out", start)
     if verb is not None and (said & AUXILIARIES or verb.kind == "happen"):
         clause.mood = says.mood if says.mood != "do" else clause.mood
         clause.negated = clause.negated != (says.negated != bool(avoid))
@@ -314,10 +314,10 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     if not (named and (bare == "yes" or clause.negated)) and not (
         bare == "known" and _well_known(reader, memory)
     ):
-        reader.refuse("no verb that is known", start)
+        reader.refuse("unknown verb", start)
     clause.things = take_things(reader, memory, banned=clause.negated)
     if reader.sees("not") and reader.peek().text.endswith(("allowed", "permitted")):
-        reader.deny("only one robot is spoken to", start)  # "guests are not allowed in b"
+        reader.deny("an instruction is for one robot only", start)  # "guests are not allowed in b"
     if reader.sees("verb") and reader.peek().text.split()[0].endswith("s"):
         reader.deny("say what to do, as in 'visit the bed'", start)  # "the path goes through b"
 

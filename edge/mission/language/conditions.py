@@ -52,7 +52,7 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         return
     been = reader.sees("to") and reader.tokens[reader.at - 1].text == "been"
     if condition.kind == "unless" and reader.peek().text.startswith("going"):
-        reader.deny("say 'only to get to …' in two sentences", condition.token)
+        reader.deny("use two sentences for 'only to get to …'", condition.token)
     if been or reader.sees("verb"):
         participle = reader.peek().text.split()[0].endswith("ing")
         condition.going = condition.token.text == "when" and participle
@@ -78,14 +78,14 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         condition.things = memory.asked  # "do not go to b before": before what was asked
         condition.referred = True
     else:
-        reader.refuse("expected what must have happened here", condition.token)
+        reader.refuse("expected a condition here", condition.token)
     _refuse_denied(reader, condition, says)
     condition.denied = condition.denied or says.negated
     first = bool(reader.take("first")) or says.first
     if first and reader.sees("then") and not reader.sees("end", ahead=1):
-        reader.deny("say it in two sentences", condition.token)
+        reader.deny("use two sentences", condition.token)
     if first and condition.recurring:
-        reader.deny("before what? say it in two sentences", condition.token)
+        reader.deny("unclear before what; use two sentences", condition.token)
     reader.skip("filler", "first")
     condition.count = take_count(reader, negated=False)
 
@@ -114,7 +114,7 @@ def _ends(reader: Reader) -> bool:
 def _asked(reader: Reader, memory: Memory, token: Token) -> Things:
     things = memory.asked
     if things is None:
-        reader.refuse(f"nothing was named before that {token.text!r} could mean", token)
+        reader.refuse(f"{token.text!r} refers to nothing that was named before", token)
     return things
 
 
@@ -126,11 +126,11 @@ def _take_predicate(reader: Reader, says: Clause) -> bool:
         return True
     if said & AUXILIARIES and reader.sees("verb"):
         if said <= {"be", "not"} and reader.peek().text in STATES:
-            reader.deny("how a thing is cannot be told, only that it is reached")
+            reader.deny("the state of an object cannot be used, only that it is reached")
         reader.take("verb")
         return True
     if "be" in said and not _ends(reader):
-        reader.deny("how a thing is cannot be told, only that it is reached")
+        reader.deny("the state of an object cannot be used, only that it is reached")
     reader.at, says.negated = begin, negated
     return False
 

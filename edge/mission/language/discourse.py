@@ -46,7 +46,7 @@ from edge.mission.language.words import (
 )
 from edge.mission.logic.ltl import TRUE, Formula, postorder
 
-_IN_TURN = "say the steps in the order in which they come"
+_IN_TURN = "give the steps in their order"
 MAX_NODES = 20_000
 """A formula's largest size; "a and b, then c and d, then …" doubles it with every step."""
 
@@ -142,7 +142,9 @@ class Discourse:
             reader.skip("comma", "stop")
         if self.first and self.clauses > 1:
             said = [token for token in reader.tokens if token.kind in ("first", "opener")]
-            reader.refuse("say in one sentence what comes after it", said[-1] if said else None)
+            reader.refuse(
+                "say in the same sentence what comes after it", said[-1] if said else None
+            )
         parts = [] if self.goal is None else [self.goal]
         parts += [sequence_goal([rule], reader) for rule in self.rules]
         if self.goal is None and self.elsewhere:
@@ -152,7 +154,7 @@ class Discourse:
         parts += self._of_all(Every(tuple(part for part in parts if letters(part))))
         formula = formula_of(Every(tuple(parts)))
         if _size(formula) > MAX_NODES:
-            reader.refuse("its formula would be too large; ask for less at once", reader.tokens[0])
+            reader.refuse("the formula would be too large; ask for less at once", reader.tokens[0])
         if formula == TRUE:
             hint = "nothing is asked for; say for example 'visit the bed, then the chair'"
             reader.refuse(hint, reader.tokens[0])
@@ -229,7 +231,7 @@ class Discourse:
             sequences.append(sequence)
         said = reader.tokens[reader.tokens.index(either) : reader.at]
         if either.text == "either" and not any(token.kind == "or" for token in said):
-            reader.refuse("either that, or what?", either)
+            reader.refuse("'either' needs a second choice", either)
         if loose:
             self.rules.append(loose)
         single = all(len(sequence) == 1 for sequence in sequences[:-1])
@@ -238,11 +240,11 @@ class Discourse:
         )
         tight = tight or (pause and (short or (either.text == "either" and len(sequences) > 1)))
         if tight and single and len(sequences[-1]) > 1:
-            reader.deny("what comes after which of them? say it in two sentences", start)
+            reader.deny("unclear what comes after which; use two sentences", start)
         if len(sequences) > 1 and any(step.commas for step in sequences[0]):
-            reader.deny("one of them, or some and then one? say 'either … or …'", start)
+            reader.deny("unclear what the alternatives are; say 'either … or …'", start)
         if len(sequences) > 1 and (self.listed or any(step.bans for step in sequences[-1])):
-            reader.deny("how far does the ban reach? say it in a sentence of its own", start)
+            reader.deny("unclear what is forbidden; use a separate sentence", start)
         if len(sequences) > 1 and not all(
             any(step.goals for step in sequence) for sequence in sequences
         ):
@@ -286,7 +288,7 @@ class Discourse:
                 if loose is not None:
                     forbidden = {name for names in loose.bans for name in names}
                     if not sequence and kind == "and" and forbidden & set(meaning.things.names):
-                        hint = "the same is forbidden and asked for"
+                        hint = "the same object is forbidden and asked for"
                         self.reader.refuse(hint, clause.token)
                     if not sequence:
                         loose.limit_for_good()
@@ -320,7 +322,7 @@ class Discourse:
             return
         bare = self.reader.sees("word") and len(self.reader.peek().text) > 1
         if number <= self.number or (bare and joint.text in nouns.ORDINALS):
-            self.reader.deny("which step is that? say 'then the …'", joint)
+            self.reader.deny("unclear which step this is; say 'then the …'", joint)
         self.number = number
 
     def _returned(self, clause: Clause, meaning: Meaning, sequence: list[Meaning]) -> None:
@@ -343,7 +345,7 @@ class Discourse:
         if self.clauses and joint and joint.kind and not self.flow.denied:
             bare = "yes"
         if self.halted:
-            self.reader.refuse("it ends where it is said to stop; say so last", self.halted)
+            self.reader.refuse("the mission ends where the robot stops; say this last", self.halted)
         clause = take_clause(self.reader, self.memory, bare)
         self.listed = self.listed or self.flow.lists(clause, joint)
         then = self._comes_after(clause, joint, sequence)
@@ -356,7 +358,7 @@ class Discourse:
             if several := self.memory.several.get(name):
                 self.reader.deny(ONE_OF_A_KIND, several)
         if then and self.flow.barred and meaning.goals and not sequence and joint:
-            self.reader.deny("never one after the other? say it in two sentences", clause.token)
+            self.reader.deny("unclear what is forbidden; use two sentences", clause.token)
         self.flow.note(clause, meaning)
         self._note(clause, meaning)
         return clause, meaning
@@ -377,7 +379,9 @@ class Discourse:
             then = then or bool(sequence) or asked
         stays = clause.returns and then and not clause.negated
         if stays and clause.things == self.last:
-            self.reader.deny("that is where the robot is then; say where to", clause.token)
+            self.reader.deny(
+                "the robot is already there at that time; say where to go", clause.token
+            )
         return then
 
     def _settle(self, clause: Clause, joint: str, then: bool, sequence: list[Meaning]) -> None:
@@ -388,7 +392,9 @@ class Discourse:
         if one and sequence and clause.order == "strict order" and not clause.negated:
             clause.order, self.strictly = "", clause.token  # "a, then b in this exact order"
         if clause.count_aside and sequence:
-            self.reader.deny("all so often, or the last? say it in two sentences", clause.token)
+            self.reader.deny(
+                "unclear: this number for all, or for the last one? use two sentences", clause.token
+            )
         allowed = then and clause.mood == "can" and not clause.negated
         if allowed and (joint == "only then" or self.reader.pick(clause.token, 2) == 0):
             clause.mood = "do"  # "visit a, then you can go to b" may ask for b
@@ -401,10 +407,10 @@ class Discourse:
         then = meaning.follows
         if then and meaning.bans and not meaning.goals and not clause.things.every:
             if self.last is None:
-                self.reader.deny("say first what it comes after", clause.token)
+                self.reader.deny("say first what comes before it", clause.token)
             meaning.ban_after(self.last)  # "…. After that, avoid b and go to c"
         if then and clause.negated and clause.conditions:
-            self.reader.deny("say it in a sentence of its own, without 'then'", clause.token)
+            self.reader.deny("use a separate sentence, without 'then'", clause.token)
         ends = clause.ends or (clause.verb.startswith(ENDING) and not clause.negated)
         if ends and meaning.goals and sequence:
             put_last(meaning, sequence)
@@ -417,7 +423,7 @@ class Discourse:
             and not (then or self.first)
             and self.times.keys() & set(meaning.things.names)
         ):
-            hint = "it was asked for before; say in one sentence what comes after what"
+            hint = "it was already asked for; give the order in one sentence"
             self.reader.refuse(hint, clause.token)
         anchored(meaning, sequence, self.times, then or self.first)
         plain = not (clause.count or clause.again or clause.conditions or clause.avoiding)
@@ -450,7 +456,7 @@ class Discourse:
             meaning.rules += only_then(sequence[-1], meaning)
         if clause.enroute and not sequence:
             if self.goal is None:
-                self.reader.deny("on the way to what? say 'on the way to …'", clause.token)
+                self.reader.deny("unclear where to; say 'on the way to …'", clause.token)
             self.detour = clause.token  # "go to a. on the way, go to b"
         ends = len(sequence) == 1 and not meaning.follows and self.reader.sees("stop", "end")
         first = clause.first and (joint == "but" or ends)  # "visit a, visit b first"
@@ -475,7 +481,7 @@ class Discourse:
             clause.conditions.append(Condition("after", clause.token, self.flow.permitted))
             clause.trails = False
         elif not self.clauses:
-            self.reader.refuse("it comes after nothing", clause.token)
+            self.reader.refuse("nothing comes before it", clause.token)
 
     def _joint(self) -> Token | None:
         """Passes what joins this clause to the next; None at the end of the sequence."""
@@ -494,7 +500,7 @@ class Discourse:
             return None
         if reader.at > begin:
             if joint.kind == "comma" and _does_besides(reader):
-                reader.deny("on the way, or besides? say 'and then', or 'on the way'")
+                reader.deny("unclear: on the way, or in addition? say 'and then' or 'on the way'")
             if not starts_clause(reader):
                 reader.refuse("expected a clause here")
             return joint
@@ -505,8 +511,10 @@ class Discourse:
         starts = starts_clause(reader) and self._begins_well() and not no_order
         if not starts:
             if reader.sees("to") and reader.peek(-1).text in LEADING:
-                reader.deny("what leads there, or one after the other? say 'then to …'")
-            reader.refuse("no word that is known here")
+                reader.deny(
+                    "unclear: one thing that leads to the other, or both in turn? say 'then to …'"
+                )
+            reader.refuse("unknown word")
         return Token("", "", joint.start, joint.start)
 
     def _begins_well(self) -> bool:

@@ -129,26 +129,26 @@ class Flow:
         leads = self.hanging is not None and self.hanging.kind == "before"
         joined = joint is not None and kind not in ("but", "or") and (not leads or kind in THEN)
         if self.hanging and joined and not (clause.subject or clause.conditions):
-            hint = "is that part of it as well? say it in a sentence of its own"
+            hint = "unclear if the next part depends on this; use a separate sentence"
             reader.deny(hint, self.hanging)
         bare = clause.verb == "" and not (clause.conditions or clause.count)
         listed = clause.things is not None and clause.things.listed
         if bare and clause.negated and (self.denied or not started or listed):
-            reader.deny("avoid it, or visit it? say which", clause.token)  # "not a, b"
+            reader.deny("unclear: avoid it or visit it? say which", clause.token)  # "not a, b"
         if clause.agent and self.agent not in ("", clause.agent):
-            reader.deny("only one robot is spoken to", clause.token)
+            reader.deny("an instruction is for one robot only", clause.token)
         several = clause.things is not None and len(clause.things.groups) > 1
         joins = several and any(token.kind == "and" for token in _said(clause, reader))
         if bare and clause.negated and joins:
-            reader.deny("how far does 'not' reach? say it in a sentence of its own", clause.token)
+            reader.deny("unclear what 'not' applies to; use a separate sentence", clause.token)
         if not started and joint is not None and joint.text in ("later", "afterwards"):
-            reader.deny("later than what?", joint)
+            reader.deny("nothing comes before it", joint)
         if kind == "but" and bare and not (clause.negated or clause.first):
-            reader.deny("all but that, or that too? say 'visit …'", clause.token)
+            reader.deny("unclear: all except this, or this too? say 'visit …'", clause.token)
         if kind == "or" and clause.through and clause.verb == "":
             reader.deny("say 'through a or b'", clause.token)  # "to a via b or via c"
         if clause.bound_by and kind == "or":
-            reader.refuse("on the way with which of them? say it of each", clause.bound_by)
+            reader.refuse("unclear which one is on the way; say it for each one", clause.bound_by)
 
     def note(self, clause: Clause, meaning: Meaning) -> None:
         """Remembers a clause for the next one."""

@@ -87,6 +87,6 @@ def readings(text: str) -> tuple[Formula, ...]:
             for way in range(1, ways)
         ]
         if len(todo) > MAX_READINGS:
-            hint = "it can be read in too many ways; say it in several sentences"
+            hint = "it has too many possible meanings; use several sentences"
             reader.refuse(hint, tokens[0])
     return tuple(found)

@@ -88,7 +88,9 @@ def lift(text: str) -> Lifted:
         length, name = _name_at(pieces, at, among_letters)
         if name in _RIDDEN and words and words[-1] in _RIDING:
             start = pieces[at].start
-            raise not_understood(text[start:], start + 1, "say where to go, not by what")
+            raise not_understood(
+                text[start:], start + 1, "say where to go, without the means of transport"
+            )
         if name is None:
             words.append(pieces[at].text)
             starts.append(pieces[at].start)
@@ -96,7 +98,7 @@ def lift(text: str) -> Lifted:
             continue
         if name not in found:
             if len(found) == MOST_NAMES:
-                hint = f"at most {MOST_NAMES} things at once"
+                hint = f"an instruction has at most {MOST_NAMES} objects"
                 raise not_understood(text[pieces[at].start :], pieces[at].start + 1, hint)
             found.append(name)
         if words and words[-1] in ARTICLES:
@@ -127,7 +129,9 @@ def _pieces(text: str) -> list[_Piece]:
         elif found in _MARKS:
             pieces.append(_Piece(_MARKS[found], start))
         else:
-            raise not_understood(found, start + 1, "this character has no place in an instruction")
+            raise not_understood(
+                found, start + 1, "this character is not allowed in an instruction"
+            )
     if len(pieces) > MOST_PIECES:
         late = pieces[MOST_PIECES].start
         raise not_understood(text[late:], late + 1, f"it has more than {MOST_PIECES} words")

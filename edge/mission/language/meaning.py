@@ -112,17 +112,19 @@ def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int]) -> Mean
     if clause.things is None:
         return _until_done(clause, reader)
     if clause.instant and not clause.conditions:
-        reader.refuse("what must come in the very next step cannot be told", clause.instant)
+        reader.refuse("'in the next step' is not possible here", clause.instant)
     again = clause.again and not (clause.negated or clause.count or clause.conditions)
     if again and not clause.returns and not times.keys() & set(clause.things.names):
-        reader.refuse("it was not asked for before; say how often", clause.token)
+        reader.refuse(
+            "it was not asked for before, so 'again' is unclear; say how often", clause.token
+        )
     if clause.things.every and (meaning := _of_every(clause, clause.things, reader)):
         return meaning
     alone = len(clause.things.groups) + len(clause.route) < 2 and not clause.negated
     if alone and (clause.order == "strict order" or (clause.order and clause.conditions)):
         reader.refuse("an order goes with a list: 'visit a, b and c in this order'", clause.token)
     if clause.out_of_turn:
-        reader.refuse("say of which places", clause.token)
+        reader.refuse("say for which places", clause.token)
     said = _forbidden if clause.negated else _asked
     meaning = said(clause, clause.things, reader, times)
     meaning.each = clause.each or meaning.each
@@ -162,9 +164,9 @@ def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[st
     """`do not visit x …`, `avoid x …`, `never visit x more than twice`."""
     meaning = Meaning()
     if clause.order:
-        reader.refuse("an order makes no sense of what is not to be reached", clause.token)
+        reader.refuse("an order is not possible for forbidden objects", clause.token)
     if clause.not_again:
-        reader.deny("say it in two sentences", clause.token)
+        reader.deny("use two sentences", clause.token)
     for avoided in clause.avoiding:  # "do not visit b without visiting a"
         meaning.rules += held_until(things.names, avoided)
     if clause.count:
@@ -224,12 +226,12 @@ def _forbidden_when(
 
 def _one_time(condition: Condition, reader: Reader) -> None:
     if condition.count and condition.count != Count(1):
-        reader.refuse("how often something happened is no condition yet", condition.token)
+        reader.refuse("a condition cannot count visits", condition.token)
 
 
 def _no_conditions(clause: Clause, reader: Reader) -> None:
     for condition in clause.conditions:
-        reader.refuse("a count and a condition do not go together", condition.token)
+        reader.refuse("a count and a condition cannot be combined", condition.token)
 
 
 def _counted(
@@ -263,7 +265,7 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
         meaning.goals.append(steps([visits(step) for step in _steps_of(clause, things)]))
         meaning.things = things
     if clause.count and clause.route:
-        reader.deny("so often, the way as well? say it in two sentences", clause.token)
+        reader.deny("unclear if the path is counted too; use two sentences", clause.token)
     if clause.order == "strict order":
         for before, after in itertools.pairwise(_steps_of(clause, things)):
             meaning.rules += held_until(after.names, before)
@@ -274,7 +276,7 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
     for avoided in (*clause.avoiding, *clause.not_first):
         passed = {name for step in clause.route for name in step.names}
         if set(avoided.names) & {*things.names, *passed}:
-            reader.deny("the same is asked for and to be avoided", clause.token)
+            reader.deny("the same object is asked for and to be avoided", clause.token)
     for avoided in clause.avoiding:
         others = [n for n in avoided.names if n not in times]
         if (clause.during and not alone) or set(others) & set(things.names):
@@ -323,9 +325,9 @@ def _counted_until(
     most = count.most
     asked = all(times.get(name, 0) >= count.least for name in things.names)
     if clause.conditions[0].kind == "before" and not asked:
-        reader.refuse("say it in two sentences", clause.token)
+        reader.refuse("use two sentences", clause.token)
     if len(clause.conditions) != 1 or most is None:
-        reader.refuse("only an upper limit can last until something", clause.token)
+        reader.refuse("only 'at most … times' can have an 'until'", clause.token)
     if not asked:
         _counted(clause, things, Count(count.least), meaning, times)
     meaning.rules += [
@@ -346,11 +348,11 @@ def _conditioned(
         answers = False  # where one ends up is no answer to anything
     _one_time(condition, reader)
     if clause.next_step and kind in ("before", "until"):
-        reader.refuse("what comes right before cannot be told", condition.token)
+        reader.refuse("'right before' is not possible", condition.token)
     if clause.next_step and not answers:
         reader.deny("say 'whenever …, you must … right after that'", condition.token)
     if kind == "when" and condition.denied:
-        reader.deny("what never happens is known at the end only", condition.token)
+        reader.deny("a condition that something never happens is not possible", condition.token)
     if set(when.names) & set(things.names) and not answers:
         reader.deny("nothing comes before or after itself", condition.token)
     if kind == "before" and condition.only and not condition.denied:
@@ -360,11 +362,13 @@ def _conditioned(
         meaning.things = when  # "go through the hallway until you reach the bed"
         return
     if kind == "until" and not condition.denied:
-        reader.refuse("reaching is done in one step, so it has no 'until'", condition.token)
+        reader.refuse(
+            "'until' is not possible for a visit; say what comes after what", condition.token
+        )
     if condition.denied and kind != "after":  # "visit x, but not before y"
         meaning.rules += held_until(things.names, when)
     elif kind == "unless":
-        reader.refuse("'unless' goes with something forbidden", condition.token)
+        reader.refuse("'unless' is possible only with something forbidden", condition.token)
     elif kind == "before" and (clause.mood != "can" or condition.only):
         way = "in order"  # "visit x, but visit y before that": y, then x
         if not condition.referred or clause.mood == "can":
@@ -381,7 +385,7 @@ def _conditioned(
         meaning.rules += held_until(things.names, when)
         meaning.waits.append((things.names, when))
     elif condition.denied:
-        reader.refuse("say it as 'do not …, once …'", condition.token)
+        reader.refuse("say 'do not …, once …'", condition.token)
     elif answers:
         _reaction(clause, things, condition, reader, meaning)
     elif clause.mood != "can":
@@ -415,11 +419,11 @@ def _reaction(
 ) -> None:
     """`once you visit x you must visit y`: G(x -> F y), or X y right after it."""
     if len(condition.things.groups) != 1:
-        reader.refuse("a duty can follow on one thing, or on one of several", condition.token)
+        reader.refuse("a condition can have one object, or a choice of objects", condition.token)
     when = any_of(condition.things.groups[0])
     if clause.next_step or clause.soon:
         if len(things.groups) != 1:
-            reader.refuse("only one thing can come next", clause.token)
+            reader.refuse("only one object can be reached in the next step", clause.token)
         answer = next_(any_of(things.groups[0]))
     else:
         goals = meaning.goals or [visits(things)]

@@ -66,7 +66,7 @@ _LOOKED_AROUND = re.compile(
 MOST_SLIPS = 3
 _MAX_STATES, _MAX_STEPS = 500, 300_000
 _BEFORE_VERB = (",", ".", "and", "then", "please", "you", "not")
-_REFUSED = "instruction: no formula over what is reached says this; say it in other words"
+_REFUSED = "instruction: it could not be translated to a mission; say it in other words"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ class SmallModel:
         said, words, doubts = self._known(instruction)
         if not said.names:
             raise TranslationError(
-                "instruction: it names nothing that is known; write what it is in double quotes"
+                "instruction: it has no known object; write the object's name in double quotes"
             )
         if unclear := _unclear(words):
             raise TranslationError(f"instruction: {unclear}")
@@ -235,14 +235,16 @@ class SmallModel:
             words[i] = slip or word
             acts = i + 1 < len(words) and words[i + 1] in NAMES
             if not slip and acts and (i == 0 or words[i - 1] in _BEFORE_VERB):
-                raise not_understood(word, said.starts[i] + 1, "no verb that is known")
+                raise not_understood(word, said.starts[i] + 1, "unknown verb")
             if not slip and i and words[i - 1] == "by":
-                raise not_understood(word, said.starts[i] + 1, "say where to go, not by what")
+                raise not_understood(
+                    word, said.starts[i] + 1, "say where to go, without the means of transport"
+                )
             if word in _CHANGING_WORDS or word in nouns.PLAIN_WORDS:
-                raise not_understood(word, said.starts[i] + 1, "no word that is known here")
+                raise not_understood(word, said.starts[i] + 1, "unknown word")
             if len(doubts) > MOST_SLIPS:
                 start = said.starts[i]
-                raise not_understood(instruction[start:], start + 1, "no word that is known here")
+                raise not_understood(instruction[start:], start + 1, "unknown word")
         return said, tuple(words), tuple(doubts)
 
     def _changes(self, word: str, loss: float) -> bool:
@@ -301,11 +303,11 @@ def _unclear(words: Sequence[str]) -> str:
     """Return the question that "<0> by <1>", "look around <0>" or "in the." leaves open, or ""."""
     said = " ".join(words)
     if _ATTACHED.search(said):
-        return "is one thing at the other, or on the way to it? say it in two sentences"
+        return "unclear: is one object at the other, or on the way to it? use two sentences"
     if _LOOKED_AROUND.search(said):
-        return "'around' may mean in it, or past it; say which"
+        return "'around' can mean inside it or past it; say which"
     if any(a in ARTICLES and _ends_name(b) for a, b in pairwise((*words, "."))):
-        return "an article names nothing; say what it belongs to"
+        return "there is an article without a name; complete the name"
     return ""
 
 

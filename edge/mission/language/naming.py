@@ -44,14 +44,14 @@ def take_name(reader: Reader) -> str:
         return _canonical(reader, token.text, token)
     if is_letter(reader.peek()):
         if _hardly_a_name(reader):
-            reader.refuse("no thing that is known", start)
+            reader.refuse("not a known object", start)
         return reader.tokens[_advance(reader)].text
     words = _words(reader, article)
     if not words:
         reader.refuse("expected the name of a thing here", start)
     _check(reader, words)
     if reader.sees("article"):
-        reader.refuse("no word that is known", words[0])
+        reader.refuse("unknown word", words[0])
     text = _spelled(words)
     return _canonical(reader, text, words[0])
 
@@ -136,25 +136,25 @@ def _check(reader: Reader, words: list[Token]) -> None:
     texts = [token.text for token in words]
     odd = next((i for i, text in enumerate(texts) if text in _NEVER_IN_NAMES), None)
     if odd is not None:
-        hint = "no name of a thing, and no known word"
+        hint = "unknown word, and not an object"
         (reader.deny if texts[odd] in _TURNS else reader.refuse)(hint, words[odd])
     odd = nouns.unknown_in(texts)
     if odd is None:
         return
     if texts[odd] in nouns.PLAIN_WORDS:
         said = reader.text[words[odd].start : words[odd].end]
-        raise not_understood(said, words[odd].start + 1, "no thing, and no word that is known here")
+        raise not_understood(said, words[odd].start + 1, "unknown word, and not an object")
     close = nouns.meant(texts[odd])
     if close and not nouns.is_noun(texts[odd]):
         reader.refuse(f"{one_line(texts[odd], 40)}: {close}?", words[odd])
     if reader.sees("article", "pronoun"):
-        reader.refuse("no verb that is known here", words[0])
+        reader.refuse("unknown verb", words[0])
     whole = one_line(" ".join(texts), 40)
     if odd:
         last = one_line(texts[odd - 1], 20)
-        hint = f'unknown after {last!r}; if it is one thing, write "{whole}"'
+        hint = f'unknown word after {last!r}; if it is one object, write "{whole}"'
         reader.refuse(f"{hint} in double quotes", words[odd])
-    reader.refuse(f'no known thing; if it is one, write "{whole}" in double quotes', words[0])
+    reader.refuse(f'not a known object; if it is one, write "{whole}" in double quotes', words[0])
 
 
 def _canonical(reader: Reader, text: str, token: Token) -> str:

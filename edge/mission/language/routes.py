@@ -25,10 +25,10 @@ def take_route(reader: Reader, memory: Memory, clause: Clause) -> bool:
         return False
     token = reader.peek()
     if clause.negated:
-        hint = "which way not to take is said so: 'go to … without going through …'"
+        hint = "to exclude a path, say 'go to … without going through …'"
         reader.refuse(hint, token)
     if clause.several_ways:
-        reader.refuse("say it in two sentences", token)
+        reader.refuse("use two sentences", token)
     reader.at += length
     reader.skip("first", "filler")
     only = only or bool(reader.take("only"))
@@ -36,7 +36,7 @@ def take_route(reader: Reader, memory: Memory, clause: Clause) -> bool:
         clause.avoiding.append(other)
         return True
     if len(clause.things.groups) > 1:
-        reader.refuse("on the way to which of them? say it in two sentences", token)
+        reader.refuse("unclear which one this is on the way to; use two sentences", token)
     pass_by(reader, clause, take_things(reader, memory), token)
     ahead = 1 if reader.sees("comma") else 0
     then = reader.peek(ahead)
@@ -109,7 +109,7 @@ def lead(reader: Reader, memory: Memory, clause: Clause, bound: Things, token: T
         pass_by(reader, clause, clause.things, token)
         clause.things = bound
     elif clause.conditions or clause.count or clause.avoiding:
-        reader.refuse("say it in two sentences", token)
+        reader.refuse("use two sentences", token)
     else:
         clause.avoiding.append(clause.things)
         clause.things, clause.negated, clause.elsewhere = bound, False, False

@@ -142,7 +142,7 @@ def passing_by(goal: Goal, passed: Goal, said: Token, reader: Reader) -> Goal:
     goal, held = _unwrapped(goal)
     parts = goal.goals if isinstance(goal, Steps) else (goal,)
     if not isinstance(parts[-1], Visit):
-        reader.refuse("on the way to what? say 'on the way to …'", said)
+        reader.refuse("unclear where to; say 'on the way to …'", said)
     return Every((steps([*parts[:-1], passed, parts[-1]]),), held)
 
 
@@ -150,7 +150,7 @@ def visit_often(step: Meaning, things: Things, count: Count, token: Token, reade
     """Makes the last visit of a step several: "go to a, leave it and repeat this twice more"."""
     visit = step.goals[-1] if step.goals else None
     if len(things.groups) != 1 or not isinstance(visit, Visit) or visit.options != things.groups[0]:
-        reader.refuse("say it in two sentences", token)
+        reader.refuse("use two sentences", token)
     step.goals[-1] = Visit(visit.options, visit.times - 1 + count.least)
     if count.most is not None:
         step.limits.append((visit.options, visit.times - 1 + count.most, None))
@@ -166,10 +166,10 @@ def each_at_most(goal: Goal, n: int, token: Token, reader: Reader) -> list[Formu
     if isinstance(goal, Visit):
         return [at_most(goal.options, n)]
     if isinstance(goal, Some):
-        reader.refuse("say it of each alternative", token)
+        reader.refuse("say it for each alternative", token)
     visited = Counter(name for visit in single_visits(goal) for name in visit.options)
     if visited.most_common(1)[0][1] > 1:
-        reader.refuse("something is asked for more often; say in one list what is", token)
+        reader.refuse("one object is asked for more often; put all visits in one list", token)
     if isinstance(goal, Every):
         return [rule for part in goal.goals for rule in each_at_most(part, n, token, reader)]
     rules: list[Formula] = []
@@ -178,7 +178,7 @@ def each_at_most(goal: Goal, n: int, token: Token, reader: Reader) -> list[Formu
         after = goal.goals[i + 1] if i + 1 < len(goal.goals) else None
         for visit in single_visits(part):
             if visit.times > n:
-                reader.refuse("something is asked for more often", token)
+                reader.refuse("one object is asked for more often", token)
             in_turn = n == 1 and isinstance(before, Visit)
             if in_turn:  # its only visit comes after the one before
                 rules += held_until(visit.options, Things((before.options,)))

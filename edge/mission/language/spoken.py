@@ -66,7 +66,7 @@ def take_count(reader: Reader, negated: bool, every: bool = False) -> Count | No
         return None
     joined = any(token.kind in ("or", "and") for token in reader.tokens[begin : reader.at])
     if len(set(numbers)) > 1 and not (joined or markers):
-        reader.deny("say how often in one number", start)  # "2 times 3"
+        reader.deny("give one number of visits", start)  # "2 times 3"
     if max(numbers) > MAX_VISITS:
         reader.refuse(f"at most {MAX_VISITS} visits can be counted", start)
     if not negated and {"at least", "at most"} <= marked.keys():
@@ -89,7 +89,7 @@ def take_quota(reader: Reader, memory: Memory, clause: Clause) -> None:
     marked = take_count(reader, negated=False)
     number = reader.take("number") if marked is None else None
     if marked is not None and marked.most not in (None, marked.least):
-        reader.refuse("say how often in one number", token)
+        reader.refuse("give one number of visits", token)
     n = marked.least if marked else NUMBERS.get(number.text if number else "", MAX_VISITS + 1)
     if n > MAX_VISITS:
         reader.refuse(f"at most {MAX_VISITS} visits can be counted", token)
@@ -112,7 +112,7 @@ def _range(
 ) -> Count:
     n = numbers[-1]
     if 0 in numbers and markers & {"or more", "at least"}:
-        reader.refuse("so often it is in any case; leave it out", reader.tokens[begin])
+        reader.refuse("this number is always fulfilled; leave it out", reader.tokens[begin])
     if "more or less" in markers:  # "not more or less than n": exactly n
         return Count(n, n)
     if markers & {"exactly", "only"} or {"at least", "at most"} <= markers:
@@ -153,7 +153,7 @@ _NEEDS = (
     "obliged", "are obliged",
 )  # fmt: skip
 _THANKS = ("thanks", "please", "thank you", "way", "problem")
-_NOT_NEEDED = "what need not be done asks for nothing; leave it out"
+_NOT_NEEDED = "this is optional and asks for nothing; leave it out"
 PREDICATE = ("must", "can", "not", "filler", "only", "first", "be")
 
 
@@ -280,7 +280,7 @@ def _refuse_scope(reader: Reader, said: Token) -> None:
     ahead = 0
     while reader.sees("filler", "always", "only", "immediately", ahead=ahead):
         if set(_LIMITING) & set(reader.peek(ahead).text.split()):
-            reader.deny("say plainly what not to do", said)
+            reader.deny("say directly what not to do", said)
         ahead += 1
     if reader.sees("must", ahead=ahead) and reader.peek(ahead).text in _NEEDS:
         reader.deny(_NOT_NEEDED, said)
@@ -310,18 +310,18 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
         if token.text == "need" and reader.sees("not", ahead=1):
             reader.deny(_NOT_NEEDED, token)
         if names_one_robot(reader):
-            reader.deny("only one robot is spoken to", token)
+            reader.deny("an instruction is for one robot only", token)
         if token.text in ("ok", "okay", "alright") and reader.sees("to", ahead=1):
-            reader.deny("what may be done asks for nothing; leave it out", token)
+            reader.deny("this is optional and asks for nothing; leave it out", token)
         answers = reader.sees("comma", "article", ahead=1) or reader.peek(1).text in _THANKS
         if token.text == "no" and answers:
-            reader.deny("say again all that is to be done", token)  # "…, no, the bed"
+            reader.deny("give the whole instruction again", token)  # "…, no, the bed"
         if token.kind == "you" and token.text in ("i", "we") and _tells(reader, token.text):
-            reader.deny("what others do is no order", token)
+            reader.deny("not an instruction for the robot", token)
         if token.text == "did" and reader.sees("not", ahead=1):
-            reader.deny("what was done asks for nothing", token)
+            reader.deny("this describes the past; say what to do", token)
         if token.text == "let" and reader.sees("article", ahead=1) and reader.sees("verb", ahead=3):
-            reader.deny("only one robot is spoken to", token)  # "let the dog go there"
+            reader.deny("an instruction is for one robot only", token)  # "let the dog go there"
         if token.text == "it" and _acts(reader):
             seen.add("you")
             reader.at += 1  # "the robot goes to a, then it goes to b"
@@ -380,7 +380,7 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
             clause.again = clause.returns = True
             reader.at += 1
         elif clause.negated and token.text in _LIMITING:
-            reader.deny("say plainly what not to do", token)  # "do not go straight to a"
+            reader.deny("say directly what not to do", token)  # "do not go straight to a"
         elif token.text in AFTER_VERB and token.kind in ("word", "place", "to"):
             reader.at += 1
         elif token.text == "up to" and starts_things(reader, 1):
@@ -393,9 +393,9 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
         elif token.text in ("me", "us") and (
             clause.verb.startswith("follow") or reader.tokens[reader.at - 1].text == "with"
         ):
-            reader.refuse("only reaching things can be asked for", token)
+            reader.refuse("the robot can only go to objects", token)
         elif token.kind == "filler" and names_one_robot(reader):
-            reader.deny("only one robot is spoken to", token)
+            reader.deny("an instruction is for one robot only", token)
         elif token.kind in ("to", "filler") or (
             token.kind == "and" and reader.sees("verb", ahead=1) and clause.verb == "go"
         ):

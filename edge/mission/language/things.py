@@ -26,7 +26,7 @@ from edge.mission.language.words import Reader, Token
 COUNTING = ("number", "once", "times n", "at least", "at most", "exactly", "only")
 """Kinds of token that begin a count."""
 LEAVE = ("leave", "leaving", "exit", "exiting")
-ONE_OF_A_KIND = "only one of a kind can be asked for; say 'the …'"
+ONE_OF_A_KIND = "the robot can go to one object of a kind; say 'the …'"
 _ELEMENT = ("word", "quoted", "article", "either", "all of", "pronoun", "group")
 _STARTS_PREDICATE = ("be", "must", "can", "happen", "banned")
 
@@ -151,7 +151,7 @@ def take_things(
     if banned:
         return Things(tuple((name,) for group in groups for name in group))
     if joints == {"or"} and start.text == "both":
-        reader.deny("both, or one of them? say which", start)
+        reader.deny("unclear: both, or one of them? say which", start)
     if joints == {"or"}:
         return Things((tuple(dict.fromkeys(name for group in groups for name in group)),))
     if len(joints) > 1:
@@ -251,11 +251,11 @@ def _meant_by(token: Token, reader: Reader, memory: Memory) -> Things:
     """What a pronoun stands for; "them" after one thing is all that was asked for."""
     meant = (token.text == "there" and memory.asked) or memory.named
     if token.text in SINGULARS and meant and len(meant.groups) > 1:
-        reader.deny("which of them?", token)
+        reader.deny("unclear which one this refers to", token)
     if token.text in PLURALS and meant and len(meant.groups) == 1 and len(memory.every) > 1:
         meant = Things(memory.every)
     if meant is None or not meant.groups:
-        reader.refuse(f"nothing was named before that {token.text!r} could mean", token)
+        reader.refuse(f"{token.text!r} refers to nothing that was named before", token)
     return meant
 
 
@@ -309,5 +309,5 @@ def _choice(reader: Reader, every: bool) -> tuple[str, ...]:
         reader.at += ahead
         options.append(take_name(reader))
     if not every and not decided:
-        reader.deny("either that, or what?")
+        reader.deny("'either' needs a second choice")
     return tuple(dict.fromkeys(options))

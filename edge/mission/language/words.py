@@ -18,15 +18,15 @@ MAX_WORDS = 1_000
 """Far more than an instruction has; it bounds the formula, and so the time that follows."""
 
 REASONS = {
-    "endless": "a mission ends, so nothing can be asked for again and again",
-    "forever": "a mission ends, so nothing can be asked for ever",
-    "going on": "say where to go, or until what is reached",
-    "stay": "only reaching things can be asked for, not staying or leaving",
+    "endless": "a mission ends, so endless repetition is not possible",
+    "forever": "a mission ends, so 'forever' is not possible",
+    "going on": "say where to go, or 'until … is reached'",
+    "stay": "the robot can only go to objects, not stay or leave",
     "stray": "leave it out",
     "origin": "a mission starts where the robot is; say 'first go to …'",
-    "needless": "what need not or may be done asks for nothing; leave it out",
-    "picture": "only reaching things can be asked for; say 'photograph the …'",
-    "mark": "this character has no place in an instruction",
+    "needless": "this is optional and asks for nothing; leave it out",
+    "picture": "the robot can only go to objects; say 'photograph the …'",
+    "mark": "this character is not allowed in an instruction",
 }
 """Why tokens of these kinds are never understood."""
 
