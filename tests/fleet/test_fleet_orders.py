@@ -70,7 +70,7 @@ def test_a_part_for_one_robot_goes_to_no_other():
     assert given([mine], robot("a", bed=1.0), robot("b")) == {"m.1": "b"}
     assert given([mine], robot("a"), robot("b", "x", "searching")) == {}
     gone = orders([mine], robot("a"))
-    assert gone.outcomes == {"m.1": Outcome("failed", "b", "it is not there")}
+    assert gone.outcomes == {"m.1": Outcome("failed", "b", "it is offline")}
     assert orders([mine], robot("a"), away={"m.1": "b"}).under_way == {"m.1": "b"}
 
 

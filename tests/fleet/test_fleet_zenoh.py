@@ -357,7 +357,7 @@ def test_two_services_that_came_together_later_are_shown(port, robots):
     with open_session(settings_of(port, "anna"), "listen") as other:
         token = other.liveliness().declare_token("robots/anna/alive/other")
         with open_roster(settings_of(port, "any")) as seen:
-            eventually(lambda: "2 services have this name" in seen.look()["anna"].problem)
+            eventually(lambda: "2 services use this name" in seen.look()["anna"].problem)
             token.undeclare()
             eventually(lambda: seen.look()["anna"].account)
 
@@ -379,7 +379,7 @@ def test_one_of_three_is_killed_in_the_middle(port, robots, carl, tmp_path):
     try:
         command.says("carl gets: ")
         carl.send_signal(signal.SIGKILL)
-        command.says("carl is gone; another gets it unless it is back in 0.5 s")
+        command.says("carl is offline; another robot gets the part unless it is back within 0.5 s")
         for robot in both:
             robot.reaches_in_s = 0.1
         assert command.wait() == 0, command.output
