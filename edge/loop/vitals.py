@@ -30,7 +30,7 @@ HANGS_S = 10.0
 PROBES = ("/healthz", "/readyz")
 """Pages whose status is for everybody, and what they say for who knows the token."""
 _LOOK_S = 1.0
-_UNSEEN = "nothing to be seen"  # not for how long: that would be another line each second
+_UNSEEN = "no usable observations"  # not for how long: that would be another line each second
 _TELL_S = 5.0  # sensors that start together with the service have come by then
 _TELL_AGAIN_S = 10.0
 

@@ -52,7 +52,7 @@ def test_nobody_and_nothing():
         # Who is not free gets nothing.
         ([robot("a", "other", "searching"), robot("b")], {"m.1": "b"}),
         ([robot("a", "", "paused"), robot("b", "other", "reached")], {"m.1": "b"}),
-        ([robot("a", amiss=("nothing to be seen",))], {}),
+        ([robot("a", amiss=("no usable observations",))], {}),
         ([Robot("a", problem="no answer within 2 s")], {}),
         # Who failed at a part does not get it again; who was doubled may, by another name.
         ([robot("a", past=(("m.1", "failed", "no bed"),)), robot("b")], {"m.2": "a", "m.1": "b"}),

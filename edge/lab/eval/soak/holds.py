@@ -40,7 +40,7 @@ def recovered(stage: Stage, watch: Watch, when: When) -> str:
 
 def blind(stage: Stage, watch: Watch, when: When) -> str:
     """`/readyz` says that nothing is to be seen."""
-    if watch.seen_s > when.began_s and any("nothing to be seen" in why for why in watch.ready):
+    if watch.seen_s > when.began_s and any("no usable observations" in why for why in watch.ready):
         return ""
     return f"does not say that nothing is to be seen, but: {'; '.join(watch.ready) or 'ready'}"
 
