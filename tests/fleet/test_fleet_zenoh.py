@@ -130,7 +130,7 @@ def test_robots_are_stopped_and_asked_by_command(port, robots, capsys):
     code, said = fleet("pause")  # bob has nothing to pause, which is no fault where he is not named
     assert (code, anna.mission.paused, bob.mission.paused) == (0, True, False)
     assert "anna:\n  instruction: F bed" in said
-    assert "bob:\n  refused: no mission is under way: none was given yet" in said
+    assert "bob:\n  refused: no mission is running: no mission was given yet" in said
     assert fleet("pause", "bob")[0] == 69
     assert fleet("resume", "anna")[0] == 0
     assert not anna.mission.paused
@@ -306,12 +306,12 @@ def test_a_mission_that_is_given_twice_is_begun_once(port, robots):
         for _ in range(2):
             assert seen.tell("anna", request, PATIENCE_S)["id"] == "x.1"
         assert anna.service.begun == 1
-        with pytest.raises(UserError, match="refused: not free: the last one searching: F bed"):
+        with pytest.raises(UserError, match="refused: not free: the last mission searching: F bed"):
             seen.tell("anna", {**request, "id": "x.2"}, PATIENCE_S)
         seen.tell("anna", {"do": "new", "formula": "F sofa"}, PATIENCE_S)
-        with pytest.raises(UserError, match=r"mission x\.1 is over here"):
+        with pytest.raises(UserError, match=r"mission x\.1 is already over"):
             seen.tell("anna", request, PATIENCE_S)
-        with pytest.raises(UserError, match="no such mission is under way"):
+        with pytest.raises(UserError, match="no such mission is running"):
             seen.tell("anna", {"do": "cancel", "id": "x.1"}, PATIENCE_S)
         assert anna.mission.target == "sofa"
         assert not anna.mission.done

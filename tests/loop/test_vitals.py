@@ -177,7 +177,7 @@ def test_a_detector_that_hangs_at_an_image_is_noticed(watched):
         watched.beat(1.0)
     assert watched.vitals.amiss() == ("no usable observations",)
     watched.beat(1.0)
-    assert "the detector hangs at an image" in watched.vitals.amiss()
+    assert "the detector has hung at one image for more than 10 s" in watched.vitals.amiss()
     detector.over.set()
     worker.close()
     watched.beat(1.0)
