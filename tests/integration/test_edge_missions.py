@@ -137,7 +137,7 @@ def test_requests_by_command(edge, endpoint, tmp_path, request_of):
     assert code == 0, said
     code, said = request_of("pause", config)
     assert code == os.EX_DATAERR
-    assert "no mission is under way" in said
+    assert "no mission is running" in said
 
 
 @pytest.mark.parametrize("suffix", ["svg", "png", "dot"])

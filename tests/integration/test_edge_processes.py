@@ -82,7 +82,7 @@ def test_a_demo_ends_when_its_simulator_does(edge, config):
     victim = next(child for child in demo.children() if "sim" in child.cmdline())
     victim.kill()
     assert demo.wait() == os.EX_SOFTWARE
-    assert "edge sim --no-motion ended before its time (signal 9)" in demo.lines[-1]
+    assert "`edge sim --no-motion` ended too early (signal 9)" in demo.lines[-1]
     assert not demo.orphans()
 
 

@@ -202,7 +202,7 @@ def test_what_is_seen_is_approached_and_reached(tab):
 def test_without_sensors_it_says_what_to_look_at(page, house):
     page.says("#camera-note", " × ")
     house.robot.blind = True
-    page.says("#banner", "Not ready: nothing to be seen")
+    page.says("#banner", "Not ready: no usable observations")
     page.says("#camera-note", "no new image for")
     house.robot.blind = False
     page.until("document.getElementById('banner').hidden")
@@ -216,7 +216,7 @@ def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
     house.service.inputs = house.service._health._inputs = inputs.rows
     house.robot.blind = True
     page.says(
-        "#banner", "nothing to be seen: no message yet on camera/depth; every message on odom"
+        "#banner", "no usable observations: no message yet on camera/depth; every message on odom"
     )
     page.says("#health", "camera/depth\nno message yet\n")
     page.says("#health", "odom\nall are dropped: malformed (")
