@@ -34,7 +34,7 @@ from edge.cli.requests import add_arguments, as_text
                 "task:        driving",
                 "written by:  model m",
                 "answers:     3",
-                "trajectory:  3.0 of 7.2 m driven, refined anew 2 times since the map had changed",
+                "trajectory:  3.0 of 7.2 m driven, refined again 2 times because the map changed",
                 "notes:       a; b",
             ],
         ),
