@@ -1,4 +1,4 @@
-"""What a clause does: its verb, what it goes through, and what it reaches."""
+"""Parser of the action of a clause: its verb, the objects it passes, and the objects it reaches."""
 
 from __future__ import annotations
 
@@ -25,7 +25,13 @@ _MOTION = ("go", "come", "walk", "move", "head", "run", "drive", "travel", "retu
 
 
 def is_passing(reader: Reader, ahead: int = 0, any_way: bool = False) -> bool:
-    """Whether a way without a verb comes: ", then past the sofa"; with or without a thing."""
+    """Return True if a path without a verb comes: ", then past the sofa".
+
+    Args:
+        reader: the token reader.
+        ahead: position of the token.
+        any_way: True also accepts it without an object.
+    """
     token = reader.peek(ahead)
     if token.text == "back":
         return reader.sees("to", ahead=ahead + 1) or reader.peek(ahead + 1).text in UP
@@ -34,15 +40,15 @@ def is_passing(reader: Reader, ahead: int = 0, any_way: bool = False) -> bool:
 
 
 def goes_on_to(reader: Reader) -> bool:
-    """Whether "go on the third floor" comes, which is no "go on until"."""
+    """Return True if "go on the third floor" comes, but not "go on until"."""
     return reader.peek().text == "go on" and starts_things(reader, 1)
 
 
 def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
-    """`go to a`, `avoid a`, `go through a to b`, `do not skip a`: a verb and what it is about.
+    """Parse a verb and its objects: `go to a`, `avoid a`, `go through a to b`, `do not skip a`.
 
     Raises:
-        TranslationError: nothing that it could be about follows.
+        TranslationError: no object of the verb follows.
     """
     doubly = False
     if clause.negated and reader.sees("avoid") and "anywhere" in reader.peek().text:
@@ -135,11 +141,14 @@ def take_passed(
     passes: bool = True,
     verb: Token | None = None,
 ) -> None:
-    """Things, and what one goes on to: "through a and into b", "from a to b to c", "a or b, to c".
+    """Parse objects and the objects after them: "through a and into b", "from a to b to c".
 
     Args:
-        passes: they lie on the way.
-        verb: the last word before them.
+        reader: the token reader.
+        memory: antecedents of pronouns.
+        clause: the clause; the result is written here.
+        passes: True if the first objects lie on the way to others.
+        verb: the last token before the objects.
     """
     if clause.negated and clause.verb not in AVOIDING and reader.peek().text in _ALL_OF:
         reader.deny("unclear: none of them, or not all? say it for each one", reader.peek())
@@ -179,7 +188,7 @@ def _onto_thing(reader: Reader) -> bool:
 
 
 def _onward(reader: Reader, clause: Clause) -> bool:
-    """Whether "to b" may go on from there."""
+    """Return True if "to b" may follow here."""
     ahead = 1 if reader.sees("and") else 0
     onto = reader.peek(ahead + (reader.peek(ahead).text == "out")).text in _INTO
     if not clause.through and (onto or reader.sees("to")):
@@ -195,7 +204,7 @@ LEADING = nouns.listed(
 
 
 def _refuse_leading(reader: Reader, clause: Clause, ahead: int) -> None:
-    """`go to the door to the kitchen`, `move the cup to the table`: one thing, or two?"""
+    """Refuse `go to the door to the kitchen` and `move the cup to the table` as ambiguous."""
     said = reader.tokens[: reader.at]
     verb = max((i for i, token in enumerate(said) if token.text == clause.verb), default=0)
     moves = clause.verb in (*_MOTION, "get")
@@ -211,7 +220,7 @@ def _refuse_leading(reader: Reader, clause: Clause, ahead: int) -> None:
 
 
 def _take_onward(reader: Reader) -> bool:
-    """Passes "to", "and into" before a thing; False, and nothing taken, when there is none."""
+    """Skip "to" or "and into" before an object; return False if it does not come."""
     ahead = 1 if reader.sees("and") else 0
     ahead += reader.peek(ahead).text in ("out", "on")
     if reader.peek(ahead).text == "through":
@@ -223,7 +232,7 @@ def _take_onward(reader: Reader) -> bool:
 
 
 def take_until(reader: Reader, memory: Memory, clause: Clause) -> None:
-    """`keep going until you reach a`: it asks for a, after what came before."""
+    """Parse `keep going until you reach a`: the clause asks for a, after the clauses before it."""
     token = reader.take("onward")
     assert token is not None
     if clause.negated:
@@ -236,7 +245,7 @@ def take_until(reader: Reader, memory: Memory, clause: Clause) -> None:
 
 
 def _plainly_named(reader: Reader) -> bool:
-    """Whether what follows is no unknown word without an article ("upstairs")."""
+    """Return True unless an unknown word without an article follows ("upstairs")."""
     token = reader.peek()
     if token.kind != "word" or len(token.text) == 1 or token.text in PASSING:
         return True
@@ -244,4 +253,5 @@ def _plainly_named(reader: Reader) -> bool:
 
 
 def each_of(things: Things) -> Things:
+    """Return the names as separate groups, so that each of them is meant."""
     return Things(tuple((name,) for name in things.names))

@@ -1,4 +1,4 @@
-"""What may follow a verb and its object: orders, counts, conditions, things to avoid."""
+"""Parser of what may follow a verb and its object: orders, counts, conditions, objects to avoid."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from edge.mission.language.words import Reader, Token
 
 
 def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
-    """Takes one more part of the clause; False at its end."""
+    """Parse one more part of the clause; return False at its end."""
     token, start = reader.peek(), reader.at
     if token.kind == "always":
         clause.always = token
@@ -125,7 +125,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
 
 
 def _by_way(reader: Reader) -> bool:
-    """Whether "through a", "except through a" comes, which a ban may be of or not."""
+    """Return True if "through a" or "except through a" comes, which may belong to a ban or not."""
     ahead = 1 if reader.peek().text in ("except", "but") else 0
     token = reader.peek(ahead)
     passes = token.kind == "via" or token.text in PASSING
@@ -137,7 +137,7 @@ def _ends_sentence(reader: Reader, ahead: int) -> bool:
 
 
 def _whichever(reader: Reader) -> bool:
-    """Takes ", whichever you like" where there was a choice."""
+    """Skip ", whichever you like" after a choice; return False if it does not come."""
     ahead = 1 if reader.sees("comma") else 0
     choice = any(token.kind in ("or", "either") for token in reader.tokens[: reader.at])
     if not (choice and reader.sees("whichever", ahead=ahead) and _ends_sentence(reader, ahead + 1)):
@@ -151,7 +151,7 @@ def _of_every(clause: Clause) -> bool:
 
 
 def _denied(reader: Reader, count: Count, token: Token) -> Count:
-    """A count whose clause turns out to be forbidden: "visiting a more than once is prohibited"."""
+    """Return the count of a clause that is forbidden: "visiting a more than once is prohibited"."""
     if count.least == count.most:  # "more or less than once"
         return count
     rest = count.negated()
@@ -161,7 +161,7 @@ def _denied(reader: Reader, count: Count, token: Token) -> Count:
 
 
 def _count_ahead(reader: Reader, clause: Clause) -> bool:
-    """Takes "but at most twice"."""
+    """Parse "but at most twice"; return False if it does not come."""
     begin, token = reader.at, reader.peek()
     reader.skip("but", "comma")
     reader.take("all of")
@@ -177,7 +177,7 @@ def _count_ahead(reader: Reader, clause: Clause) -> bool:
 
 
 def narrower(reader: Reader, old: Count | None, new: Count, token: Token) -> Count:
-    """Both counts at once."""
+    """Return the intersection of two counts."""
     if old is None:
         return new
     most = min((m for m in (old.most, new.most) if m is not None), default=None)
@@ -188,7 +188,7 @@ def narrower(reader: Reader, old: Count | None, new: Count, token: Token) -> Cou
 
 
 def _trails(reader: Reader) -> bool:
-    """Whether "after that" ends a clause here, and does not begin the next."""
+    """Return True if "after that" ends this clause instead of beginning the next one."""
     if reader.peek().text in ("then", "and then", "followed by", "finally", "and finally"):
         return False
     if reader.sees("filler", ahead=1):
@@ -199,7 +199,10 @@ def _trails(reader: Reader) -> bool:
 
 
 def _condition_ahead(reader: Reader, clause: Clause) -> bool:
-    """Whether a condition of this clause follows, maybe behind "but", "only", "not"."""
+    """Skip to a condition of this clause, also after "but", "only" or "not".
+
+    Return False if none comes.
+    """
     ahead = 1 if reader.sees("comma") else 0
     if reader.sees("but", "and", ahead=ahead):
         ahead += 1
@@ -210,7 +213,7 @@ def _condition_ahead(reader: Reader, clause: Clause) -> bool:
     if not reader.sees(*CONDITIONS, ahead=ahead):
         return False
     if joined and not limited:
-        return False  # ", and before that …" begins a clause of its own
+        return False  # ", and before that …" begins the next clause
     if not limited and _leads(reader, clause):
         return False
     reader.at += ahead - (1 if limited else 0)
@@ -218,7 +221,7 @@ def _condition_ahead(reader: Reader, clause: Clause) -> bool:
 
 
 def _leads(reader: Reader, clause: Clause) -> bool:
-    """Whether the condition here belongs to the next clause: "visit a before that visit b"."""
+    """Return True if this condition belongs to the next clause: "visit a before that visit b"."""
     return (
         reader.sees("before", "after", "until")
         and reader.sees("pronoun", ahead=1)
@@ -228,7 +231,10 @@ def _leads(reader: Reader, clause: Clause) -> bool:
 
 
 def _avoided_aside(reader: Reader, memory: Memory, clause: Clause) -> bool:
-    """Takes ", avoiding x," before ", then y"; at the end it may go with all that was said."""
+    """Parse ", avoiding x," before ", then y"; return False, and take nothing, for anything else.
+
+    At the end of a sentence it may belong to all clauses before it.
+    """
     avoid = reader.peek(1)
     if avoid.kind != "avoid" or not avoid.text.endswith("ing") or not clause.things:
         return False
@@ -246,7 +252,7 @@ _EVER = ("ever", "at any point", "at any time", "at any point in time", "at all"
 
 
 def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
-    """`while avoiding x`, `without visiting x`, `while not going to x`, `without revisiting x`."""
+    """Parse `while avoiding x`, `without visiting x`, `while not going to x` and the like."""
     token = reader.take("while", "without", "avoid")
     assert token is not None
     denied = token.kind != "while"

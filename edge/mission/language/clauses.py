@@ -1,4 +1,4 @@
-"""One clause of an instruction: who must (not) do what, how often, under which conditions.
+"""Parser of one clause: who must (not) do what, how often, under which conditions.
 
 clause    = { condition [","] } { mood } ( action | passive | bare ) { adjunct }
 action    = verb { verb } particles things | avoid [verb] things
@@ -56,7 +56,7 @@ _OPENINGS = ("no return", "quota", "onward", "opener", "origin", "on the way", "
 
 
 def starts_clause(reader: Reader, ahead: int = 0) -> bool:
-    """Whether a clause can begin at that token."""
+    """Return True if a clause can begin at that token."""
     if reader.sees("to", ahead=ahead):
         ahead += 1
     if starts_things(reader, ahead) or is_passing(reader, ahead):
@@ -75,13 +75,15 @@ def starts_clause(reader: Reader, ahead: int = 0) -> bool:
 
 
 def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
-    """The clause that begins here.
+    """Parse the clause that begins here.
 
     Args:
-        bare: whether it may do without a verb: always, if it names known things, or never.
+        reader: the token reader.
+        memory: antecedents of pronouns.
+        bare: "yes" allows a clause without a verb, "known" only if it names known objects.
 
     Raises:
-        TranslationError: it is none.
+        TranslationError: no clause begins here.
     """
     clause = Clause(reader.peek())
     begin, starts = reader.at, reader.at == 0 or reader.sees("stop", ahead=-1)
@@ -189,7 +191,7 @@ def _is_over(reader: Reader) -> bool:
 
 
 def _is_there(reader: Reader) -> bool:
-    """Whether what follows "be", "i want you" or "you are not allowed" is where: "in the hall"."""
+    """Return True if a place follows "be", "i want you" or "you are not allowed": "in the hall"."""
     before, token = reader.tokens[reader.at - 1], reader.peek()
     if reader.at and before.text.endswith(" from") and before.kind == "not":
         return starts_things(reader)
@@ -202,7 +204,11 @@ def _is_there(reader: Reader) -> bool:
 
 
 def _take_restriction(memory: Memory, clause: Clause) -> bool:
-    """`…, without entering x`, `…, without going back`, `…, but only after x`: of all before it."""
+    """Turn a clause without an action into a restriction of all clauses before it.
+
+    Examples are `…, without entering x`, `…, without going back` and `…, but only after x`. Return
+    False if the clause is no restriction.
+    """
     avoided = [*clause.avoiding, *clause.never]
     clause.negated = True
     clause.things = Things(tuple(group for things in avoided for group in things.groups))
@@ -211,7 +217,7 @@ def _take_restriction(memory: Memory, clause: Clause) -> bool:
 
 
 def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
-    """Passes what may stand before a clause: an order, conditions."""
+    """Parse what may stand before a clause: an order, conditions."""
     while True:
         token = reader.peek()
         if token.kind == "all of" and reader.sees("without", "while", ahead=1):
@@ -261,7 +267,7 @@ def _counts(reader: Reader, ahead: int) -> bool:
 
 
 def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) -> None:
-    """`a and b must be visited`; or just names."""
+    """Parse `a and b must be visited`, or only names."""
     start = reader.peek()
     begin = reader.at
     if clause.negated and start.kind == "all of":
@@ -330,7 +336,7 @@ _ANY_VISIT = tuple(
 def _take_consequence(
     reader: Reader, memory: Memory, clause: Clause, start: Token, things: Things
 ) -> bool:
-    """Takes `any visit to a must be followed by a visit to b`."""
+    """Parse `any visit to a must be followed by a visit to b`; return False if it does not come."""
     begin = reader.at
     reader.skip("must", "to", "be", "always")
     clause.next_step = bool(reader.take("immediately"))
@@ -346,7 +352,7 @@ def _take_consequence(
 
 
 def _well_known(reader: Reader, memory: Memory) -> bool:
-    """Whether the names that follow can be nothing but names, so that they need no verb."""
+    """Return True if the following names can only be names, so that they need no verb."""
     begin = reader.at
     things = take_things(reader, memory)
     reader.at = begin

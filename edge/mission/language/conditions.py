@@ -1,4 +1,4 @@
-"""Conditions: `until the bed is reached`, `once you have visited it`, `before that`."""
+"""Parser of conditions: `until the bed is reached`, `once you have visited it`, `before that`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from edge.mission.language.words import Reader, Token
 
 
 def take_condition(reader: Reader, memory: Memory, clause: Clause) -> Condition:
-    """`until the bed is reached`, `once you have visited it`, `before that`."""
+    """Parse `until the bed is reached`, `once you have visited it`, `before that`."""
     only = denied = False
     if limit := reader.take("only", "not"):
         only, denied = limit.kind == "only", limit.kind == "not"
@@ -40,7 +40,7 @@ def take_condition(reader: Reader, memory: Memory, clause: Clause) -> Condition:
 
 
 def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None:
-    """`you have visited a`, `a is visited`, `visiting a`, `a`, `that`, `then`."""
+    """Parse the event of a condition: `you have visited a`, `a is visited`, `visiting a`."""
     says = Clause(reader.peek())
     said = take_mood(reader, says)
     inside = reader.peek().text in ("in", "inside", "at", "on") and starts_things(reader, 1)
@@ -97,7 +97,10 @@ def _refuse_denied(reader: Reader, condition: Condition, says: Clause) -> None:
 
 
 def another_participle(reader: Reader) -> bool:
-    """Takes "and passing", as "after crossing a and passing b" goes on."""
+    """Skip "and passing", which continues "after crossing a and passing b".
+
+    Return False, and take nothing, if it does not come.
+    """
     verb = reader.peek(1)
     participle = verb.kind == "verb" and verb.text.split()[0].endswith("ing")
     goes_on = reader.sees("and", "or") and participle
@@ -107,7 +110,7 @@ def another_participle(reader: Reader) -> bool:
 
 
 def _ends(reader: Reader) -> bool:
-    """Whether a phrase is over here."""
+    """Return True if the phrase ends here."""
     return reader.sees("comma", "stop", "end", "and", "or", "but", "then", "filler", "first")
 
 
@@ -119,7 +122,7 @@ def _asked(reader: Reader, memory: Memory, token: Token) -> Things:
 
 
 def _take_predicate(reader: Reader, says: Clause) -> bool:
-    """`has been visited`, `occurs`; False, and nothing taken, when there is none."""
+    """Skip `has been visited` or `occurs`; return False, and take nothing, if it does not come."""
     begin, negated = reader.at, says.negated
     said = take_mood(reader, says, PREDICATE)
     if reader.take("happen"):
@@ -139,4 +142,4 @@ STATES = (
     "open", "closed", "close", "locked", "empty", "clean", "shut", "unlocked", "blocked", "broken",
     "mopped",
 )  # fmt: skip
-"""Verb forms that also say how a thing is."""
+"""Verb forms that also describe the state of an object."""

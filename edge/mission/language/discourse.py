@@ -1,4 +1,4 @@
-"""What an instruction asks for, clause after clause and sentence after sentence."""
+"""Parser of a whole instruction, clause by clause and sentence by sentence."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ from edge.mission.logic.ltl import TRUE, Formula, postorder
 
 _IN_TURN = "give the steps in their order"
 MAX_NODES = 20_000
-"""A formula's largest size; "a and b, then c and d, then …" doubles it with every step."""
+"""Largest size of a formula. "a and b, then c and d, then …" doubles the size with every step."""
 
 
 def _size(formula: Formula) -> int:
-    """Nodes of the formula as a tree; parts that it shares count each time, as in its text."""
+    """Return the number of nodes of the formula as a tree; shared parts count each time."""
     sizes: dict[int, int] = {}
     for f in postorder(formula):
         sizes[id(f)] = 1 + sum(sizes[id(arg)] for arg in f.args)
@@ -60,7 +60,7 @@ def _size(formula: Formula) -> int:
 
 
 def _does_besides(reader: Reader) -> bool:
-    """Whether ", visiting b" comes, of which nobody knows when; ", ending at b" says so."""
+    """Return True if ", visiting b" comes without its time; ", ending at b" has one."""
     verb = reader.peek().text
     if not reader.sees("verb") or verb.startswith((*ENDING, "swing", "bring ")):
         return False
@@ -79,26 +79,28 @@ def _both(first: Meaning | None, second: Meaning) -> Meaning:
 
 @dataclass(slots=True)
 class Discourse:
-    """A cursor on the instruction, and what was said so far.
+    """The state of the parser for one instruction.
 
     Attributes:
-        goal: what is to be achieved.
-        rules: what holds throughout, whichever alternative is taken.
-        ordered: something was asked for without an upper limit.
+        reader: the token reader.
+        memory: antecedents of pronouns.
+        goal: the goal so far.
+        rules: rules that hold throughout, in every alternative.
+        ordered: True if something was asked for without an upper limit.
         times: how often each name was asked for.
-        last: what the last clause asked for.
-        first: the last goal was said to come first, so what follows comes after it.
-        clauses: how many there were.
-        flow: what the last clause did.
-        elsewhere: where only what is left out was named ("go anywhere but to a").
-        halted: where it was said to stop.
-        waits: what is not to be reached before what.
-        detour: where this sentence was said to be on the way to the one before.
-        shuns: something was to be avoided, not only to wait for something else.
-        number: of the last step that had one ("second, …").
-        listed: an order stood right behind "do not …" and a comma.
-        each: how often at most each place may be visited, and where that was said.
-        strictly: where it was said that nothing comes out of turn.
+        last: objects of the last clause with a goal.
+        first: True if the last goal must come first, so that later goals come after it.
+        clauses: number of clauses so far.
+        flow: facts about the last clause.
+        elsewhere: token of a clause that names only exceptions ("go anywhere but to a").
+        halted: token of the place where the robot must stop.
+        detour: token of a sentence that is on the way to the goal of the sentence before.
+        shuns: True if something must be avoided, not only until something else is reached.
+        waits: pairs of names, and of the objects that must be reached before them.
+        number: number of the last numbered step ("second, …").
+        listed: True if an order followed "do not …" and a comma.
+        each: largest number of visits to each place, and the token of that limit.
+        strictly: token of a ban on visits out of turn.
     """
 
     reader: Reader
@@ -122,7 +124,10 @@ class Discourse:
     strictly: Token | None = None
 
     def formula(self) -> Formula:
-        """Sentence after sentence; "then" at the start of one goes on from the one before."""
+        """Parse all sentences and return the formula.
+
+        A sentence that begins with "then" continues the one before it.
+        """
         reader = self.reader
         reader.skip("comma", "stop")
         while not reader.sees("end"):
@@ -161,7 +166,10 @@ class Discourse:
         return formula
 
     def _asked_after_all(self) -> list[Goal]:
-        """`do not go to b until a` and only rules beside: a, or both, may be asked for as well."""
+        """Return additional goals if the instruction has only rules.
+
+        `Do not go to b until a` may ask for a, or for both.
+        """
         if not self.waits:
             return []
         if self.goal is None and not self.shuns and (chain := chained(self.waits)):
@@ -173,7 +181,7 @@ class Discourse:
         return [visits(things) for things in asked]
 
     def _of_all(self, goal: Every) -> list[Goal]:
-        """What was said of all that is asked for, whichever clause said it."""
+        """Return the rules that apply to all goals of the instruction."""
         rules: list[Formula] = []
         said = self.strictly or (self.each and self.each[1])
         if said and not goal.goals:
@@ -185,13 +193,16 @@ class Discourse:
         return [Every((), tuple(rules))] if rules else []
 
     def _ends(self, clause: Clause) -> None:
-        """What comes in the end comes after all that was asked for, and nothing after it."""
+        """Note that this clause is the end: it comes after all other goals."""
         if clause.negated:
             self.reader.refuse("say it in one sentence, with 'then'", clause.token)
         self.halted = clause.token
 
     def _halts(self) -> bool:
-        """Takes "and stay there" at the end: a mission ends where its last goal is reached."""
+        """Skip "and stay there" at the end: a mission ends where its last goal is reached.
+
+        Return False if it does not come.
+        """
         reader = self.reader
         bare = reader.peek().text in ("stop", "halt")
         if not (bare or reader.sees("halt")) or not reader.sees("stop", "end", ahead=1):
@@ -203,7 +214,7 @@ class Discourse:
         return True
 
     def _sentence(self, joint: Token | None) -> None:
-        """Sequences with "or" between them."""
+        """Parse a sentence: sequences with "or" between them."""
         reader = self.reader
         either = reader.peek()
         self.detour, self.listed = None, False
@@ -266,7 +277,7 @@ class Discourse:
             self.goal = steps([self.goal, goal]) if after else Every((self.goal, goal))
 
     def _alternative_ahead(self) -> int | None:
-        """Tokens up to the next alternative ("; or reach …"); None when there is none."""
+        """Return the number of tokens up to the next alternative ("; or reach …"), or None."""
         ahead = 1 if self.reader.sees("comma", "stop") else 0
         if not self.reader.sees("or", ahead=ahead):
             return None
@@ -274,7 +285,7 @@ class Discourse:
         return ahead if starts_clause(self.reader, ahead) else None
 
     def _sequence(self, joint: Token | None) -> tuple[list[Meaning], Meaning | None]:
-        """Steps with "then" between them, and the rules that end them."""
+        """Parse a sequence of steps with "then" between them; return it and its final rules."""
         sequence: list[Meaning] = []
         loose: Meaning | None = None
         ordered: Token | None = None
@@ -306,12 +317,12 @@ class Discourse:
                 return sequence, loose
 
     def _named_before(self, clause: Clause) -> bool:
-        """Whether all that a clause names was asked for before it."""
+        """Return True if all names of a clause were asked for before."""
         known = set(self.times) | set(self.last.names if self.last else ())
         return clause.things is not None and set(clause.things.names) <= known
 
     def _numbered(self, joint: Token | None) -> None:
-        """Notes that this step is the second or third, which has to be its turn."""
+        """Check that a numbered step ("second", "third") comes in its turn, and note its number."""
         said = joint.text.split() if joint else []
         number = next((i for i, word in enumerate(nouns.NUMERALS[:-1], 1) if word in said), None)
         if joint and self.number == 1 and not self.clauses and said[-1] in ("lastly", "finally"):
@@ -326,11 +337,11 @@ class Discourse:
         self.number = number
 
     def _returned(self, clause: Clause, meaning: Meaning, sequence: list[Meaning]) -> None:
-        """Make "…, and later visit it again" a second visit."""
+        """Turn "…, and later visit it again" into a second visit."""
         again = clause.things and self.last and clause.things.groups == self.last.groups
-        anew = clause.again and clause.verb and meaning.follows and not clause.returns
-        anew = anew and not clause.conditions
-        if not anew or clause.negated or not meaning.goals or not again or not sequence:
+        revisits = clause.again and clause.verb and meaning.follows and not clause.returns
+        revisits = revisits and not clause.conditions
+        if not revisits or clause.negated or not meaning.goals or not again or not sequence:
             return
         count = clause.count or Count(1)
         most = None if count.most is None else count.most + 1
@@ -340,7 +351,7 @@ class Discourse:
         meaning.repeats = True
 
     def _clause(self, joint: Token | None, sequence: list[Meaning]) -> tuple[Clause, Meaning]:
-        """The next clause, and what it means after those before it."""
+        """Parse the next clause; return it and its meaning after the clauses before it."""
         bare: Bare = "known" if not self.clauses else "no"
         if self.clauses and joint and joint.kind and not self.flow.denied:
             bare = "yes"
@@ -364,7 +375,7 @@ class Discourse:
         return clause, meaning
 
     def _comes_after(self, clause: Clause, joint: Token | None, sequence: list[Meaning]) -> bool:
-        """Whether it comes after all that was asked for before it."""
+        """Return True if a clause comes after everything that was asked for before it."""
         if self.flow.permitted and not clause.conditions and clause.mood == "must":
             goes_on = joint is not None and joint.kind in THEN
             clause.trails = clause.trails or clause.next_step or goes_on
@@ -385,7 +396,7 @@ class Discourse:
         return then
 
     def _settle(self, clause: Clause, joint: str, then: bool, sequence: list[Meaning]) -> None:
-        """What a clause leaves open that those before it tell."""
+        """Resolve what a clause leaves open, from the clauses before it."""
         if clause.elsewhere:
             self.elsewhere = clause.token
         one = clause.things is not None and len(clause.things.groups) + len(clause.route) == 1
@@ -403,7 +414,7 @@ class Discourse:
             clause.mood = "can"  # "visit a or b, but b only after c"
 
     def _relate(self, clause: Clause, meaning: Meaning, sequence: list[Meaning]) -> None:
-        """Puts what a clause means in relation to what the ones before it asked for."""
+        """Relate the meaning of a clause to the goals before it."""
         then = meaning.follows
         if then and meaning.bans and not meaning.goals and not clause.things.every:
             if self.last is None:
@@ -433,7 +444,7 @@ class Discourse:
         self._returned(clause, meaning, sequence)
 
     def _note(self, clause: Clause, meaning: Meaning) -> None:
-        """Remembers what later clauses may refer to."""
+        """Store what later clauses may refer to."""
         if meaning.each:
             self.each = (meaning.each, clause.token)
         self.strictly = clause.token if meaning.strictly else self.strictly
@@ -449,7 +460,7 @@ class Discourse:
                 self.memory.note([visit.options])
 
     def _place(self, clause: Clause, meaning: Meaning, joint: str, sequence: list[Meaning]) -> None:
-        """Makes a clause a step of its own, or a part of the last one."""
+        """Add a clause as a new step, or as a part of the last step."""
         if clause.returns and len(sequence) == 1:
             split_return(meaning, sequence)
         if joint == "only then" and sequence:
@@ -472,7 +483,7 @@ class Discourse:
         self.first = clause.first and not meaning.loose
 
     def _after_permission(self, clause: Clause, started: bool) -> None:
-        """`you can visit a, but you must visit b after that`: after a, if ever."""
+        """Apply `you can visit a, but you must visit b after that`: b only after a."""
         if not self.flow.permitted and clause.negated and not started:
             self.flow.permitted = self.memory.asked
         if clause.conditions:
@@ -484,7 +495,7 @@ class Discourse:
             self.reader.refuse("nothing comes before it", clause.token)
 
     def _joint(self) -> Token | None:
-        """Passes what joins this clause to the next; None at the end of the sequence."""
+        """Skip the words that join this clause to the next; return None if the sequence ends."""
         reader = self.reader
         if reader.sees("comma") and reader.sees("or", ahead=1):
             return None
@@ -518,5 +529,5 @@ class Discourse:
         return Token("", "", joint.start, joint.start)
 
     def _begins_well(self) -> bool:
-        """Whether a clause without a joint before it has a verb of its own."""
+        """Return True if a clause without a joint before it has its own verb."""
         return not self.reader.sees("word", "quoted", "to") or len(self.reader.peek().text) == 1

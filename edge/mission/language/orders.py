@@ -1,4 +1,4 @@
-"""What reads like an order and is none, or whose reach cannot be told, is refused here."""
+"""Refusal of sentences that look like orders but are not, and of unclear ones."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _NO_ORDER = "not an instruction; say for example 'visit the bed'"
 
 
 def refuse_questions(reader: Reader) -> None:
-    """`did you find the bed?`, `may I go to the bed?`, `won't you go to the bed?`
+    """Refuse `did you find the bed?`, `may I go to the bed?`, `won't you go to the bed?`.
 
     "Can you go to the bed" is a request, and "have the robot go there" an order.
     """
@@ -30,7 +30,7 @@ def refuse_questions(reader: Reader) -> None:
 
 
 def refuse_what_is_done(reader: Reader, begin: int, verb: Token, clause: Clause) -> None:
-    """`I cleaned the kitchen`: what was done is no order; "must have been" looks back as well."""
+    """Refuse `I cleaned the kitchen`, which describes the past; "must have been" does too."""
     at = next(i for i, token in enumerate(reader.tokens) if token is verb)
     before = reader.tokens[begin:at]
     texts = [token.text for token in before]
@@ -44,7 +44,7 @@ def refuse_what_is_done(reader: Reader, begin: int, verb: Token, clause: Clause)
 
 
 def refuse_unclear(clause: Clause, reader: Reader) -> None:
-    """What a clause says that cannot be told of reaching things."""
+    """Refuse parts of a clause that no formula over reached objects can express."""
     conditional = [c for c in clause.conditions if c.kind in ("when", "after") and not c.only]
     if clause.foretold and clause.verb.split()[:1] in (["find"], ["see"]):
         reader.deny("this describes the future; say what to do", clause.token)
