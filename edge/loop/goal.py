@@ -121,7 +121,10 @@ class GoalTracker:
 
     @property
     def searched(self) -> bool:
-        """True if all candidates are used up. Tentative instances may then be approached too."""
+        """True if all candidates are used up.
+
+        Instances that were more often detected as another class then count as candidates too.
+        """
         return self._search.exhausted
 
     @property
