@@ -96,8 +96,8 @@ def redirect(handler):
     ("behave", "expected"),
     [
         (talkative, "more than 16 KB"),
-        (closes_midway, "before its answer was whole"),
-        (closes_midway_in_a_chunk, "before its answer was whole"),
+        (closes_midway, "before its answer was complete"),
+        (closes_midway_in_a_chunk, "before its answer was complete"),
         (no_http, "does not speak HTTP"),
         (redirect, "HTTP 307, see http://"),
         (body(b"<html>hi</html>", Content_Type="text/html"), "not JSON (text/html): '<html>hi"),

@@ -206,7 +206,7 @@ def test_redirects_end(tmp_path, talk, message):
     ("told", "message"),
     [
         (1 << 62, "offers 4611686018427387904 bytes, more than any model has"),
-        (len(CONTENT) + 1, "closed the connection before its answer was whole"),
+        (len(CONTENT) + 1, "closed the connection before its answer was complete"),
         (len(CONTENT) - 1, "sha256 is"),
         (-1, r"does not speak HTTP \(bad Content-Length\)"),
     ],
