@@ -192,7 +192,7 @@ class Slow(FakeSession):
 def test_a_closed_one_gives_up_what_is_asked(monkeypatch):
     scorer = scorer_of(monkeypatch, Slow([0.0] * 9))
     scorer.close()
-    with pytest.raises(ModelError, match="fake: given up"):
+    with pytest.raises(ModelError, match="fake: aborted"):
         scorer.answer(scorer.look(view(mark(1, 1.0))))
 
 
