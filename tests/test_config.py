@@ -38,8 +38,8 @@ def test_an_empty_file_lacks_nothing_but_its_detector(write, content):
     with pytest.raises(ConfigError) as error:
         load(path, {})
     assert str(error.value) == (
-        f"{path}: perception.detector.kind: missing (choices: onnx, sim): a robot's camera wants "
-        "onnx, sim sees nothing but the simulator's objects"
+        f"{path}: perception.detector.kind: missing (choices: onnx, sim): set onnx for a robot's "
+        "camera; sim finds only objects of the simulator"
     )
     assert load(path, {"EDGE__PERCEPTION__DETECTOR__KIND": "sim"}) == simulated(path=path)
 
@@ -119,36 +119,36 @@ FAULTS = [
     ({"sim": {"start": [1, 2]}}, "f.yaml: sim.start.2: missing"),
     (
         {"perception": {"isolation": "process", "detector": {"kind": "sim"}}},
-        "f.yaml: perception: isolation: process: only for perception.detector.kind: onnx, sim runs",
+        "f.yaml: perception: isolation: process: only for perception.detector.kind: onnx; sim runs",
     ),
     (
         {"perception": {**SIM["perception"], "governor": {"ladder": [{}]}}},
-        "f.yaml: perception.governor.ladder.0: name a model, or a scorer to rest",
+        "f.yaml: perception.governor.ladder.0: set either model, or rest to a scorer",
     ),
     (
         {"perception": {**SIM["perception"], "governor": {"ladder": [{"model": "small"}]}}},
-        "f.yaml: perception: governor: ladder: 0: model: only for perception.detector.kind: onnx,",
+        "f.yaml: perception: governor: ladder: 0: model: only for perception.detector.kind: onnx;",
     ),
     (
         {"perception": {**SIM["perception"], "governor": {"ladder": [{"rest": "choice"}]}}},
-        "f.yaml: perception: governor: ladder: 0: rest: choice: no such model is asked",
+        "f.yaml: perception: governor: ladder: 0: rest: choice: no such scorer is configured",
     ),
     ({"robot": {"radius_m": "0.5"}, "mapping": None}, "f.yaml: mapping: expected a section"),
     ({"robot": {"radius_m": 0.5}, "mapping": []}, "f.yaml: mapping: expected a section"),
     (
         {"robot": {"radius_m": "0.5"}, "mapping": {"extent_m": 12}},
-        "f.yaml: mapping: extent_m: must be over twice range_m plus inflation",
+        "f.yaml: mapping: extent_m: must be at least 2 * (range_m + 2 * inflation_m) + 1",
     ),
     (
         {"robot": {"height_m": 0.06}},
         "f.yaml: mapping: obstacle_max_m 0.075 (by default from robot.height_m): must be above "
         "obstacle_min_m 0.1",
     ),
-    ({"mapping": {"extent_m": 3}}, "f.yaml: mapping: extent_m: must be over twice range_m"),
+    ({"mapping": {"extent_m": 3}}, "f.yaml: mapping: extent_m: must be at least 2 * (range_m"),
     (
         {"mapping": {"extent_m": 500, "resolution_m": 0.05}},
         "f.yaml: mapping: extent_m 500 at resolution_m 0.05: more than 4096 cells a side; "
-        "take extent_m up to 204, or resolution_m from 0.123",
+        "set extent_m to at most 204, or resolution_m to at least 0.123",
     ),
     (
         {"sensors": {"camera": {"width_px": 16, "height_px": 4096}}},
@@ -156,17 +156,17 @@ FAULTS = [
     ),
     (
         {"policy": {"kind": "vlfm"}},
-        "f.yaml: policy.kind: vlfm goes by the similarity scorer, and none is configured: set "
+        "f.yaml: policy.kind: vlfm needs the similarity scorer, and none is configured: set "
         "perception.similarity to a card, such as cooccurrence-similarity",
     ),
     (
         {"policy": {"kind": "directional"}},
-        "f.yaml: policy.kind: directional goes by the choice scorer, and none is configured: set "
+        "f.yaml: policy.kind: directional needs the choice scorer, and none is configured: set "
         "perception.choice.kind to ",
     ),
     (
         {"policy": {"kind": "adaptive", "by": "choice"}},
-        "f.yaml: policy.kind: adaptive goes by the choice scorer, and none is configured: set ",
+        "f.yaml: policy.kind: adaptive needs the choice scorer, and none is configured: set ",
     ),
     (
         {"perception": {**SIM["perception"], "prior": "none", "choice": {"kind": "cooccurrence"}}},
@@ -182,7 +182,7 @@ FAULTS = [
     ),
     (
         {"http": {"host": "0.0.0.0", "port": 7480}},
-        "f.yaml: http: others can reach host 0.0.0.0: set token_file (docs/service.md), or host",
+        "f.yaml: http: other machines can reach host 0.0.0.0: set token_file (docs/service.md), or",
     ),
     ({"mapping": {"extent_m": 1e9}}, "f.yaml: mapping.extent_m: input should be less than or"),
     (
@@ -193,7 +193,7 @@ FAULTS = [
 ]
 
 
-GONE = ": this key is gone, its value is not used"
+GONE = ": this key was removed, its value is ignored: delete it"
 
 
 def test_a_file_with_a_key_that_was_removed_is_read_with_a_warning(write, caplog):
@@ -260,7 +260,7 @@ def test_a_camera_that_is_taken_can_be_simulated(width_px, height_px, hfov_deg):
     }
     focal = 0.5 * width_px / math.tan(0.5 * math.radians(hfov_deg))
     if focal < MIN_FOCAL * max(width_px, height_px):
-        with pytest.raises(ConfigError, match=r"take a smaller hfov_deg, or a wider image$"):
+        with pytest.raises(ConfigError, match=r"set a smaller hfov_deg, or a wider image$"):
             simulated(data)
     else:
         model = simulated(data).sensors.camera.intrinsics()
@@ -294,7 +294,7 @@ def test_every_fault_has_its_line():
         (b"\x00\x01\xff\xfe\x80binary", "not YAML"),
         ("loop: {hz: 2024-13-45}", "not YAML: month must be in 1..12"),
         ("[" * 1000, "not YAML: nested too deeply"),
-        ("loop: {hz: !!timestamp soon}", "not YAML: a value is not what its tag says"),
+        ("loop: {hz: !!timestamp soon}", "not YAML: a value does not fit its tag"),
         ("loop: {hz: !!int ''}", "not YAML"),
     ],
 )
@@ -320,7 +320,7 @@ def nested(first: str, more: str) -> str:
     [
         (nested("a: &a [x, x]\n", "{name}: &{name} [{nine}]\n"), "more than 20000 keys and values"),
         (nested("a: &a {x: 1}\n", "{name}: &{name} {{<<: [{nine}]}}\n"), "more than 20000"),
-        ("robot: &a\n  name: [*a]", "line 2: an alias inside what it stands for"),
+        ("robot: &a\n  name: [*a]", "line 2: an alias inside its own anchor"),
         ("".join(f"- &a{i + 1} [*a{i}]\n" for i in range(1, 99)), "undefined alias 'a1'"),
         ("- &a0 x\n" + "".join(f"- &a{i + 1} [*a{i}]\n" for i in range(99)), "nested too deeply"),
         ("{a: " * 100, "nested too deeply"),
@@ -478,7 +478,7 @@ BY = "environment EDGE__"
         ({"SINKS": "[{knd: a}]"}, f"{BY}SINKS: sinks.0.kind: missing"),
         # The file and the environment are at fault together.
         ({"SIM__WORLD__KIND": "mesh"}, f"FILE, {BY}SIM__WORLD__KIND: sim.world.mesh: missing"),
-        ({"POLICY__KIND": "vlfm"}, f"{BY}POLICY__KIND, FILE: policy.kind: vlfm goes by"),
+        ({"POLICY__KIND": "vlfm"}, f"{BY}POLICY__KIND, FILE: policy.kind: vlfm needs"),
         (
             {"POLICY": "{kind: adaptive, by: prior}", "PERCEPTION__PRIOR": "none"},
             f"{BY}POLICY, {BY}PERCEPTION__PRIOR: policy.by: prior: there is no prior",
@@ -503,7 +503,7 @@ def test_variables_that_nothing_reads_are_told_of_once(write, caplog):
     for _ in range(2):
         load(write(yaml.safe_dump(SIM)), environ)
     assert [record.getMessage() for record in caplog.records] == [
-        "environment EDGE_FOO: nothing reads it (keys are set by EDGE__SECTION__KEY)",
+        "environment EDGE_FOO: nothing reads it (a key is set by EDGE__SECTION__KEY)",
         "environment EDGE_POLICY__KIND: nothing reads it (did you mean EDGE__POLICY__KIND?)",
         "environment EDGE_VOCABULARIES: nothing reads it (did you mean EDGE_VOCABULARY?)",
         "environment edge__loop__hz: nothing reads it (did you mean EDGE__LOOP__HZ?)",

@@ -1,8 +1,13 @@
-"""The configuration: one YAML file in, frozen and validated objects out.
+"""The configuration: one YAML file is read into frozen, validated objects.
 
-`load("demo")` finds a ready configuration by name, `load("my/robot.yaml")` a file.
-`EDGE__POLICY__KIND=nearest_frontier` in the environment overrides `policy.kind`.
-Everything is checked here, once; the loop checks nothing.
+`load` takes the name of a ready configuration, or the path of a YAML file. A variable of the
+environment overrides one key: `EDGE__POLICY__KIND=nearest_frontier` sets `policy.kind`. All values
+are checked here, once; the loop checks nothing.
+
+Example:
+    >>> from edge.config import load
+    >>> load("demo", {"EDGE__POLICY__KIND": "nearest_frontier"}).policy.kind
+    'nearest_frontier'
 """
 
 from edge.config.loop import Http, Loop, Report, Source, Zenoh

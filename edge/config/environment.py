@@ -1,4 +1,4 @@
-"""Keys that the environment or the command line sets over those of the file."""
+"""Overrides: keys of the file that the environment or the command line sets to other values."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ log = logging.getLogger("edge.config")
 
 PREFIX = "EDGE__"
 READ = ("EDGE_CACHE_DIR", "EDGE_VOCABULARY", "EDGE_TRUST_CACHE")
-"""Variables that are read besides those that set a key."""
+"""Variables that `edge` reads in addition to those that set a key."""
 
 
 class Origins(dict[tuple[str, ...], str]):
-    """What set a key, by the key's parts, for all that the file did not set.
+    """The variable or option that set a key, by the parts of the key; only overridden keys.
 
-    All are equal: two configurations with the same values are the same, whoever set them.
+    All instances compare equal, so configurations with the same values are equal.
 
     Attributes:
-        made: sections that are not in the file.
+        made: sections that overrides added and the file does not have.
     """
 
     def __init__(self) -> None:
@@ -39,11 +39,11 @@ class Origins(dict[tuple[str, ...], str]):
         return isinstance(other, Origins)
 
     def of(self, path: str, *keys: tuple[str, ...]) -> str:
-        """Return what an error about keys should name: the file, a variable, an option, or several
-        of these where each set a part of what is wrong.
+        """Return the sources to name in an error: the file, a variable, an option, or several.
 
         Args:
-            path: of the file.
+            path: path of the configuration file.
+            keys: keys that the error is about, each as its parts.
         """
         return ", ".join(dict.fromkeys(name for key in keys for name in self._of(path, key)))
 
@@ -51,7 +51,7 @@ class Origins(dict[tuple[str, ...], str]):
         starts = [key[:n] for n in range(len(key), 0, -1)]
         if (own := next(filter(None, map(self.get, starts)), None)) is not None:
             return [own]
-        # A key may be wrong because of the kind that was chosen for its section.
+        # A key may be wrong because an override chose the kind of its section.
         kinds = {(*start, "kind") for start in starts}
         parts = [by for set_, by in self.items() if set_[: len(key)] == key or set_ in kinds]
         return parts if key in self.made else [path, *parts]
@@ -60,10 +60,15 @@ class Origins(dict[tuple[str, ...], str]):
 def override(
     data: dict[str, Any], environ: Mapping[str, str], options: Mapping[str, str]
 ) -> Origins:
-    """Put `EDGE__A__B=value` (value read as YAML) into data[a][b], in place.
+    """Write each `EDGE__A__B=value` of the environment to `data["a"]["b"]`, in place.
 
     Args:
-        options: of the command line that set variables of `environ`, by variable.
+        data: content of the configuration file.
+        environ: the environment. Values are read as YAML.
+        options: command line options that set a variable of `environ`, by variable.
+
+    Returns:
+        The variable or option that set each overridden key.
 
     Raises:
         ConfigError: a value is not YAML; one line.
@@ -90,26 +95,27 @@ def override(
 
 
 def is_ours(name: str) -> bool:
-    """Return whether a variable looks as if `edge` read it."""
+    """Return True if a variable has a name that `edge` could read."""
     return name.upper().startswith("EDGE_")
 
 
 def warn_of_unread(environ: Mapping[str, str], root: type[BaseModel]) -> None:
-    """Log a warning, once each, for variables that look like ours and that nothing reads.
+    """Log a warning for each `EDGE_` variable that nothing reads, once in each process.
 
     Args:
-        root: the model of a whole configuration.
+        environ: the environment.
+        root: model of a whole configuration.
     """
     for name in sorted(environ):
         if is_ours(name) and not name.startswith(PREFIX) and name not in READ and once(name):
             known = [*READ, *_variables(root, PREFIX)]
             close = difflib.get_close_matches(name.upper(), known, n=1, cutoff=0.8)
-            hint = f"did you mean {close[0]}?" if close else f"keys are set by {PREFIX}SECTION__KEY"
+            hint = f"did you mean {close[0]}?" if close else f"a key is set by {PREFIX}SECTION__KEY"
             log.warning("environment %s: nothing reads it (%s)", one_line(name), hint)
 
 
 def _variables(model: type[BaseModel], prefix: str) -> Iterator[str]:
-    """Yield the variable of each key."""
+    """Yield the name of the variable that sets each key."""
     for name, field in model.model_fields.items():
         variable = prefix + name.upper()
         yield variable

@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, in the words of the file that the user wrote."""
+"""Error messages for a wrong configuration, with the keys that the user wrote."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from edge.text import bounded_repr, one_line, without_secrets
 MOST_FAULTS = 20
 
 Origin = Callable[[str, tuple[str, ...]], str]
-"""Return what set a key, from the path of the file and the key's parts (`Origins.of`)."""
+"""Function that returns the file, variable or option that set a key (`Origins.of`).
+
+Its arguments are the path of the file and the parts of the key.
+"""
 
 
 def _the_file(path: str, key: tuple[str, ...]) -> str:
@@ -23,7 +26,7 @@ def _the_file(path: str, key: tuple[str, ...]) -> str:
 def explain_all(
     error: ValidationError, path: str, root: type[BaseModel], origin: Origin = _the_file
 ) -> str:
-    """Return a line for each fault, at most `MOST_FAULTS`, and one that counts the others."""
+    """Return one line for each fault, at most `MOST_FAULTS`, and a line that counts the rest."""
     faults = error.errors()
     lines = [explain(fault, path, root, origin) for fault in faults[:MOST_FAULTS]]
     if len(faults) > MOST_FAULTS:
@@ -32,15 +35,15 @@ def explain_all(
 
 
 def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _the_file) -> str:
-    """One line for one fault of pydantic's list.
+    """Return one line for one fault of pydantic's list.
 
     Args:
-        fault: as in `ValidationError.errors()`.
-        path: of the file that was read.
-        root: the model that was validated.
-        origin: names what set the key.
+        fault: an item of `ValidationError.errors()`.
+        path: path of the file that was read.
+        root: model that was validated.
+        origin: returns the file, variable or option that set the key.
     """
-    loc = [part for part in fault["loc"] if part != "[key]"]  # a fault of a key is told under it
+    loc = [part for part in fault["loc"] if part != "[key]"]  # pydantic's mark of a wrong key
     *sections, leaf = loc or ("",)
     shown, models = _walk(sections, root)
     key = one_line(".".join([*shown, str(leaf)])) or "it"
@@ -70,10 +73,12 @@ def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _the_
 
 
 def _missing(loc: tuple[Any, ...], models: list[Any], root: type[BaseModel]) -> str:
-    """What is said of a key that is not there: of a union, which kinds there are and which to take.
+    """Return the end of the message for a missing key; for a union with its kinds and advice.
 
     Args:
-        models: that have the key.
+        loc: location of the fault, from pydantic.
+        models: models of the section that lacks the key.
+        root: model that was validated.
     """
     kinds = [m.model_fields["kind"].default for m in _walk(list(loc), root)[1] if _is_kind(m)]
     field = models[0].model_fields.get(str(loc[-1])) if models else None
@@ -88,10 +93,10 @@ def _is_kind(model: type[BaseModel]) -> bool:
 
 
 def _walk(sections: list[Any], root: type[BaseModel]) -> tuple[list[str], list[Any]]:
-    """The sections as the user wrote them, and the models of the last.
+    """Return the sections as the user wrote them, and the models of the last section.
 
-    pydantic puts a union's kind behind its key (`policy`, `hvl`); no file has it there. A place in
-    a list is shown, and is of its models.
+    pydantic adds the kind of a union after its key (`policy`, `hvl`). The file has no such level,
+    so the kind is left out. The index of a list is kept.
     """
     shown: list[str] = []
     models: list[Any] = [root]
@@ -108,7 +113,7 @@ def _walk(sections: list[Any], root: type[BaseModel]) -> tuple[list[str], list[A
 
 
 def models_in(annotation: Any) -> list[Any]:
-    """Return the models that a field's type is made of."""
+    """Return the pydantic models that a type annotation contains."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [m for arg in getattr(annotation, "__args__", ()) for m in models_in(arg)]

@@ -1,4 +1,4 @@
-"""The sensor loop: where observations come from, when it ticks, what it tells."""
+"""Sections for the bus, the source, the loop, the web server and the sinks."""
 
 from __future__ import annotations
 
@@ -12,26 +12,30 @@ from edge.text import one_line, without_secrets
 
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$")]
 KEY_IN_ENDPOINT = "private_key_base64"
-"""No endpoint may have it: Zenoh logs endpoints, and shows them to whoever is connected."""
+"""Not allowed in an endpoint: Zenoh logs endpoints and shows them to all connected peers."""
 FilePath = Annotated[str, Field(min_length=1)]
 TopicName = Literal[
     "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom",
     "sim/ground_truth", "sim/segmentation", "sim/labels",
     "goal", "map", "status", "latency", "mission", "trajectory", "tick", "cmd_vel",
-    "goal_status", "mission/request", "models/request",
+    "goal_status", "mission/request", "models/request", "site/request", "memory/request",
 ]  # fmt: skip
 
 
 class Zenoh(Section):
-    """The service listens; simulator and controller connect to the same endpoint.
+    """The Zenoh connection between the service, the robot's sensors, its controller and `edge`.
 
-    `topics` gives topics other keys below the prefix: `{camera/rgb: front/image_raw}`.
-
-    `file` is a configuration file of Zenoh's own (JSON5): TLS, users, access control and whatever
-    else Zenoh knows, for the service; `client_file` the one of all that connects to it, by default
-    the same. `edge.bus.zenoh_file` says how the settings here are laid over it.
-
-    `shared_memory` is off since Zenoh keeps that of every sender that has gone (zenoh#2787).
+    Attributes:
+        endpoint: the service listens here; simulator, controller and commands connect here.
+        prefix: first part of the key of every topic and request.
+        topics: other keys for topics, below the prefix: `{camera/rgb: front/image_raw}`.
+        mode: `peer`: the service listens at `endpoint`. `client`: it connects to the Zenoh router
+            at `endpoint`, as do all others.
+        shared_memory: send large messages through shared memory. Off by default: Zenoh does not
+            free the memory of senders that are gone (zenoh#2787).
+        file: configuration file of Zenoh (JSON5) for the service: TLS, users, access control and
+            all other settings of Zenoh. The keys of this section are applied on top of it.
+        client_file: the same for simulator, controller and commands; null: the same file.
     """
 
     endpoint: str = "tcp/127.0.0.1:7447"
@@ -44,14 +48,14 @@ class Zenoh(Section):
 
     @property
     def address(self) -> str:
-        """The endpoint as it may be shown: without the configuration that may follow it."""
+        """The endpoint for messages, without a configuration after it, which may hold secrets."""
         return without_secrets(self.endpoint)
 
     @field_validator("endpoint")
     @classmethod
     def _holds_no_key(cls, endpoint: str) -> str:
         if KEY_IN_ENDPOINT in endpoint:
-            raise ValueError(f"{KEY_IN_ENDPOINT} belongs in a file that zenoh.file names")
+            raise ValueError(f"{KEY_IN_ENDPOINT} is not allowed here: put it into zenoh.file")
         return endpoint
 
     @field_validator("topics")
@@ -66,36 +70,41 @@ class Zenoh(Section):
         return topics
 
     def key(self, name: TopicName) -> str:
-        """The Zenoh key of a topic, or of a request, that this project calls `name`."""
+        """Return the Zenoh key of the topic or request `name`."""
         return f"{self.prefix}/{self.topics.get(name, name)}"
 
 
 class Source(Section):
-    """Where observations come from, and limits on what is let in.
+    """The source of observations, and limits for its messages.
 
-    `kind` is a short name (`edge/sources/__init__.py`), or `module:Class` of one's own; `options`
-    are given to the class. Everything outside the limits is dropped and counted.
+    Messages outside the limits are dropped and counted.
 
-    `wait_s`: how long a frame waits for its pose, its transforms and the other sensors' frames of
-    its stamp. It waits only for those that come late. Then poses and transforms that are older
-    serve, which is counted and reported. `max_pose_gap_s`: how far apart two poses may be between
-    which a frame's is interpolated, and how old one may be from which it is extrapolated.
-
-    `depth_unit_m`: metres of one step of a depth image; by default 0.001 in 16-bit images and 1 in
-    32-bit ones. Depth in steps of 1/5000 m has 0.0002, millimetres as 32FC1 have 0.001.
-
-    `distortion`: of a lens, as camera_info has it (`plumb_bob`, `rational_polynomial`,
-    `equidistant`). `rectify` rectifies images, and depth registered to them, unless the topic's
-    name has the word `rect`: these are rectified already. `ignore` takes all images as rectified;
-    `refuse` drops them.
-
-    `scan_inf`: a beam of a LaserScan that reads +inf, or range_max or more, met nothing within
-    range_max (REP 117). `free` maps that; `ignore` takes such beams for no measurement, for drivers
-    that write +inf for glass or black things.
-
-    `localised`: poses are those of a localisation in a map that lasts, as AMCL's in tf. What
-    `mission.checkpoint` keeps of places is then good wherever the robot is after a restart, and
-    after one of the computer, too; else only where odometry went on.
+    Attributes:
+        kind: short name of a source (`edge/sources/__init__.py`), or your own `module:Class`.
+        options: arguments of the class.
+        max_message_mb: largest message, in MB.
+        wait_s: time that a frame waits for its pose, its transforms and frames of the other
+            sensors. It waits only for inputs that usually come late. After that, older poses and
+            transforms are used; this is counted and reported.
+        max_pose_gap_s: a pose is interpolated only between two poses at most this far apart. It is
+            extrapolated only from a pose at most this old.
+        max_pose_jump_m: the pose may move this far at once, in addition to what the robot can drive
+            in the time. A larger jump counts as a new map frame: map and objects are forgotten.
+        max_cloud_points: most points of a LiDAR cloud.
+        pool_slots: buffers for observations. Loop, detector and recorders share them.
+        odometry_ring: number of poses that are kept.
+        depth_unit_m: metres of one step of a depth image. null: 0.001 for 16-bit images, 1 for
+            32-bit images. Set 0.0002 for steps of 1/5000 m, 0.001 for millimetres as 32FC1.
+        distortion: lens distortion of camera_info (`plumb_bob`, `rational_polynomial`,
+            `equidistant`). `rectify`: rectify images, and depth registered to them, unless the
+            topic's name has the word `rect`. `ignore`: treat all images as rectified. `refuse`:
+            drop distorted images.
+        scan_inf: LaserScan beams of +inf, or of `range_max` or more (REP 117). `free`: mark the
+            cells up to `range_max` as free. `ignore`: treat the beam as no measurement, for drivers
+            that write +inf for glass or black surfaces.
+        localised: true if poses come from a localization in a saved map, such as AMCL. The saved
+            map of `mission.checkpoint` is then valid after any restart. false: it is valid only if
+            odometry went on.
     """
 
     kind: str = "zenoh"
@@ -114,13 +123,17 @@ class Source(Section):
 
 
 class Loop(Section):
-    """`priority` is the loop's among real-time threads (SCHED_FIFO; 0 = an ordinary thread).
+    """The control loop.
 
-    `blind_s`: after so long without an observation that shows the surroundings, or three frames if
-    these come less often, the robot stands (docs/robot.md, "When the data is wrong").
-
-    `lockstep` waits for nothing in real time: every observation is one tick and the
-    detector runs inside it, so a run replays the same."""
+    Attributes:
+        hz: ticks per second. A tick uses the newest observation and drops older ones.
+        blind_s: the robot stops after this time without a usable observation, or after three frame
+            periods if these are longer (docs/robot.md, "When the data is wrong").
+        priority: real-time priority of the loop's thread (SCHED_FIFO, 1 to 99); 0: a normal thread.
+        lockstep: one tick for each observation, on the clock of its stamps; the detector runs
+            inside the tick. No input is dropped for being late, so a run replays bit for bit. For
+            simulation and replay, not for a robot.
+    """
 
     hz: Positive = 30.0
     blind_s: Positive = 0.8
@@ -129,17 +142,26 @@ class Loop(Section):
 
 
 class Report(Section):
-    """`status_hz` and `map_hz`: how often the sink `zenoh` publishes these two."""
+    """Publishing rates of the sink `zenoh`.
+
+    Attributes:
+        status_hz: rate of the status.
+        map_hz: rate of the map.
+    """
 
     status_hz: Positive = 1.0
     map_hz: Positive = 2.0
 
 
 class Http(Section):
-    """Pages about the service, as `/readyz` and `/metrics` (docs/service.md), on `port`; or none.
+    """Web pages of the service, such as `/readyz` and `/metrics` (docs/service.md).
 
-    `token_file` holds what whoever reads them must know. Where others than this machine can reach
-    `host`, there must be one."""
+    Attributes:
+        host: address to listen on.
+        port: TCP port; null: no web pages.
+        token_file: file with the token that a reader must send. Required if other machines can
+            reach `host`.
+    """
 
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
@@ -149,16 +171,19 @@ class Http(Section):
     def _asks_who_is_there(self) -> Http:
         if self.port is not None and self.token_file is None and not is_loopback(self.host):
             raise ValueError(
-                f"others can reach host {one_line(self.host)}: set token_file (docs/service.md), "
-                "or host to 127.0.0.1"
+                f"other machines can reach host {one_line(self.host)}: set token_file "
+                "(docs/service.md), or host to 127.0.0.1"
             )
         return self
 
 
 class Sink(Section):
-    """Where results go: a short name (`edge/sinks/__init__.py`), or `module:Class` of one's own.
+    """A receiver of results. A sink without options may be written as its name alone.
 
-    `options` are given to the class; a name alone needs none."""
+    Attributes:
+        kind: short name of a sink (`edge/sinks/__init__.py`), or your own `module:Class`.
+        options: arguments of the class.
+    """
 
     kind: str
     options: dict[str, Any] = Field(default_factory=dict)

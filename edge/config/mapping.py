@@ -1,4 +1,4 @@
-"""The occupancy map."""
+"""The section of the occupancy map."""
 
 from __future__ import annotations
 
@@ -10,16 +10,25 @@ from pydantic import Field, model_validator
 from edge.config.section import NonNegative, Positive, Section
 
 MAX_CELLS = 4096
-"""Most cells on a side: the map takes some 10 bytes for each cell, all of them at the start."""
+"""Most cells on a side. The map allocates about 10 bytes for each cell at the start."""
 
 
 class Mapping(Section):
     """The rolling occupancy map (VL-Nav III.A, III.B).
 
-    Where the robot was held up by something that no sensor shows (a sill, glass) the map stays
-    closed for `bump_memory_s`. Cells whose middle is within `inflation_m` of the rim of an occupied
-    cell are closed. The robot passes under what is higher over the floor than `obstacle_max_m`: by
-    default its height and 0.2 m, or a quarter of its height if that is less.
+    Attributes:
+        input: sensor that makes the map: `depth` images, or the LiDAR's `cloud`.
+        resolution_m: side of a cell.
+        extent_m: side of the square map around the robot.
+        range_m: measurements up to this distance are used.
+        min_range_m: nearer measurements are ignored.
+        inflation_m: cells with their middle within this distance of an occupied cell are closed.
+            Default: 0.2 m, or `robot.radius_m` if that is larger.
+        obstacle_min_m: points lower than this above the floor are floor.
+        obstacle_max_m: the robot passes under points higher than this above the floor. Default: its
+            height plus 0.2 m, or plus a quarter of its height if that is less.
+        bump_memory_s: the map stays closed for this time where an obstacle that no sensor shows
+            stopped the robot (a door sill, glass).
     """
 
     input: Literal["depth", "cloud"] = "depth"
@@ -35,13 +44,14 @@ class Mapping(Section):
     @model_validator(mode="after")
     def _fits(self) -> Mapping:
         if self.extent_m < 2 * (self.range_m + 2 * self.inflation_m) + 1.0:
-            raise ValueError("extent_m: must be over twice range_m plus inflation on both sides")
+            raise ValueError("extent_m: must be at least 2 * (range_m + 2 * inflation_m) + 1")
         if self.extent_m / self.resolution_m > MAX_CELLS:
             finest_m = math.ceil(1000 * self.extent_m / MAX_CELLS) / 1000
             raise ValueError(
                 f"extent_m {self.extent_m:g} at resolution_m {self.resolution_m:g}: more than "
-                f"{MAX_CELLS} cells a side; take extent_m up to "
-                f"{math.floor(MAX_CELLS * self.resolution_m)}, or resolution_m from {finest_m:g}"
+                f"{MAX_CELLS} cells a side; set extent_m to at most "
+                f"{math.floor(MAX_CELLS * self.resolution_m)}, or resolution_m to at least "
+                f"{finest_m:g}"
             )
         if self.obstacle_max_m <= self.obstacle_min_m:
             raise ValueError(

@@ -1,4 +1,4 @@
-"""What to do: the instruction, its translator and its planner."""
+"""The section of the mission: the instruction, its translator and its planner."""
 
 from __future__ import annotations
 
@@ -19,20 +19,27 @@ SMALL_TRANSLATOR = "mini-translator"
 
 
 class TranslatorLtl(Section):
-    """The instruction is itself a formula of linear temporal logic."""
+    """No translation: the instruction is a formula of linear temporal logic (LTL)."""
 
     kind: Literal["ltl"] = "ltl"
 
 
 class TranslatorGrammar(Section):
-    """Controlled English, read offline by rules."""
+    """Rules for controlled English; no model, no network."""
 
     kind: Literal["grammar"] = "grammar"
 
 
 class TranslatorLlm(Section):
-    """Any OpenAI-compatible server; `constrain` names what keeps its answer to a grammar: the
-    field of llama.cpp, or that of vLLM from 0.11 on. Without it only the time and size limits hold.
+    """A language model on an OpenAI-compatible server.
+
+    Attributes:
+        url: base URL of the server.
+        model: name of the model on the server.
+        api_key_env: environment variable that holds the API key.
+        constrain: how the server gets the grammar of the answer: `gbnf` for llama.cpp,
+            `guided_grammar` for vLLM from 0.11 on. `none`: only the limits of time and size apply.
+        time_limit_s: time for one answer.
     """
 
     kind: Literal["llm"] = "llm"
@@ -44,15 +51,25 @@ class TranslatorLlm(Section):
 
 
 class TranslatorModel(Section):
-    """A small network of our own, read from a model card; it asks where it is in doubt."""
+    """A small network that runs here. If it is not sure, it asks which reading is meant.
+
+    Attributes:
+        card: name of its model card.
+    """
 
     kind: Literal["model"] = "model"
     card: Name = SMALL_TRANSLATOR
 
 
 class TranslatorAuto(Section):
-    """The grammar; what it refuses, the small model; what that is not sure of, `llm`, where it is
-    given. Where those two differ, whoever gave the instruction is asked."""
+    """First the grammar. If it refuses, the small network; if that is not sure, `llm`, if given.
+
+    If the last two disagree, the user is asked which reading is meant.
+
+    Attributes:
+        card: name of the small network's model card.
+        llm: settings of the language model; null: none is used.
+    """
 
     kind: Literal["auto"] = "auto"
     card: Name = SMALL_TRANSLATOR
@@ -66,10 +83,13 @@ Translator = Annotated[
 
 
 class PlannerVitl(Section):
-    """ViTL eq. 1 and 2: the shortest path under constant weights, or under driving distances.
+    """Shortest path over the automaton of the mission (ViTL eq. 1 and 2).
 
-    With `weights: distance` a known object weighs the metres to it, an unknown one
-    `explore_m`, and the plan also changes when another is clearly shorter.
+    Attributes:
+        weights: cost of a step to an object. `constant`: as in the paper. `distance`: the driving
+            distance to a known object, `explore_m` for an unknown one. The plan then also changes
+            when another one is clearly shorter.
+        explore_m: assumed driving distance to an object that was not found yet.
     """
 
     kind: Literal["vitl"] = "vitl"
@@ -78,30 +98,54 @@ class PlannerVitl(Section):
 
 
 class PlannerInOrder(Section):
-    """Targets as the instruction names them, whatever was seen: a baseline for evaluations."""
+    """Targets in the order of the instruction, whatever was detected: an evaluation baseline."""
 
     kind: Literal["in_order"] = "in_order"
 
 
 class PlannerOwn(Section):
-    """A class of your own, on Python's path; `options` are its arguments. The tick waits for it."""
+    """Your own planner class. The tick waits for it, so it must be fast.
+
+    Attributes:
+        kind: the class as `module:Class`; the module's folder must be on PYTHONPATH.
+        options: arguments of the class.
+    """
 
     kind: OwnKind = MODULE_CLASS
     options: dict[str, Any] = Field(default_factory=dict)
 
 
 class Mission(Section):
-    """What to do, and when to give up. `instruction` takes the place of `target` (which means
-    just "reach it") and is read by `translator`; see `edge mission explain`. `reading` is which one
-    of its readings is meant, where it has several; without it the one that fulfils all others is
-    taken, and where there is none, it is refused. A target that was
-    pursued for `search_limit_s` in vain has failed; another branch of the mission may be left.
-    `max_states` and `compile_limit_steps` bound the work of compiling it, in counts that are the
-    same on every machine: the default takes a few seconds at most.
-    `checkpoint` is the file that a mission goes on from after a restart; what was mapped and seen
-    is kept beside it, in a file of that name and `.map` (docs/service.md).
-    `on_request`: none is begun at the start, unless the command line names one; the robot stands
-    until it is asked for one."""
+    """The mission, and its limits.
+
+    Attributes:
+        target: object to find and reach. Ignored if `instruction` is set.
+        instruction: the mission in words, for `translator`. Try it with `edge mission explain`.
+        reading: number of the reading that is meant (from 1), if the instruction has several. null:
+            the reading that fulfils all others; if there is none, the mission is refused.
+        translator: translates the instruction to a formula (LTL).
+        planner: chooses the next target.
+        compiler: makes the automaton: `own`, or `spot`, if the package Spot is installed.
+        compile_limit_steps: limit of the work to compile the mission; the same on every machine.
+            The default takes a few seconds at most.
+        max_states: most states of the automaton.
+        max_targets: most different objects in a mission.
+        checkpoint: file to continue the mission from after a restart. Map and objects are saved
+            next to it, as `<checkpoint>.map` (docs/service.md). null: nothing is saved.
+        site: GeoJSON file of places, zones and room names, read at the start and written when one
+            changes (docs/places.md). null: they last until the service stops.
+        on_request: true: start without a mission and wait for `edge mission new`, unless the
+            command line gives a mission.
+        search_limit_s: a target that is searched for this time without success counts as failed;
+            the mission may reach another one instead. null: no limit.
+        time_limit_s: the mission fails after this time.
+        path_limit_m: the mission fails after this driven distance.
+        reach_m: the target is reached if the robot stops within this distance of its surface and
+            the detector confirms it.
+        verify_s: a candidate that is not confirmed after this time nearby is rejected.
+        stuck_s: a robot that does not move for this time, although it has a goal, is stuck.
+        discard_s: a goal that failed is not chosen again for this time.
+    """
 
     target: Name = "chair"
     instruction: Annotated[str, Field(min_length=1, max_length=10000)] | None = None
@@ -120,6 +164,7 @@ class Mission(Section):
     max_states: Annotated[int, Field(ge=2)] = 20000
     max_targets: Annotated[int, Field(ge=1, le=40)] = 16
     checkpoint: str | None = None
+    site: str | None = None
     on_request: bool = False
     search_limit_s: Positive | None = None
     time_limit_s: Positive = 300.0

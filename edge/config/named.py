@@ -1,4 +1,4 @@
-"""What a configuration names: a part of ours by a short name, one's own as `module:Class`."""
+"""Components that a configuration names: ours by short name, plugins as `module:Class`."""
 
 from __future__ import annotations
 
@@ -25,25 +25,30 @@ def find_named(
     functions: bool = False,
     known: Mapping[str, Any] = MappingProxyType({}),
 ) -> Callable[..., Any]:
-    """Return a function that makes the part of a name, from all that is `given`, by name.
+    """Return a function that makes a component, such as a sink, from keyword arguments.
 
-    It calls the part's class with the options, and with what it has a parameter for of `given`. A
-    class that lacks a method of `needs` is refused here, and never called: it may be any class.
-    Its method `check_options`, if it has one, is called at once, with the options and with what
-    that has a parameter for of `known`. It refuses what is wrong before anything is opened.
+    The returned function takes the arguments of `given`. It passes the options to the class, and
+    those of `given` that the class has a parameter for.
+
+    A class without a method of `needs` is refused here, before it is called, since it may be any
+    class. If the class has a method `check_options`, it is called here, with the options and those
+    of `known` that it has a parameter for. So wrong options are refused before anything is opened.
 
     Args:
-        what: the part is, such as `sink`, for errors.
-        registry: short name → `module:Class`, imported only where it is named.
-        where: of the part's section, file and key, for errors.
-        needs: what the part must have; methods end with `()`.
-        functions: take a function that makes the part, too.
-        known: what is there already of `given`.
+        what: kind of component, such as `sink`, for errors.
+        kind: short name, or `module:Class`.
+        options: arguments from the configuration.
+        registry: short name → `module:Class`; a module is imported only if it is named.
+        where: file and key of the component's section, for errors.
+        needs: attributes that the component must have; names of methods end with `()`.
+        given: names of the arguments that the caller will pass.
+        functions: True: accept a function that returns the component, too.
+        known: arguments of `given` that exist already.
 
     Raises:
-        ConfigError: there is no such class, it is no such part, or an option is missing or unknown.
-            Calling what is returned raises it too, when the class fails or what it makes lacks an
-            attribute of `needs`. One line.
+        ConfigError: the class does not exist, is no such component, or an option is missing or
+            unknown. The returned function raises it if the class fails, or if the component lacks
+            an attribute of `needs`. One line.
     """
     make = _find_class(kind, registry, f"{where}.kind")
     try:
@@ -78,7 +83,7 @@ def find_named(
             missing = [name for name in needs if not _has(made, name)]
         except UserError:
             raise
-        except Exception as error:  # whatever one's own class does
+        except Exception as error:  # a plugin may raise anything
             raise ConfigError(f"{where}.options: {kind}: {_said(error)}") from None
         if missing:
             raise ConfigError(f"{where}.kind: {kind} is no {what}: it has no {missing[0]}")
@@ -88,7 +93,7 @@ def find_named(
 
 
 def _find_class(kind: str, registry: Mapping[str, str], where: str) -> Any:
-    """The class of a name, imported; raises ConfigError, in one line."""
+    """Import and return the class of a name; raise ConfigError if that fails."""
     module, colon, name = registry.get(kind, kind).partition(":")
     if not colon:
         choices = ", ".join(registry)
@@ -97,7 +102,7 @@ def _find_class(kind: str, registry: Mapping[str, str], where: str) -> Any:
         )
     try:
         return getattr(import_module(module), name)
-    except Exception as error:  # whatever the module does when it is imported
+    except Exception as error:  # the import of a plugin may raise anything
         raise ConfigError(
             f"{where}: {bounded_repr(kind)}: {_said(error)}; its folder must be on PYTHONPATH"
         ) from None

@@ -1,4 +1,4 @@
-"""Detectors, scorers, and what is made of their answers."""
+"""The section of perception: detectors, segmenters, scorers, and the tracking of objects."""
 
 from __future__ import annotations
 
@@ -10,11 +10,20 @@ from edge.config.section import Fraction, NonNegative, Positive, Section
 
 
 class DetectorOnnx(Section):
-    """An ONNX detector; `model` names a card in `models/`.
+    """An ONNX model as detector.
 
-    `providers` are onnxruntime's, in the order of preference, or `tensorrt` alone: TensorRT itself,
-    without onnxruntime. `device_id` is the GPU. Engines of TensorRT are kept in `engine_cache`, by
-    default beside the models.
+    Attributes:
+        model: name of its card in `models/`.
+        providers: execution providers of onnxruntime, best first; or `tensorrt` alone: TensorRT
+            without onnxruntime.
+        threads: CPU threads of the model.
+        vocabulary: file of text embeddings (.npz). null: `$EDGE_VOCABULARY`, or the one of the
+            model cache.
+        background: names of other objects in the place. They compete with the targets for boxes, so
+            that a bed is not taken for a sofa.
+        tau_vl: boxes with a lower score are dropped.
+        device_id: number of the GPU.
+        engine_cache: folder of TensorRT engines; null: next to the models.
     """
 
     kind: Literal["onnx"] = "onnx"
@@ -29,9 +38,16 @@ class DetectorOnnx(Section):
 
 
 class DetectorSim(Section):
-    """Object ids from the simulator's ray caster with a noise model: no neural network.
+    """Objects of the simulator with noise, without a neural network. Finds nothing on a robot.
 
-    `background` names what is seen besides the targets; null: everything that the world has.
+    Attributes:
+        background: names of other objects to detect; null: all objects of the world.
+        max_range_m: objects farther away are not detected.
+        miss_rate: probability to miss a near object; three times that at `max_range_m`.
+        false_positive_rate: probability to take another visible object for a target.
+        score_noise: standard deviation of the score.
+        tau_vl: boxes with a lower score are dropped.
+        seed: seed of the noise.
     """
 
     kind: Literal["sim"] = "sim"
@@ -45,16 +61,17 @@ class DetectorSim(Section):
 
 
 class SegmenterNone(Section):
-    """No masks: lifting goes by depth and by the boxes alone."""
+    """No masks: objects are located in 3-D from depth and boxes alone."""
 
     kind: Literal["none"] = "none"
 
 
 class SegmenterGrabcut(Section):
-    """Masks by colour: GrabCut in OpenCV, which needs no model.
+    """Masks by colour: GrabCut of OpenCV, which needs no model.
 
-    The `max_boxes` boxes of the highest scores have masks, as many of them as are made in
-    `time_limit_s`.
+    Attributes:
+        max_boxes: only this many boxes, those with the highest scores, get a mask.
+        time_limit_s: time for the masks of one image; boxes that are left then get none.
     """
 
     kind: Literal["grabcut"] = "grabcut"
@@ -63,11 +80,15 @@ class SegmenterGrabcut(Section):
 
 
 class SegmenterOnnx(Section):
-    """Masks by a model that takes boxes as prompts, as SAM does; `model` names a card of task
-    `segment`.
+    """Masks by a model that takes boxes as prompts, such as SAM.
 
-    `providers` are onnxruntime's, `device_id` is the GPU. An image that takes longer than
-    `time_limit_s` is given up: its boxes go on with the masks made until then.
+    Attributes:
+        model: name of its card, of task `segment`.
+        providers: execution providers of onnxruntime, best first.
+        threads: CPU threads of the model.
+        device_id: number of the GPU.
+        max_boxes: only this many boxes, those with the highest scores, get a mask.
+        time_limit_s: time for the masks of one image; boxes that are left then get none.
     """
 
     kind: Literal["onnx"] = "onnx"
@@ -80,11 +101,14 @@ class SegmenterOnnx(Section):
 
 
 class ModelProcess(Section):
-    """How a model in a process of its own is looked after (`isolation: process`; before a swap).
+    """Supervision of a model in a separate process (`isolation: process`, and before a swap).
 
-    A frame that takes longer than `timeout_s` counts as a hang; what its process waited for a core
-    is added to that, at most as much again. A process that ended is started again
-    (`edge.perception.process.kept`).
+    A process that ended is started again, after a pause.
+
+    Attributes:
+        timeout_s: a frame that takes longer counts as a hang: the process is killed. Time that the
+            process waited for a CPU core is added, up to the same time again.
+        start_timeout_s: time to start the process and load the model.
     """
 
     timeout_s: Positive = 0.8
@@ -92,11 +116,15 @@ class ModelProcess(Section):
 
 
 class Swap(Section):
-    """What a model must do to take another's place in the running service.
+    """Conditions for a model that replaces another one in the running service.
 
-    It is tried on the last images: sound, at most `budget_ms` at the median, and, if both are of
-    one family, half of the boxes above `tau_det` that the old one finds. The old one is kept until
-    the new one has run clean on `probation` images.
+    It is tried on the last images. Its output must be valid and its median time within the budget.
+    If both are of one family, it must find half of the old model's boxes above `tau_det`. The old
+    model stays loaded until the new one has passed the probation.
+
+    Attributes:
+        budget_ms: longest median time for an image.
+        probation: number of images that the new model must process without a fault.
     """
 
     budget_ms: Positive = 33.0
@@ -104,7 +132,12 @@ class Swap(Section):
 
 
 class Rung(Section):
-    """One thing to give up: the model, for that of a cheaper card, or a scorer, which rests."""
+    """One degradation level: a cheaper detector, or a scorer that pauses.
+
+    Attributes:
+        model: card of a cheaper detector.
+        rest: scorer that pauses: `similarity` or `choice`.
+    """
 
     model: str | None = None
     rest: Literal["similarity", "choice"] | None = None
@@ -112,31 +145,42 @@ class Rung(Section):
     @model_validator(mode="after")
     def _one_thing(self) -> Rung:
         if (self.model is None) == (self.rest is None):
-            raise ValueError("name a model, or a scorer to rest")
+            raise ValueError("set either model, or rest to a scorer")
         return self
 
 
 class Governor(Section):
-    """What is given up, rung by rung, when the computer cannot keep up; no ladder, no governor.
+    """Load shedding: under load, expensive models are replaced or paused, in the given order.
 
-    A rung is stepped down when the detector takes longer at the median than
-    `perception.swap.budget_ms`, detects nothing, or the board throttles or soon would. It is
-    stepped up again when there is room (`edge.loop.ladder`).
+    The next level is taken if the median time of the detector exceeds `perception.swap.budget_ms`,
+    if the detector returns nothing, or if the board throttles or is about to. The level before is
+    taken again when there is room (`edge.loop.ladder`).
+
+    Attributes:
+        ladder: degradation levels, the first to be taken first; empty: no load shedding.
     """
 
     ladder: tuple[Rung, ...] = ()
 
 
 class ChoiceNone(Section):
-    """No model is asked which way to go."""
+    """No model chooses among the frontiers."""
 
     kind: Literal["none"] = "none"
 
 
 class ChoiceOpenai(Section):
-    """ViTL eq. 4 and 5 by a server that speaks OpenAI's protocol, with images and logprobs.
+    """A vision-language model on an OpenAI-compatible server scores the frontiers (ViTL eq. 4, 5).
 
-    `rest_s` is how long after an answer the next question is asked; a paid server's price.
+    The server must take images and return logprobs.
+
+    Attributes:
+        url: base URL of the server.
+        model: name of the model on the server.
+        api_key_env: environment variable that holds the API key.
+        time_limit_s: time for one answer.
+        rest_s: pause after an answer, to limit the cost of a paid server.
+        max_image_px: longer side of the image that is sent.
     """
 
     kind: Literal["openai"] = "openai"
@@ -149,7 +193,15 @@ class ChoiceOpenai(Section):
 
 
 class ChoiceText(Section):
-    """The same by a language model without eyes, told what was detected and where."""
+    """A language model without images scores the frontiers, from a list of detected objects.
+
+    Attributes:
+        url: base URL of the server.
+        model: name of the model on the server.
+        api_key_env: environment variable that holds the API key.
+        time_limit_s: time for one answer.
+        rest_s: pause after an answer, to limit the cost of a paid server.
+    """
 
     kind: Literal["text"] = "text"
     url: str
@@ -160,12 +212,20 @@ class ChoiceText(Section):
 
 
 class ChoiceOnnx(Section):
-    """The same by a model that runs here; `card` names one in `models/`.
+    """A model on this computer scores the frontiers.
 
-    One of task `choice` is a language model, one of task `marks` a small network, whose images are
-    of its own size: a smaller `max_image_px` is refused. With `perception.isolation: process` it
-    has a process of its own, started again by the rules of `perception.process`, which gets what
-    the loop and the detector leave of the cores.
+    With `perception.isolation: process` it runs in a separate process at low priority, supervised
+    by the rules of `perception.process`.
+
+    Attributes:
+        card: name of its card, of task `choice` (a language model) or `marks` (a small network).
+        time_limit_s: time for one answer.
+        rest_s: pause after an answer.
+        max_image_px: longer side of the image. A model of task `marks` has a fixed image size; a
+            smaller value is refused.
+        providers: execution providers of onnxruntime, best first.
+        threads: CPU threads of the model.
+        device_id: number of the GPU.
     """
 
     kind: Literal["onnx"] = "onnx"
@@ -179,23 +239,44 @@ class ChoiceOnnx(Section):
 
 
 class ChoiceCooccurrence(Section):
-    """The same by the prior (`perception.prior`): what stands near a frontier makes it likely."""
+    """The prior (`perception.prior`) scores the frontiers by the objects near them."""
 
     kind: Literal["cooccurrence"] = "cooccurrence"
 
 
 class Perception(Section):
-    """`similarity` names the card of an image-text scorer (VLFM's score), if one is to run.
+    """Detection and tracking of objects, and the models that score frontiers.
 
-    What the detector says counts within `confirm_range_m`: a thing found there in `confirm_hits`
-    images can be confirmed, and a place that was there in so many was seen well, so that it need
-    not be looked at again before a target is given up.
-
-    `prior` says by what that was seen places are judged where no target is in view: what stands
-    near (`cooccurrence`), which kind of room it is (`rooms`), or both. Policies weigh it.
-
-    `segmenter` says which pixels of a target's box are the target's, so that a thing behind another
-    in one box is lifted right; it works beside the loop, after the detector.
+    Attributes:
+        isolation: where ONNX models run. `thread`: in the service. `process`: in separate
+            processes; a crash or hang of a model then costs detections, but no tick.
+        process: supervision of these processes.
+        swap: conditions for a change of the model at run time.
+        governor: load shedding.
+        similarity: card of an image-text scorer (the score of VLFM); null: none runs.
+        choice: model that chooses among frontiers.
+        detector: object detector.
+        segmenter: finds the pixels of a target in its box, so that its place is right although
+            another object stands before it. It runs in the background, after the detector.
+        prior: estimate of where a target is likely that is not in view: by objects nearby
+            (`cooccurrence`), by the kind of room (`rooms`), or both. Policies weigh it.
+        tau_det: a box of at least this score starts a new object; weaker boxes count only for
+            objects that are known.
+        lift: source of the 3-D position of a box: `depth` image, or the LiDAR's `cloud`.
+        lift_min_points: fewest points for a 3-D position.
+        lift_max_range_m: boxes farther away get no 3-D position.
+        voxel_m: spacing of an object's points.
+        merge_m: a detection within this distance of an object of its name belongs to that object.
+        min_hits: an object counts as seen after detections in this many images.
+        confirm_score: detections with a lower score do not count for `confirm_hits`.
+        confirm_range_m: detections from farther away do not confirm an object. A place that was
+            closer than this in `confirm_hits` images was seen well: it is not looked at again
+            before a target is declared not found.
+        confirm_hits: number of images that confirm an object.
+        confirm_mean: lowest mean score over all views from nearby for a confirmed object.
+        confirm_lead: the summed score must be this many times that of any other name.
+        refute_radius_m: an object of the same name within this distance of a rejected one is
+            rejected, too.
     """
 
     isolation: Literal["thread", "process"] = "thread"
@@ -211,7 +292,7 @@ class Perception(Section):
         Union[DetectorOnnx, DetectorSim],
         Field(
             discriminator="kind",
-            description="a robot's camera wants onnx, sim sees nothing but the simulator's objects",
+            description="set onnx for a robot's camera; sim finds only objects of the simulator",
         ),
     ]
     segmenter: Annotated[
@@ -236,7 +317,7 @@ class Perception(Section):
     def _isolable(self) -> Perception:
         if self.isolation == "process" and self.detector.kind != "onnx":
             raise ValueError(
-                f"isolation: process: only for perception.detector.kind: onnx, "
+                f"isolation: process: only for perception.detector.kind: onnx; "
                 f"{self.detector.kind} runs in the service"
             )
         return self
@@ -247,13 +328,13 @@ class Perception(Section):
             key = f"governor: ladder: {i}"
             if rung.model is not None and self.detector.kind != "onnx":
                 raise ValueError(
-                    f"{key}: model: only for perception.detector.kind: onnx, "
-                    f"{self.detector.kind} has none to step down from"
+                    f"{key}: model: only for perception.detector.kind: onnx; "
+                    f"{self.detector.kind} has no model to replace"
                 )
             runs = {
                 "similarity": self.similarity is not None,
                 "choice": self.choice.kind not in ("none", "cooccurrence"),
             }
             if rung.rest is not None and not runs[rung.rest]:
-                raise ValueError(f"{key}: rest: {rung.rest}: no such model is asked")
+                raise ValueError(f"{key}: rest: {rung.rest}: no such scorer is configured")
         return self

@@ -1,4 +1,4 @@
-"""How candidates are scored, and how one of them is chosen."""
+"""The section of the policy, which scores candidates and chooses one of them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ from edge.config.section import (
 
 
 class _Selection(Section):
-    """What all policies have: how algorithm 2 of VL-Nav chooses by their scores.
+    """Keys of all policies: the selection by score (VL-Nav algorithm 2).
 
-    A frontier nearer than `delta_reached_m` is done with; another candidate must be better than
-    the present one by `switch_margin`, as a fraction of its score; a frontier that moved less than
-    `r_assoc_m` is still the same. `instances: false` leaves out the approach to what may be the
-    target (III.C): the robot follows frontiers, and goes only to what the detector confirmed in
-    passing, for there an episode ends.
+    Attributes:
+        delta_reached_m: a frontier nearer than this counts as visited.
+        r_assoc_m: a frontier that moved less than this as the map grew is still the same.
+        switch_margin: the goal changes only to a candidate whose score is better by this fraction.
+        instances: false: do not approach objects that may be the target (VL-Nav III.C). The robot
+            then goes only to objects that were confirmed in passing.
+        look_round: true: a full turn on the spot is a candidate, too.
     """
 
     delta_reached_m: NonNegative = 0.5
@@ -35,10 +37,14 @@ class _Selection(Section):
 
 
 class PolicyHvl(_Selection):
-    """VL-Nav eq. 2-8; `instances` and `heuristics` are its ablations (table I).
+    """VL-Nav's score (eq. 2 to 8); `instances` and `heuristics` are its ablations (table I).
 
-    `distance` of eq. 5 is along the path, or straight as in the paper. `w_context` is what boxes
-    of what is no target count in eq. 3, beside those of the target; 0: nothing.
+    Attributes:
+        w_dist: weight of the distance.
+        w_vl: weight of the vision-language score.
+        w_context: weight of boxes of other objects in eq. 3; 0: only boxes of the target count.
+        distance: distance of eq. 5, along the `path`, or `straight` as in the paper.
+        heuristics: false: leave out the distance and the unknown area around a frontier.
     """
 
     kind: Literal["hvl"] = "hvl"
@@ -50,23 +56,36 @@ class PolicyHvl(_Selection):
 
 
 class PolicyNearest(_Selection):
-    """The nearest frontier; instances first (a baseline)."""
+    """The nearest frontier; objects that may be the target come first (a baseline).
+
+    Attributes:
+        distance: along the `path`, or `straight`.
+    """
 
     kind: Literal["nearest_frontier"] = "nearest_frontier"
     distance: Literal["path", "straight"] = "path"
 
 
 class PolicySearch(_Selection):
-    """Ours: the area that a frontier would show, under a root, over the way there, times the
-    prior's lift."""
+    """Our search: root of the unknown area that a frontier shows, over the path length.
+
+    The score is multiplied by the likelihood ratio of the prior.
+    """
 
     kind: Literal["search"] = "search"
     look_round: bool = True
 
 
 class PolicyVlfm(_Selection):
-    """The frontier near which the whole-view scores are best (VLFM); needs a similarity scorer.
-    `nearness`: see `PolicyDirectional`."""
+    """The frontier with the best image-text score nearby (VLFM).
+
+    It needs `perception.similarity`.
+
+    Attributes:
+        radius_m: scores within this distance of a frontier count for it.
+        nearness: weight of 1 / (1 m + path length), which is added to the score. The small default
+            only decides between equal scores.
+    """
 
     kind: Literal["vlfm"] = "vlfm"
     switch_margin: NonNegative = 0.05
@@ -75,9 +94,15 @@ class PolicyVlfm(_Selection):
 
 
 class PolicyDirectional(_Selection):
-    """The frontier near which the directional scores are best (ViTL eq. 9); needs a choice
-    scorer. `nearness` over a metre more than the path is added to a value: with as little as the
-    default it only decides where values are the same, as in the paper."""
+    """The frontier with the best directional score nearby (ViTL eq. 9).
+
+    It needs `perception.choice`.
+
+    Attributes:
+        radius_m: scores within this distance of a frontier count for it.
+        nearness: weight of 1 / (1 m + path length), which is added to the score. The small default
+            only decides between equal scores, as in the paper.
+    """
 
     kind: Literal["directional"] = "directional"
     switch_margin: NonNegative = 0.05
@@ -86,8 +111,15 @@ class PolicyDirectional(_Selection):
 
 
 class PolicyAdaptive(_Selection):
-    """ApexNav's rule. If the frontiers' values differ enough, a tour through those within `keep`
-    of the best is begun; else the robot goes to the nearest by path."""
+    """ApexNav's rule: a tour through the best frontiers, or the nearest one.
+
+    The tour is driven if the frontiers' values differ enough; else the nearest by path is chosen.
+
+    Attributes:
+        by: source of the values.
+        radius_m: values within this distance of a frontier count for it.
+        keep: the tour takes frontiers of at least this fraction of the best value.
+    """
 
     kind: Literal["adaptive"] = "adaptive"
     by: Literal["similarity", "choice", "prior"] = "similarity"
@@ -96,7 +128,12 @@ class PolicyAdaptive(_Selection):
 
 
 class PolicyOwn(_Selection):
-    """A class of one's own, on Python's path; `options` are its arguments (docs/policies.md)."""
+    """Your own policy class (docs/policies.md).
+
+    Attributes:
+        kind: the class as `module:Class`; the module's folder must be on PYTHONPATH.
+        options: arguments of the class.
+    """
 
     kind: OwnKind = MODULE_CLASS
     options: dict[str, Any] = Field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Keys that became constants, which old files still have."""
+"""Keys that became constants, but that old files may still have."""
 
 from __future__ import annotations
 
@@ -20,13 +20,20 @@ REMOVED = {
     *("motion.unknown_cost", "perception.max_instances", "perception.detector.max_detections"),
     "report.frames",
 }
-"""For one release a file that has one is read, with a warning."""
+"""For one release, a file with such a key is read with a warning."""
 
 
 def without_removed(
     section: dict[str, Any], path: str, origins: Origins, above: tuple[str, ...] = ()
 ) -> dict[str, Any]:
-    """Return a section without keys that were removed; warn of each once."""
+    """Return a section without the keys that were removed; log a warning for each, once.
+
+    Args:
+        section: content of the section.
+        path: path of the file.
+        origins: variables and options that set keys.
+        above: names of the sections around this one.
+    """
     kept = {}
     for name, value in section.items():
         key = (*above, str(name))
@@ -35,5 +42,9 @@ def without_removed(
             kept[name] = without_removed(value, path, origins, key) if is_section else value
         elif once((path, key)):
             where = origins.of(path, key)
-            log.warning("%s: %s: this key is gone, its value is not used", where, ".".join(key))
+            log.warning(
+                "%s: %s: this key was removed, its value is ignored: delete it",
+                where,
+                ".".join(key),
+            )
     return kept

@@ -1,4 +1,4 @@
-"""The robot: its body, its sensors, and how the reference controller drives it."""
+"""The sections of the robot, its sensors, and the reference controller."""
 
 from __future__ import annotations
 
@@ -13,11 +13,18 @@ from edge.geometry import CameraModel, optical, se3
 
 
 class Robot(Section):
-    """`name` is for people; by default the last word of `zenoh.prefix`, as `edge fleet` has it.
+    """The robot's size and limits.
 
-    `radius_m` sets `mapping.inflation_m`, and `height_m` sets `mapping.obstacle_max_m`, where these
-    are not set. What sensors see within `self_filter_m` of the axis of the base is the robot itself
-    (posts, a gripper): by default `radius_m`; 0: nothing is.
+    Attributes:
+        name: name for people; null: the last word of `zenoh.prefix`, as in `edge fleet`.
+        radius_m: radius of the footprint. Default of `mapping.inflation_m`.
+        height_m: height of the robot. Sets the default of `mapping.obstacle_max_m`.
+        max_speed_mps: highest speed.
+        max_turn_radps: highest turn rate.
+        max_accel_mps2: highest acceleration.
+        max_turn_accel_radps2: highest acceleration of the turn.
+        self_filter_m: points within this distance of the vertical axis of the base are the robot
+            itself (posts, a gripper) and are ignored. null: `radius_m`. 0: none is ignored.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")] | None = None
@@ -36,10 +43,15 @@ class Robot(Section):
 
 
 class Mount(Section):
-    """Where a sensor sits on the robot's base: x forward, y left, z up.
+    """Pose of a sensor in the robot's base frame.
 
-    The angles are about these axes, roll first, then pitch (positive: nose down), then yaw
-    (positive: to the left). `z_m` is negative if the base frame is above the sensor.
+    Attributes:
+        x_m: forward.
+        y_m: to the left.
+        z_m: up; negative if the base frame is above the sensor.
+        roll_deg: rotation about x; it is applied first.
+        pitch_deg: rotation about y, applied second; positive: the sensor looks down.
+        yaw_deg: rotation about z, applied last; positive: the sensor looks to the left.
     """
 
     x_m: float = 0.0
@@ -50,16 +62,25 @@ class Mount(Section):
     yaw_deg: float = 0.0
 
     def T_base_mount(self) -> np.ndarray:
-        """(4, 4) float64, with the axes of a body: x where the sensor points, z up."""
+        """Return the pose, (4, 4) float64; x points where the sensor looks, z up."""
         angles_deg = self.roll_deg, self.pitch_deg, self.yaw_deg
         return se3(self.x_m, self.y_m, self.z_m, *map(math.radians, angles_deg))
 
 
 class Camera(Mount):
-    """A camera on the robot; intrinsics serve the simulator, a real one sends its own.
+    """A camera on the robot.
 
-    Depth of `depth_max_m` or more is no return, unless `mapping.range_m` or
-    `perception.lift_max_range_m` is larger: then depth from there on is none.
+    The intrinsics are for the simulator; a real camera sends its own. The mount is as for a LiDAR:
+    `x_m`, `y_m`, `z_m` in the base frame, then roll, pitch and yaw.
+
+    Attributes:
+        width_px: width of the image.
+        height_px: height of the image.
+        hfov_deg: horizontal field of view.
+        rate_hz: images per second.
+        depth_min_m: the simulated camera measures no nearer depth.
+        depth_max_m: depth from here on is no measurement. If `mapping.range_m` or
+            `perception.lift_max_range_m` is larger, that one is the limit.
     """
 
     x_m: float = 0.1
@@ -79,21 +100,30 @@ class Camera(Mount):
         except ValueError as error:
             raise ValueError(
                 f"hfov_deg {self.hfov_deg:g} at width_px {self.width_px}, height_px "
-                f"{self.height_px}: {error}; take a smaller hfov_deg, or a wider image"
+                f"{self.height_px}: {error}; set a smaller hfov_deg, or a wider image"
             ) from None
         return self
 
     def intrinsics(self) -> CameraModel:
-        """The camera as the simulator has it: square pixels, the principal point in the middle."""
+        """Return the camera of the simulator: square pixels, principal point in the middle."""
         return CameraModel.from_hfov(self.width_px, self.height_px, math.radians(self.hfov_deg))
 
     def T_base_camera(self) -> np.ndarray:
-        """(4, 4) float64, base from optical frame."""
+        """Return the pose of the optical frame in the base frame, (4, 4) float64."""
         return optical(self.T_base_mount())
 
 
 class Lidar(Mount):
-    """A 2D (`rings: 1`) or 3D LiDAR (VL-Nav's is tilted nose down by 23 degrees)."""
+    """A 2-D or 3-D LiDAR on the robot.
+
+    Attributes:
+        rings: number of scan lines; 1: a 2-D LiDAR.
+        columns: measurements of a scan line in one turn.
+        vfov_deg: vertical field of view.
+        rate_hz: scans per second.
+        range_m: range.
+        noise_m: standard deviation of the simulated ranges.
+    """
 
     rings: Annotated[int, Field(ge=1, le=256)] = 16
     columns: Annotated[int, Field(ge=16, le=4096)] = 720
@@ -104,16 +134,26 @@ class Lidar(Mount):
 
 
 class Sensors(Section):
+    """The robot's sensors.
+
+    Attributes:
+        camera: the camera, colour and depth.
+        lidar: the LiDAR; null: none.
+        odometry_hz: rate of the odometry.
+    """
+
     camera: Camera = Camera()
     lidar: Lidar | None = None
     odometry_hz: Positive = 60.0
 
 
 class Motion(Section):
-    """The reference motion controller: A* on the published map, pure pursuit.
+    """The reference controller: A* on the published map, and pure pursuit.
 
-    `clearance_m` is kept from occupied cells on top of the map's own inflation. A robot that does
-    not move for `stuck_s` is stuck, whatever it was told.
+    Attributes:
+        rate_hz: velocity commands per second.
+        stuck_s: a robot that does not move for this time, although it should, is stuck.
+        clearance_m: distance to occupied cells, in addition to the inflation of the map.
     """
 
     rate_hz: Positive = 20.0

@@ -1,4 +1,4 @@
-"""The whole configuration, and how it is read."""
+"""The whole configuration, and the functions that read it."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from edge.errors import ConfigError
 from edge.host import resources
 
 CLEARANCE_M = 0.1
-"""A trajectory stays so much farther from obstacles than the robot's radius."""
+"""Default clearance of a trajectory from obstacles, in addition to the robot's radius."""
 HEADROOM_M, HEADROOM_SHARE = 0.2, 0.25
-"""The robot passes under what is higher than itself by so much, or by this share of its height if
-that is less."""
+"""The robot passes under obstacles that are higher than itself by `HEADROOM_M`, or by this share of
+its height if that is less."""
 
 ValueSource = Literal["similarity", "choice"]
 _GOES_BY: dict[str, ValueSource] = {"vlfm": "similarity", "directional": "choice"}
@@ -41,7 +41,27 @@ _SCORER = {
 
 
 class Config(Section):
-    """A whole configuration; `path` is where it came from."""
+    """A whole configuration.
+
+    Attributes:
+        path: the file that it was read from. Set by `edge`, not in the file.
+        robot: size and limits of the robot.
+        sensors: the robot's sensors.
+        zenoh: connection of all programs.
+        ros2: topics and frames of the robot's ROS 2.
+        source: source of observations.
+        loop: the control loop.
+        mapping: occupancy map.
+        perception: detection and tracking of objects.
+        policy: selection of the next goal.
+        mission: what the robot shall do.
+        tasks: trajectories from instructions.
+        motion: reference controller.
+        sim: simulator.
+        report: publishing rates.
+        http: web pages.
+        sinks: receivers of results.
+    """
 
     path: str = "<defaults>"
     robot: Robot = Robot()
@@ -65,15 +85,14 @@ class Config(Section):
     @field_validator("mapping", "tasks", mode="before")
     @classmethod
     def _fit_the_robot(cls, section: Any, info: ValidationInfo) -> Any:
-        """Inflate obstacles by more around a wider robot, and keep its trajectories farther from
-        them, where `mapping.inflation_m` and `tasks.trajectory.clearance_m` are not set. A higher
-        robot has higher obstacles, where `mapping.obstacle_max_m` is not set.
+        """Set defaults that depend on the robot's size.
 
-        The robot comes before both sections, so that its radius is already a number here, however
-        the file writes it.
+        These are `mapping.inflation_m`, `mapping.obstacle_max_m` and
+        `tasks.trajectory.clearance_m`. The section `robot` is validated before both sections, so
+        its values are numbers here.
         """
         robot = info.data.get("robot")
-        if robot is None:  # it is at fault itself
+        if robot is None:  # it is wrong itself, which has its own message
             return section
         if info.field_name == "mapping":
             inflation_m = max(Mapping().inflation_m, robot.radius_m)
@@ -85,25 +104,26 @@ class Config(Section):
         return _with_default(section, ("trajectory", "clearance_m"), clearance_m)
 
     def origin(self, *keys: str) -> str:
-        """Return what set keys, for errors: the file, a variable of the environment, or several."""
+        """Return what set these keys, for errors: the file, a variable, an option, or several."""
         return self._origins.of(self.path, *(tuple(key.split(".")) for key in keys))
 
     def at(self, key: str, *others: str) -> str:
-        """Return how an error about a key begins: `FILE: KEY`, or `environment VARIABLE: KEY`.
+        """Return the start of an error about a key: `FILE: KEY` or `environment VARIABLE: KEY`.
 
         Args:
-            others: keys that the error is about, too.
+            key: the key that is shown.
+            others: other keys that the error is about.
         """
         return f"{self.origin(key, *others)}: {key}"
 
     @property
     def robot_name(self) -> str:
-        """What people know the robot by."""
+        """The robot's name for people."""
         return self.robot.name or self.zenoh.prefix.rpartition("/")[2]
 
     @property
     def observed_hz(self) -> float:
-        """How often observations come: as what the map is made of."""
+        """Rate of observations: that of the sensor that makes the map."""
         camera, lidar = self.sensors.camera, self.sensors.lidar
         if self.mapping.input == "cloud" and lidar is not None:
             return lidar.rate_hz
@@ -111,20 +131,20 @@ class Config(Section):
 
     @property
     def farthest_depth_m(self) -> float:
-        """Depth from here on is no return: neither seen by the camera, nor used."""
+        """Depth from this value on is no measurement."""
         camera, perception = self.sensors.camera, self.perception
         return max(camera.depth_max_m, self.mapping.range_m, perception.lift_max_range_m)
 
     @property
     def goals_unanswered(self) -> bool:
-        """Whether goals go to a ROS 2 topic, which nobody answers."""
+        """True if goals go to a ROS 2 topic, so that no controller reports a result."""
         return self.ros2.goals == "topic" and any(sink.kind == "ros2" for sink in self.sinks)
 
     @property
     def value_source(self) -> ValueSource | None:
-        """The scorer that the value maps are written from: the one that the policy goes by.
+        """The scorer that writes the value maps: the one that the policy uses; None: no scorer.
 
-        A policy of one's own gets those of the choice scorer, where there is one.
+        A plugin gets the maps of the choice scorer if there is one, else those of similarity.
         """
         if isinstance(self.policy, PolicyOwn):
             there = self._scorers_there()
@@ -137,16 +157,24 @@ class Config(Section):
         similar: list[ValueSource] = [] if self.perception.similarity is None else ["similarity"]
         return similar if self.perception.choice.kind == "none" else ["choice", *similar]
 
-    def check_policy(self) -> None:
-        """Refuse a policy that would go by what no scorer says, and a scorer without its prior.
+    def check_site(self) -> None:
+        """Refuse a file of places in a frame that does not outlive the service.
 
         Raises:
             ConfigError: one line: the key, and what to set.
         """
+        if self.mission.site is not None and not self.source.localised:
+            raise ConfigError(
+                f"{self.at('mission.site', 'source.localised')}: a file of places needs poses in a "
+                "map that lasts: set source.localised to true, or remove mission.site"
+            )
+
+    def check_policy(self) -> None:
+        """Raise ConfigError if the policy needs a scorer, or a scorer a prior, that is not set."""
         source, kind = self.value_source, self.policy.kind
         if source is not None and source not in self._scorers_there():
             raise ConfigError(
-                f"{self.at('policy.kind', f'perception.{source}')}: {kind} goes by the {source} "
+                f"{self.at('policy.kind', f'perception.{source}')}: {kind} needs the {source} "
                 f"scorer, and none is configured: set {_SCORER[source]}"
             )
         by_prior = {
@@ -166,22 +194,26 @@ def load(
     environ: Map[str, str] | None = None,
     options: Map[str, str] = MappingProxyType({}),
 ) -> Config:
-    """Read a configuration, apply the environment's overrides, validate.
+    """Read a configuration, apply the overrides of the environment, and validate it.
 
     Args:
         name_or_path: a YAML file, or the name of a ready configuration (`demo`).
-        environ: where overrides are looked for; the process's environment by default.
-        options: of the command line that set variables of `environ`, by variable.
+        environ: environment with the overrides; None: the environment of this process.
+        options: command line options that set a variable of `environ`, by variable.
 
     Raises:
-        ConfigError: with one line per fault: file, key, what is wrong, what would be right.
+        ConfigError: one line for each fault: file, key, what is wrong, what to set.
+
+    Example:
+        >>> load("demo", {"EDGE__MISSION__TARGET": "sofa"}).mission.target
+        'sofa'
     """
     path = resources.find_config(name_or_path)
     data = read_yaml(path)
     if data is None:
         data = {}
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}: expected sections (robot:, sensors:, …) at the top")
+        raise ConfigError(f"{path}: expected sections (robot:, sensors:, …) at the top level")
     environ = os.environ if environ is None else environ
     origins = override(data, environ, options)
     warn_of_unread(environ, Config)
@@ -189,25 +221,32 @@ def load(
 
 
 def parse(data: dict[str, Any], path: str = "<defaults>", origins: Origins | None = None) -> Config:
-    """Validate a mapping; see `load`.
+    """Validate the content of a configuration file; see `load`.
 
     Args:
-        origins: what set the keys that the file at `path` did not set.
+        data: sections and keys.
+        path: path of the file, for errors.
+        origins: variables and options that set keys of `data`.
+
+    Example:
+        >>> parse({"perception": {"detector": {"kind": "sim"}}}).robot.radius_m
+        0.2
     """
     origins = Origins() if origins is None else origins
     data = without_removed(data, path, origins)
     try:
-        # An empty section, so that its fault is the key that it lacks.
+        # An empty section, so that the error names the missing key, not the missing section.
         config = Config.model_validate({"perception": {}, **data, "path": path})
     except ValidationError as error:
         raise ConfigError(explain_all(error, path, Config, origins.of)) from None
     config._origins = origins
     config.check_policy()
+    config.check_site()
     return config
 
 
 def _with_default(section: Any, path: tuple[str, ...], value: float) -> Any:
-    """Return the section with a value where none is set there; what is no section as it is."""
+    """Return the section with a value at `path` if none is set there."""
     if isinstance(section, Section):
         section = {name: getattr(section, name) for name in section.model_fields_set}
     if not isinstance(section, dict):

@@ -1,4 +1,4 @@
-"""The robot's ROS 2 graph: what its topics and frames are called, and how it takes goals."""
+"""The section of the robot's ROS 2: names of topics and frames, and the kind of goals."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ DEFAULT_TOPICS: dict[str, str] = {
     "tf_static": "/tf_static",
     "goal": "/goal_pose",
     "navigate_to_pose": "/navigate_to_pose",
-    # Beside a bridge `/edge/map` would be the key of our own `map`, and so on.
+    # With a bridge, `/edge/map` would have the same Zenoh key as our own topic `map`.
     "map": "/edge/occupancy",
     "path": "/edge/path",
     "trajectory": "/edge/task_path",
@@ -36,11 +36,14 @@ DEFAULT_TOPICS: dict[str, str] = {
 
 
 class Adapter(Section):
-    """`edge ros2-adapter`, for `via: adapter`.
+    """The program `edge ros2-adapter`, for `via: adapter`.
 
-    `python` has rclpy and eclipse-zenoh; `setup` is sourced first, where ROS 2's setup file was not
-    sourced before. Best effort hears reliable publishers too; `reliable` names the topics of which
-    no message may be lost on the way from DDS, and which no best-effort publisher sends.
+    Attributes:
+        python: interpreter with rclpy and eclipse-zenoh.
+        setup: ROS 2's setup file, which is sourced first; null: it was sourced before.
+        reliable: topics that are subscribed with reliable QoS, so that no message is lost. All
+            others use best effort, which receives from every publisher; reliable does not receive
+            from best-effort publishers.
     """
 
     python: str = "/usr/bin/python3"
@@ -49,16 +52,21 @@ class Adapter(Section):
 
 
 class Ros2(Section):
-    """For the source and the sink `ros2`.
+    """Settings of the source and the sink `ros2`.
 
-    `via`: who is spoken to: the router of a graph on `rmw_zenoh`, or, beside a robot on DDS, the
-    `bridge` zenoh-bridge-ros2dds or our own `adapter`.
-    `domain` is ROS_DOMAIN_ID; the bridge and the adapter have it from their environment.
-    `topics` gives what is not called as usual its ROS name: `{camera/rgb: /oakd/rgb/image_raw}`.
-    `map_frame` is where goals and the map are; odometry in another frame is taken there by tf.
-    `mounts`: where the sensors sit, by `tf`, or as `sensors` of this configuration says.
-    `goals`: the action NavigateToPose, whose result is the goal's answer, or a PoseStamped on
-    the topic `goal`, which nobody answers: a goal is then reached when the robot stops there.
+    Attributes:
+        via: connection to ROS 2. `rmw_zenoh`: the Zenoh router of the graph. For a robot on DDS:
+            `bridge` (zenoh-bridge-ros2dds) or `adapter` (`edge ros2-adapter`).
+        domain: ROS_DOMAIN_ID. Bridge and adapter take it from their environment.
+        node: name of our node.
+        map_frame: frame of goals and map. tf transforms odometry of other frames to it.
+        base_frame: frame of the robot's base.
+        mounts: poses of the sensors on the base: from `tf`, or from `sensors` in this `config`.
+        goals: `navigate_to_pose`: the action, whose result is the result of the goal. `topic`: a
+            PoseStamped on the topic `goal`, without a result. The goal is reached when the robot
+            stops there.
+        topics: ROS names that differ from the default: `{camera/rgb: /oakd/rgb/image_raw}`.
+        adapter: settings of `edge ros2-adapter`.
     """
 
     via: Literal["rmw_zenoh", "bridge", "adapter"] = "rmw_zenoh"
@@ -72,5 +80,5 @@ class Ros2(Section):
     adapter: Adapter = Adapter()
 
     def topic(self, name: RosTopic) -> str:
-        """What ROS calls the topic, or the action, that this project calls `name`."""
+        """Return the ROS name of the topic or action `name`."""
         return self.topics.get(name, DEFAULT_TOPICS[name])

@@ -1,4 +1,4 @@
-"""What every section is made of."""
+"""Base class and types of all sections."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
 def _named(text: str) -> str:
-    names.normalise(text)  # NotANameError is a ValueError, as pydantic wants it
+    names.normalise(text)  # NotANameError is a ValueError, as pydantic needs
     return text
 
 
@@ -32,21 +32,23 @@ def _names_a_class(kind: str) -> str:
 
 
 OwnKind = Annotated[str, AfterValidator(_names_a_class), Field(json_schema_extra={"pattern": ":"})]
-"""A class of one's own, on Python's path."""
+"""Kind of a plugin: a class of the user, on PYTHONPATH."""
 
 
 def kind_of(section: Any) -> str | None:
-    """The tag of a section among its union: its kind, or `MODULE_CLASS` for one's own."""
+    """Return the tag of a section in its union: its kind, or `MODULE_CLASS` for a plugin."""
     kind = section.get("kind") if isinstance(section, dict) else getattr(section, "kind", None)
     return MODULE_CLASS if isinstance(kind, str) and ":" in kind else kind
 
 
 class Section(BaseModel):
+    """Base of all sections: frozen; unknown keys, infinity and NaN are refused."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def own_kinds(section: Section, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the key and the value of each `kind` in a section that names a class of one's own."""
+    """Yield key and value of each `kind` in a section that names a plugin."""
     for name in type(section).model_fields:
         value = getattr(section, name)
         if name == "kind" and kind_of(section) == MODULE_CLASS:

@@ -1,4 +1,4 @@
-"""The simulator and its worlds."""
+"""The section of the simulator and its worlds."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from edge.config.section import NonNegative, Positive, Section
 
 
 class WorldHouse(Section):
-    """A house of boxes, cylinders and the like; `house` names a built-in one or a JSON file.
+    """A house of simple shapes, such as boxes and cylinders (docs/worlds.md).
 
-    docs/worlds.md describes the files of all kinds.
+    Attributes:
+        house: name of a built-in house, or a JSON file.
     """
 
     kind: Literal["house"] = "house"
@@ -20,7 +21,12 @@ class WorldHouse(Section):
 
 
 class WorldMesh(Section):
-    """A textured mesh (extra `worlds`), z up and in metres, with a list of its objects' boxes."""
+    """A textured mesh (extra `worlds`; docs/worlds.md).
+
+    Attributes:
+        mesh: file of the mesh, z up, in metres.
+        objects: JSON file with names and boxes of its objects.
+    """
 
     kind: Literal["mesh"] = "mesh"
     mesh: str
@@ -28,7 +34,12 @@ class WorldMesh(Section):
 
 
 class WorldProcthor(Section):
-    """One house, by its `name`, of a JSON-lines file (.jsonl or .jsonl.gz), as boxes."""
+    """A ProcTHOR house, as boxes (docs/worlds.md).
+
+    Attributes:
+        file: JSON-lines file of houses (.jsonl or .jsonl.gz).
+        name: name of the house in the file.
+    """
 
     kind: Literal["procthor"] = "procthor"
     file: str
@@ -36,22 +47,41 @@ class WorldProcthor(Section):
 
 
 class WorldGenerated(Section):
-    """A furnished house of 4 to 10 rooms, another one for every seed; from 1000 on they are for
-    evaluation only."""
+    """A generated house of 4 to 10 furnished rooms.
+
+    Attributes:
+        seed: number of the house. Seeds from 1000 on are for evaluation only.
+    """
 
     kind: Literal["generated"] = "generated"
     seed: Annotated[int, Field(ge=0)] = 0
 
 
 class WorldStreet(Section):
-    """A street with houses, cars, trees, poles, bins and benches, another one for every seed."""
+    """A generated street with houses, cars, trees, poles, bins and benches.
+
+    Attributes:
+        seed: number of the street.
+    """
 
     kind: Literal["street"] = "street"
     seed: Annotated[int, Field(ge=0)] = 0
 
 
 class Sim(Section):
-    """`start` (x and y in metres, yaw in radians) takes the place of the world's own."""
+    """The simulator.
+
+    Attributes:
+        world: the world.
+        start: start pose (x in m, y in m, yaw in rad); null: that of the world.
+        seed: seed of the noise.
+        lockstep: true: simulated time. The simulator takes the next step when the service has
+            processed the last one. Set `loop.lockstep`, too.
+        step_s: simulated time of a step in lockstep.
+        depth_noise: standard deviation of depth at 1 m, in m; it grows with depth squared.
+        drift_m_per_m: standard deviation of the odometry's scale error of distance.
+        drift_rad_per_rad: standard deviation of the odometry's scale error of turns.
+    """
 
     world: Annotated[
         Union[WorldHouse, WorldMesh, WorldProcthor, WorldGenerated, WorldStreet],

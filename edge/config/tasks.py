@@ -1,4 +1,4 @@
-"""Tasks in free language: who writes trajectories, within which limits (OpenNav III-A)."""
+"""The section of tasks: trajectories from instructions in free language (OpenNav III-A)."""
 
 from __future__ import annotations
 
@@ -10,10 +10,15 @@ from edge.config.section import OwnKind, Positive, Section
 
 
 class TrajectoryLimits(Section):
-    """What a trajectory has to keep to, as it is written and as it is refined. The robot's middle
-    stays `clearance_m` from the rim of what is occupied; where it is not set, a wider robot keeps
-    farther away. Two points are at most `max_jump_m` apart; a speed that is asked for is from
-    0.05 to `max_speed_mps`, whatever the robot can do."""
+    """Limits of a trajectory, when it is written and when it is refined.
+
+    Attributes:
+        clearance_m: distance of the robot's middle from occupied cells. Default: 0.3 m, or
+            `robot.radius_m` plus 0.1 m if that is larger.
+        max_jump_m: longest distance between two points.
+        max_length_m: longest trajectory.
+        max_speed_mps: highest speed that an instruction can ask for; the lowest is 0.05 m/s.
+    """
 
     clearance_m: Annotated[float, Field(ge=0, le=10)] = 0.3
     max_jump_m: Annotated[float, Field(ge=0.1, le=100)] = 2.0
@@ -22,15 +27,24 @@ class TrajectoryLimits(Section):
 
 
 class WriterRules(Section):
-    """Offline: what a small grammar understands, see `edge.tasks.rules`."""
+    """Rules for a small grammar (`edge.tasks.rules`); no model, no network."""
 
     kind: Literal["rules"] = "rules"
 
 
 class WriterModel(Section):
-    """A multimodal model on any OpenAI-compatible server writes a script; what is wrong with it
-    goes back, `rounds` times in all (OpenNav algorithm 1). `time_limit_s` is for all of them.
-    Without `picture` the model gets the words alone, as LLM-TG does."""
+    """A multimodal model on an OpenAI-compatible server writes a script (OpenNav algorithm 1).
+
+    If the script has an error, the model gets the error and answers again.
+
+    Attributes:
+        url: base URL of the server.
+        model: name of the model on the server.
+        api_key_env: environment variable that holds the API key.
+        picture: false: send no image, only text, as LLM-TG does.
+        rounds: most answers for one trajectory.
+        time_limit_s: time for all answers together.
+    """
 
     kind: Literal["model"] = "model"
     url: str = "http://127.0.0.1:8080/v1"
@@ -42,17 +56,30 @@ class WriterModel(Section):
 
 
 class ChainOwn(Section):
-    """What makes an `edge.tasks.chain.Chain`, a function or class of one's own on Python's path:
-    called with `options`, and with `perception` (that section) and `words` (what is looked for), if
-    it has parameters for them."""
+    """Your own function or class that returns an `edge.tasks.chain.Chain`.
+
+    It gets the options. If it has parameters of these names, it also gets `perception` (that
+    section) and `words` (names of the objects to find).
+
+    Attributes:
+        kind: the function or class as `module:Name`; the module's folder must be on PYTHONPATH.
+        options: arguments of the function or class.
+    """
 
     kind: OwnKind
     options: dict[str, Any] = Field(default_factory=dict)
 
 
 class Tasks(Section):
-    """`chain` is what `edge trajectory --objects detector` and `edge eval trajectories --detector`
-    see by; null: `perception.detector` and `perception.segmenter`, by which a service sees."""
+    """Tasks: instructions that describe a way to drive.
+
+    Attributes:
+        chain: your own models for `edge trajectory --objects detector` and
+            `edge eval trajectories --detector`. null: `perception.detector` and
+            `perception.segmenter`, which the service always uses.
+        planner: writes the trajectories.
+        trajectory: limits of the trajectories.
+    """
 
     chain: ChainOwn | None = None
     planner: Annotated[Union[WriterRules, WriterModel], Field(discriminator="kind")] = WriterRules()

@@ -1,4 +1,4 @@
-"""YAML that anybody may have written."""
+"""A reader of YAML text that is not trusted."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from edge.text import one_line
 
 MAX_YAML_BYTES = 1 << 20
 MAX_NODES = 20_000
-"""Most keys and values of a text, each alias counted as all that it stands for."""
+"""Most keys and values of a text. An alias counts as all nodes that it stands for."""
 MAX_DEPTH = 64
 _CHARS_PER_NODE = 64  # a long text counts as several nodes
-_MAX_PLAIN_CHARS = 100  # of a number, a date or whatever else is no text
+_MAX_PLAIN_CHARS = 100  # of a number, a date or another value that is not text
 _TOO_DEEP = "not YAML: nested too deeply"
 _TEXT = "tag:yaml.org,2002:str"
 _MERGE = "tag:yaml.org,2002:merge"
@@ -26,7 +26,7 @@ def read_yaml(path: Path) -> Any:
     """Read a YAML file; see `parse_yaml`.
 
     Raises:
-        ConfigError: it cannot be read, or is refused; one line.
+        ConfigError: the file cannot be read, or its content is refused; one line.
     """
     try:
         return parse_yaml(read_regular(path, MAX_YAML_BYTES))
@@ -37,11 +37,12 @@ def read_yaml(path: Path) -> Any:
 
 
 def parse_yaml(text: str | bytes) -> Any:
-    """Return the data of a YAML text; Python's own tags are refused.
+    """Return the data of a YAML text.
 
     Raises:
-        ValueError: it is not YAML, not UTF-8, has a value that is not of its type (2024-13-45),
-            gives a key twice, or is larger than any text that a person writes; one line.
+        ValueError: the text is not YAML or not UTF-8, has a Python tag, a value that does not fit
+            its type (2024-13-45), a key twice, or is larger than any text that a person writes.
+            One line.
     """
     if len(text) > MAX_YAML_BYTES:
         raise ValueError(f"longer than {MAX_YAML_BYTES} bytes")
@@ -57,26 +58,28 @@ def parse_yaml(text: str | bytes) -> Any:
         raise ValueError(f"not YAML: {one_line(error, 400)}") from None
     except RecursionError:
         raise ValueError(_TOO_DEEP) from None
-    except (AttributeError, IndexError, KeyError):  # PyYAML's at `!!timestamp x`, `!!int ""`
-        raise ValueError("not YAML: a value is not what its tag says") from None
+    except (AttributeError, IndexError, KeyError):  # PyYAML raises them at `!!timestamp x`
+        raise ValueError("not YAML: a value does not fit its tag") from None
 
 
 class _RefusedError(ValueError):
-    """YAML that is not taken; one line."""
+    """Refused YAML; the message is one line."""
 
 
 class _Loader(yaml.SafeLoader):
-    """Refuses, before anything is built, what is too large and keys that are given twice.
+    """YAML loader that refuses large texts and duplicate keys before any object is built.
 
-    Aliases are shared by what is built, so that a text of 1 kB can stand for billions of values;
-    whatever walks through them afterwards would not return.
+    With nested aliases, a text of 1 kB can stand for billions of values. The built objects share
+    them, but code that walks through the data would not return.
     """
 
     def __init__(self, text: str | bytes) -> None:
         super().__init__(text)
-        self._path: list[Any] = []  # keys and places, of the node that is read
+        self._path: list[Any] = []  # keys and indices of the current node
         self._nodes = self._height = 0
-        self._known: dict[int, tuple[int, int]] = {}  # by id of a node: its nodes, its height
+        self._known: dict[
+            int, tuple[int, int]
+        ] = {}  # id of a node → (number of nodes below it, height)
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         is_alias = self.check_event(yaml.AliasEvent)
@@ -88,8 +91,8 @@ class _Loader(yaml.SafeLoader):
             raise _RefusedError(_TOO_DEEP)
         node = super().compose_node(parent, index)
         if is_alias:
-            if id(node) not in self._known:  # it is still being read
-                raise _RefusedError(f"line {line}: an alias inside what it stands for")
+            if id(node) not in self._known:  # the alias is inside its own anchor
+                raise _RefusedError(f"line {line}: an alias inside its own anchor")
             nodes, height = self._known[id(node)]
         else:
             nodes, height = 1, self._height
@@ -99,7 +102,7 @@ class _Loader(yaml.SafeLoader):
         self._nodes += nodes
         if self._nodes > MAX_NODES:
             raise _RefusedError(
-                f"line {line}: more than {MAX_NODES} keys and values, aliases in full"
+                f"line {line}: more than {MAX_NODES} keys and values (aliases count in full)"
             )
         if len(self._path) + height > MAX_DEPTH:
             raise _RefusedError(_TOO_DEEP)
@@ -115,7 +118,7 @@ class _Loader(yaml.SafeLoader):
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
                 continue
-            # As it will be read: `on` and `yes` are one key, and so are 1 and 0x1.
+            # Compare the values, not the text: `on` and `yes` are the same key, and so are 1, 0x1.
             read = key.value if key.tag == _MERGE else self.construct_object(key)
             line = key.start_mark.line + 1
             if read in first:
@@ -129,5 +132,5 @@ class _Loader(yaml.SafeLoader):
     def _check_plain(self, node: yaml.ScalarNode, line: int) -> None:
         if node.tag != _TEXT and len(node.value) > _MAX_PLAIN_CHARS:
             raise _RefusedError(
-                f"line {line}: a number of more than {_MAX_PLAIN_CHARS} characters: quote a text"
+                f"line {line}: a number of more than {_MAX_PLAIN_CHARS} characters: quote it"
             )

@@ -6,14 +6,14 @@ import numpy as np
 from numba import njit
 
 from edge.mapping.layers import OCCUPIED as RAW_OCCUPIED
-from edge.mapping.layers import Layers, bit_get, on_trail
+from edge.mapping.layers import ZONE, Layers, bit_get, on_trail
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 
 
 @njit(nogil=True, cache=True)
 def compose(
-    layers: Layers, body: np.ndarray, x0: int, y0: int, inflated: int, out: np.ndarray
+    layers: Layers, body: np.ndarray, x0: int, y0: int, inflated: int, zones: bool, out: np.ndarray
 ) -> None:
     """Write the published state of the layers into `out`.
 
@@ -22,11 +22,13 @@ def compose(
         body: disc that must be free for the robot to return to its trail; see `on_trail`.
         x0: world cell of `out[0, 0]`; world cell c lies at c mod N.
         y0: see `x0`.
-        inflated: value of cells that are only too near to an occupied cell.
+        inflated: value of cells that are only too near to an occupied cell, or in a zone.
+        zones: False leaves zones open.
         out: (h, w) int8: -1 unknown, 0 free, 100 occupied, or `inflated`.
     """
     raw, near, trail = layers.raw, layers.near, layers.trail
     n = raw.shape[0]
+    counted = np.uint16(0xFFFF) if zones else ~ZONE
     for i in range(out.shape[0]):
         sy = (y0 + i) % n
         sx = x0 % n
@@ -34,7 +36,7 @@ def compose(
             if raw[sy, sx] >= RAW_OCCUPIED:
                 out[i, j] = OCCUPIED
             # Most cells are not on the trail: test the bit first, the call is expensive.
-            elif near[sy, sx] > 0 and not (
+            elif near[sy, sx] & counted and not (
                 bit_get(trail, sy, sx) and on_trail(layers, sy, sx, body)
             ):
                 out[i, j] = inflated

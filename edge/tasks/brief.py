@@ -6,6 +6,7 @@ import re
 
 from edge import names
 from edge.config import Config, WriterModel
+from edge.memory import Site
 from edge.mission.brief import Brief, MissionError, brief_of_task, prepare
 from edge.mission.logic import ltl
 from edge.mission.task_step import TaskStep
@@ -13,16 +14,20 @@ from edge.mission.translate import Translation
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS
 from edge.tasks.reading import named, task_steps
 
+_NO_SITE = Site()
 _MOST_WORDS = 4
 """Largest number of words in a name that `known_names` looks for."""
 
 
-def prepared(config: Config, task: str | None = None, **mission: str | int | None) -> Brief:
+def prepared(
+    config: Config, task: str | None = None, site: Site = _NO_SITE, **mission: str | int | None
+) -> Brief:
     """Prepare a task if there is one, else the mission that `mission` describes.
 
     Args:
         config: of the service.
         task: instruction in words; None: prepare a mission.
+        site: places that a mission may name.
         **mission: arguments of `edge.mission.brief.prepare`.
 
     Raises:
@@ -30,7 +35,7 @@ def prepared(config: Config, task: str | None = None, **mission: str | int | Non
     """
     if task is not None:
         return prepare_task(config, task)
-    return prepare(config.mission, **mission)
+    return prepare(config.mission, site=site, **mission)
 
 
 def prepare_task(config: Config, task: str) -> Brief:
