@@ -17,7 +17,7 @@ _FIXED_BITS = 4  # fractional bits of the coordinates that OpenCV takes
 
 
 class Zones:
-    """Keep-out and stay-inside zones: cells closed to every planner, no matter what sensors see there.
+    """Keep-out and stay-inside zones: cells closed to every planner, whether seen free or not.
 
     A cell is closed if the robot, with its centre there, would touch a keep-out polygon or leave
     all stay-inside polygons. A closed cell has the bit `ZONE` in `Layers.near`, and is `blocked`.
