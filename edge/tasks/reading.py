@@ -1,7 +1,7 @@
 """Parser of instructions: a small grammar reads them as steps.
 
-    task = step { ("then" | "and" | "," | ".") step } ["stop" ["there"]] step = go ("to" | "near" |
-    …) thing ["'s" side] | "approach" thing
+    task   = step { ("then" | "and" | "," | ".") step } ["stop" ["there"]]
+    step   = go ("to" | "near" | …) thing ["'s" side] | "approach" thing
            | (go "past" | "pass" | go "around") [side "of"] thing [on its side | "'s" side | aside]
            | ("leave" | "keep" | "with") thing aside
            | go (side "of" | "in front of" | "behind") thing | go "to its" side
@@ -11,9 +11,9 @@
     thing  = [article] { description } name { place } | "it"
            | "object" number | [article] { description } name ["number"] number
              with `which` anywhere before the places
-    distance = (number ["and a half"] | "half a" | "a") "metres" ["and a half"] which = order |
-    "second" | "left" | "right" order = ("nearest" | "farthest") ["to" thing] | "leftmost" |
-    "rightmost"
+    distance = (number ["and a half"] | "half a" | "a") "metres" ["and a half"]
+    which  = order | "second" | "left" | "right"
+    order  = ("nearest" | "farthest") ["to" thing] | "leftmost" | "rightmost"
            | "second from the left"
     place  = "on the left" | "on the right" | "ahead" | "behind you" | "near" thing
            | order | "that is" (description | place)
