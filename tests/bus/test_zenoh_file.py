@@ -163,7 +163,7 @@ def test_a_file_that_is_not_there_is_named(key, tmp_path):
 
 def test_a_private_key_in_the_endpoint_is_refused_and_not_shown():
     endpoint = "tls/h:1#listen_private_key_base64=SENTINEL"
-    with pytest.raises(ConfigError, match="put it into zenoh.file") as caught:
+    with pytest.raises(ConfigError, match=r"put it into zenoh\.file") as caught:
         parse({"zenoh": {"endpoint": endpoint}, "perception": {"detector": {"kind": "sim"}}})
     assert "SENTINEL" not in str(caught.value)
 
