@@ -151,8 +151,8 @@ def test_what_its_user_cannot_read_is_refused_with_what_to_do(private):
 @pytest.mark.parametrize(
     ("what", "says"),
     [
-        ("executable", "^the Python of this environment, {}: .* with a Python"),
-        ("base_prefix", "^the Python of this environment, {}: .* with a Python"),
+        ("executable", "^the Python of this environment, {}: .* make the environment with"),
+        ("base_prefix", "^the Python of this environment, {}: .* make the environment with"),
         ("PACKAGE", "^the package, {}: .* install it where all users can read it"),
     ],
 )
