@@ -4,7 +4,7 @@ import os
 
 __version__ = "0.1.0"
 
-# onnxruntime's official builds (1.29 on) note model, processor, device and paths in the user's
-# cache, and send them home. It looks at this when it is loaded, hence here: this module comes
-# before all others in every process of ours, and their children inherit it.
+# Official builds of onnxruntime (from 1.29) collect model, processor, device and paths, and send
+# them to the vendor. onnxruntime reads this variable when it is loaded. Every process of ours
+# loads this module first, and child processes inherit the variable.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")

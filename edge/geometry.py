@@ -1,6 +1,6 @@
-"""Rigid transforms, the pinhole camera, boxes in images, grids.
+"""Rigid transforms, the pinhole camera, image boxes and grids.
 
-Frames follow REP-103/105: `map` and `base` have x forward, y left, z up; the camera's
+Frames follow REP-103/105: `map` and `base` have x forward, y left, z up. The camera's
 *optical* frame has z forward, x right, y down. `T_a_b` maps points of frame b into frame a.
 """
 
@@ -12,19 +12,20 @@ from dataclasses import dataclass
 import numpy as np
 
 FARTHEST_M = 1e6
-"""The map takes no sensor and no point beyond it: a step of its float32 is 6 cm there."""
+"""The map ignores sensors and points beyond this coordinate. One float32 step is 6 cm there."""
 
 # Columns are the optical axes seen from a body frame (x forward, y left, z up).
 R_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
-# What a pinhole camera can be, in lengths of its image's longer side: one side focal length is
-# 53 degrees, the limits are 178.9 and 0.6. A small cut-out may lie far from the principal point.
+# Limits of a pinhole camera, in units of the longer image side. A focal length of one side gives a
+# field of view of 53 degrees; the limits give 178.9 and 0.6 degrees. The principal point may be far
+# outside the image if the image is a small crop.
 MIN_FOCAL, MAX_FOCAL, MAX_ASIDE = 0.01, 100.0, 10.0
 MAX_SIDE_PX = 1 << 16
 
 
 def wrap_angle(angle_rad: float) -> float:
-    """The same angle in [-pi, pi).
+    """Return the same angle in [-pi, pi).
 
     >>> round(wrap_angle(3 * math.pi / 2), 3)
     -1.571
@@ -34,39 +35,57 @@ def wrap_angle(angle_rad: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class SE2:
-    """A pose in the plane: metres, and yaw counter-clockwise in radians."""
+    """A planar pose: x and y in metres, yaw counter-clockwise in radians.
+
+    Example:
+        >>> pose = SE2(1.0, 2.0, math.pi / 2)
+        >>> [round(v, 3) for v in pose.ahead(0.5)]
+        [1.0, 2.5]
+        >>> round(pose.bearing_to(0.0, 2.0), 3)  # a point to the left
+        1.571
+    """
 
     x_m: float
     y_m: float
     yaw_rad: float
 
     def matrix(self, z_m: float = 0.0) -> np.ndarray:
-        """This pose as a (4, 4) float64 transform at height `z_m`."""
+        """Return the pose as a (4, 4) float64 transform at height `z_m`."""
         return se3(self.x_m, self.y_m, z_m, yaw_rad=self.yaw_rad)
 
     def distance_to(self, x_m: float, y_m: float) -> float:
         return math.hypot(x_m - self.x_m, y_m - self.y_m)
 
     def ahead(self, distance_m: float) -> tuple[float, float]:
-        """The point (x, y) so far ahead; behind, where the distance is negative."""
+        """Return the point (x, y) at this distance ahead, or behind if the distance is negative."""
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         return self.x_m + distance_m * c, self.y_m + distance_m * s
 
     def bearing_to(self, x_m: float, y_m: float) -> float:
-        """Angle of a point left of the heading, in [-pi, pi) (VL-Nav eq. 2)."""
+        """Return the angle from the heading to a point, left positive, in [-pi, pi).
+
+        Source: VL-Nav eq. 2.
+        """
         return wrap_angle(math.atan2(y_m - self.y_m, x_m - self.x_m) - self.yaw_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grid:
-    """Square cells over a piece of `map`; row = y, column = x.
+    """A grid of square cells over part of `map`; row = y, column = x.
 
     Attributes:
-        cells: (h, w) of any type. An occupancy grid has int8: -1 unknown, 0 free, 100 occupied;
-            1 to 99 for what is only nearer to an obstacle than the robot may go, where that is
-            told apart.
-        origin_xy_m: the corner of cell (0, 0).
-        resolution_m: side of a cell.
+        cells: (h, w) of any type. An occupancy grid is int8: -1 unknown, 0 free, 100 occupied.
+            1 to 99 are inflated cells: free, but too near to an obstacle for the robot. Not every
+            grid marks them.
+        origin_xy_m: Corner of cell (0, 0) with the smallest x and y.
+        resolution_m: Side of a cell.
+
+    Example:
+        >>> grid = Grid(np.zeros((4, 6), np.int8), (-1.0, 0.0), 0.5)
+        >>> grid.cell_of(0.1, 0.9)
+        (1, 2)
+        >>> grid.extent_m
+        (-1.0, 2.0, 0.0, 2.0)
     """
 
     cells: np.ndarray
@@ -74,23 +93,26 @@ class Grid:
     resolution_m: float
 
     def of_metres(self, xy_m: np.ndarray) -> np.ndarray:
-        """Points (…, 2) in cells: cell (row r, column c) spans [c, c + 1) x [r, r + 1)."""
+        """Convert points (…, 2) from metres to cell units.
+
+        Cell (row r, column c) spans [c, c + 1) x [r, r + 1).
+        """
         return (np.asarray(xy_m, np.float64) - self.origin_xy_m) / self.resolution_m
 
     def to_metres(self, xy: np.ndarray) -> np.ndarray:
-        """The inverse of `of_metres`."""
+        """Convert points (…, 2) from cell units to metres, the inverse of `of_metres`."""
         return np.asarray(xy) * self.resolution_m + np.asarray(self.origin_xy_m)
 
     def centres_m(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """(…, 2) centres of cells."""
+        """Return the cell centres, (…, 2)."""
         return self.to_metres(np.stack([columns, rows], axis=-1) + 0.5)
 
     def cell_of(self, x_m: float, y_m: float) -> tuple[int, int] | None:
-        """(row, column) of a point; None outside the grid."""
+        """Return (row, column) of a point, or None outside the grid."""
         x = (x_m - self.origin_xy_m[0]) / self.resolution_m
         y = (y_m - self.origin_xy_m[1]) / self.resolution_m
         if not (0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]):
-            return None  # NaN as well
+            return None  # also for NaN
         return int(y), int(x)
 
     @property
@@ -101,14 +123,14 @@ class Grid:
 
     @property
     def known_m2(self) -> float:
-        """Area of the cells that are not unknown."""
+        """Area of the known cells in m²."""
         return float(np.count_nonzero(self.cells >= 0)) * self.resolution_m**2
 
 
 def thin(grid: Grid, max_side: int) -> Grid:
     """Merge blocks of k x k cells: occupied wins over free, free over unknown.
 
-    k is the smallest that keeps both sides within `max_side`.
+    k is the smallest factor that keeps both sides within `max_side` cells.
     """
     h, w = grid.cells.shape
     k = max(1, -(-max(h, w) // max_side))
@@ -121,7 +143,7 @@ def thin(grid: Grid, max_side: int) -> Grid:
 
 
 def se2_of(T: np.ndarray) -> SE2:
-    """The planar part of a (4, 4) transform."""
+    """Return the planar part of a (4, 4) transform."""
     return SE2(float(T[0, 3]), float(T[1, 3]), math.atan2(T[1, 0], T[0, 0]))
 
 
@@ -133,7 +155,7 @@ def se3(
     pitch_rad: float = 0.0,
     yaw_rad: float = 0.0,
 ) -> np.ndarray:
-    """A (4, 4) float64 transform from a translation and fixed-axis roll, pitch, yaw.
+    """Return a (4, 4) float64 transform from a translation and fixed-axis roll, pitch, yaw.
 
     Positive pitch turns the nose down (rotation about +y).
     """
@@ -153,12 +175,12 @@ def se3(
 def se3_from_quaternion(
     position_m: tuple[float, float, float], quaternion_xyzw: tuple[float, float, float, float]
 ) -> np.ndarray:
-    """A (4, 4) float64 transform; the quaternion is normalised.
+    """Return a (4, 4) float64 transform from a position and a quaternion, which is normalised.
 
     Raises:
-        ValueError: the quaternion's length is zero or not finite.
+        ValueError: The length of the quaternion is zero or not finite.
     """
-    # Plain floats: this runs for every odometry sample, and costs a fifth of what arrays would.
+    # Plain floats take a fifth of the time of arrays. This runs for every odometry sample.
     x, y, z, w = (float(component) for component in quaternion_xyzw)
     norm = math.sqrt(x * x + y * y + z * z + w * w)
     if not math.isfinite(norm) or norm < 1e-6:
@@ -176,7 +198,7 @@ def se3_from_quaternion(
 
 
 def quaternion_of(T: np.ndarray) -> tuple[float, float, float, float]:
-    """The rotation of a (4, 4) transform as a unit quaternion (x, y, z, w), w >= 0."""
+    """Return the rotation of a (4, 4) transform as a unit quaternion (x, y, z, w), w >= 0."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = T[:3, :3].tolist()
     # The largest of the four squared components keeps the division well conditioned.
     squares = (1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz, 1 + xx + yy + zz)
@@ -195,7 +217,7 @@ def quaternion_of(T: np.ndarray) -> tuple[float, float, float, float]:
 
 
 def invert(T: np.ndarray) -> np.ndarray:
-    """The inverse of a rigid (4, 4) transform."""
+    """Return the inverse of a rigid (4, 4) transform."""
     out = np.eye(4)
     out[:3, :3] = T[:3, :3].T
     out[:3, 3] = -T[:3, :3].T @ T[:3, 3]
@@ -203,9 +225,10 @@ def invert(T: np.ndarray) -> np.ndarray:
 
 
 def interpolate(T_a: np.ndarray, T_b: np.ndarray, fraction: float) -> np.ndarray:
-    """The pose `fraction` of the way from `T_a` to `T_b`, beyond it above 1; rotation by nlerp.
+    """Interpolate between two (4, 4) poses; a `fraction` above 1 extrapolates beyond `T_b`.
 
-    nlerp differs from slerp by less than 1e-4 rad between odometry samples (< 10 degrees apart).
+    The rotation uses nlerp. It differs from slerp by less than 1e-4 rad between odometry samples
+    (< 10 degrees apart).
     """
     q_a, q_b = quaternion_of(T_a), quaternion_of(T_b)
     dot = sum(a * b for a, b in zip(q_a, q_b, strict=True))
@@ -219,9 +242,16 @@ def interpolate(T_a: np.ndarray, T_b: np.ndarray, fraction: float) -> np.ndarray
 class CameraModel:
     """An undistorted pinhole camera; pixel centres lie at integer coordinates.
 
+    Code that computes strides or rays from a camera need not check the numbers again.
+
     Raises:
-        ValueError: no camera is like that (see `MIN_FOCAL` and its neighbours). What follows from
-            these numbers, such as strides and rays, need not be looked at again.
+        ValueError: The numbers are outside the limits (`MIN_FOCAL`, `MAX_FOCAL`, `MAX_ASIDE`,
+            `MAX_SIDE_PX`).
+
+    Example:
+        >>> camera = CameraModel.from_hfov(640, 480, math.pi / 2)
+        >>> round(camera.fx_px), round(camera.hfov_rad, 3)
+        (320, 1.571)
     """
 
     width_px: int
@@ -235,7 +265,7 @@ class CameraModel:
         width, height, fx, fy = self.width_px, self.height_px, self.fx_px, self.fy_px
         side = max(width, height)
         aside = (self.cx_px - 0.5 * width, self.cy_px - 0.5 * height)
-        # Written so that NaN fails.
+        # The comparisons are written so that NaN fails.
         if not 0 < min(width, height) <= side <= MAX_SIDE_PX:
             raise ValueError(f"not a camera: {width}x{height} px")
         if not all(MIN_FOCAL * side <= f <= MAX_FOCAL * side for f in (fx, fy)):
@@ -251,7 +281,7 @@ class CameraModel:
 
     @classmethod
     def from_hfov(cls, width_px: int, height_px: int, hfov_rad: float) -> CameraModel:
-        """Square pixels, the principal point in the middle."""
+        """Return a camera with square pixels and the principal point at the image centre."""
         f = 0.5 * width_px / math.tan(0.5 * hfov_rad)
         return cls(width_px, height_px, f, f, 0.5 * (width_px - 1), 0.5 * (height_px - 1))
 
@@ -260,7 +290,10 @@ class CameraModel:
         return 2.0 * math.atan(0.5 * self.width_px / self.fx_px)
 
     def bearing_of(self, u_px: np.ndarray | float) -> np.ndarray:
-        """Angle of image columns left of the optical axis, in radians, float64, shaped as given."""
+        """Return the angle of image columns from the optical axis, left positive.
+
+        The result is float64 in radians, with the shape of `u_px`.
+        """
         return np.arctan2(np.subtract(self.cx_px, u_px, dtype=np.float64), self.fx_px)
 
 
@@ -269,9 +302,10 @@ class Lens:
     """A lens with distortion.
 
     Attributes:
-        model: `plumb_bob`, `rational_polynomial`, `equidistant`, or an unknown one.
-        coefficients: of this model, in the order of sensor_msgs/CameraInfo; not all zero.
-        camera: the pinhole camera behind the lens (K).
+        model: `plumb_bob`, `rational_polynomial`, `equidistant`, or an unknown model.
+        coefficients: Coefficients of the model, ordered as in sensor_msgs/CameraInfo. At least one
+            is not zero.
+        camera: The pinhole camera of the matrix K.
     """
 
     model: str
@@ -283,21 +317,23 @@ class Lens:
 
 
 def optical(T: np.ndarray) -> np.ndarray:
-    """The same (4, 4) pose with a camera's optical axes in place of a body's."""
+    """Return the same (4, 4) pose with optical axes instead of body axes."""
     T = T.copy()
     T[:3, :3] = T[:3, :3] @ R_BODY_OPTICAL
     return T
 
 
 def optical_yaw_rad(T: np.ndarray) -> float:
-    """Which way a camera at the (4, 4) pose `T` (optical) looks, seen from above."""
+    """Return the yaw of the viewing direction of a camera at the (4, 4) optical pose `T`."""
     return math.atan2(T[1, 2], T[0, 2])
 
 
 def overlaps(a_xyxy: np.ndarray, b_xyxy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n, m) intersection over union of (n, 4) and (m, 4) boxes, and over the area of the first.
+    """Return how much two sets of boxes overlap, (n, 4) and (m, 4).
 
-    0 where an area is empty.
+    Returns:
+        Two (n, m) arrays: intersection over union, and intersection over the area of the first
+        box. Both are 0 if the area is empty.
     """
     low = np.maximum(a_xyxy[:, None, :2], b_xyxy[None, :, :2])
     high = np.minimum(a_xyxy[:, None, 2:], b_xyxy[None, :, 2:])

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import zenoh
 
@@ -37,6 +37,8 @@ from edge.loop.scorers import make_scorers
 from edge.loop.service import Service
 from edge.loop.source import Source
 from edge.loop.warmup import warm_up
+from edge.memory import SiteFile
+from edge.mission.brief import Brief
 from edge.perception.detection.detector import Detector
 from edge.perception.detection.sim import TruthAt
 from edge.perception.factory import make_detector
@@ -111,6 +113,8 @@ def open_service(
                     config.at("sinks"))  # fmt: skip
     with ExitStack() as stack:
         mission, checkpoint, brief = config.mission, None, None
+        site = SiteFile(None if mission.site is None else resources.expand(mission.site))
+        stack.callback(site.close)
         if mission.checkpoint is not None:
             named = next((text for text in (task, formula, asked) if text is not None), None)
             checkpoint = ServiceCheckpoint(config, resources.expand(mission.checkpoint), named)
@@ -119,7 +123,7 @@ def open_service(
         idle = mission.on_request and brief is None and {asked, formula, task} == {None}
         if brief is None:
             progress("understanding the mission")
-            brief = prepared(config, task, formula=formula)
+            brief = prepared(config, task, site.known, formula=formula)
         raise_if_stopped(stop)
         session = stack.enter_context(
             zenoh_session(
@@ -143,11 +147,11 @@ def open_service(
         lockstep = config.loop.lockstep
         masker = unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
         progress("loading the detector")
-        detector = _load(config, brief.targets, make_truth(config, session), stop, progress)
+        detector = _load(config, brief.prompts, make_truth(config, session), stop, progress)
         worker = DetectorWorker(detector, lockstep, masker)
         stack.callback(worker.close)
         progress("loading the scorers")
-        scorers = unless_stopped(partial(make_scorers, config, brief.targets), stop)
+        scorers = unless_stopped(partial(make_scorers, config, brief.prompts), stop)
         if scorers is not None:
             stack.callback(scorers.close)
         unless_stopped(partial(warm_up, config, progress), stop)
@@ -164,10 +168,14 @@ def open_service(
 
         service = Service(
             config, brief, worker, policy, every, checkpoint, scorers, overruns,
-            calibration.load(), idle, inputs=getattr(source, "input_table", tuple),
+            calibration.load(), idle, inputs=getattr(source, "input_table", tuple), site=site,
         )  # fmt: skip
         stack.callback(service.close)
-        served = requests.served(service, partial(prepared, config), amiss)
+
+        def prepare(**request: Any) -> Brief:
+            return prepared(config, site=site.known, **request)
+
+        served = requests.served(service, prepare, amiss)
         for key, (verbs, handle) in served.items():
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
             stack.callback(servers[key].close)

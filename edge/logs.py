@@ -1,4 +1,4 @@
-"""Logging: lines for people by default, JSON lines on request. Standard library only."""
+"""Logging: plain lines by default, JSON lines on request. Standard library only."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from edge.text import one_line, printable_lines
 
 LEVELS = ("debug", "info", "warning", "error")
 CLEAR_LINE = "\r\x1b[2K"
-MAX_MESSAGE = 2000  # characters of a line for people
+MAX_MESSAGE = 2000  # characters of a plain line
 
 _STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 _seen: dict[Hashable, object] = {}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--log-level` and `--log-json`."""
+    """Add the options `--log-level` and `--log-json`."""
     parser.add_argument("--log-level", choices=LEVELS, default="info", help="default: info")
     parser.add_argument("--log-json", action="store_true", help="log JSON lines")
 
 
 def setup(level: str = "info", as_json: bool = False, stream: TextIO | None = None) -> None:
-    """Send what `edge` logs at `level` and above, and others' warnings, to `stream` (stderr).
+    """Log to `stream` (default: stderr): `edge` at `level` and above, other libraries' warnings.
 
-    Called again, it replaces what it set up before.
+    A second call replaces the first.
 
     Raises:
-        ValueError: unknown level; the message lists the choices.
+        ValueError: The level is unknown. The message lists the choices.
     """
     if level not in LEVELS:
         raise ValueError(f"log level: unknown {level!r} (choices: {', '.join(LEVELS)})")
@@ -45,7 +45,7 @@ def setup(level: str = "info", as_json: bool = False, stream: TextIO | None = No
 
 
 def once(key: Hashable) -> bool:
-    """True the first time it is asked for `key` in this process.
+    """Return True for the first call with `key` in this process.
 
     >>> once("readme example"), once("readme example")
     (True, False)
@@ -55,10 +55,13 @@ def once(key: Hashable) -> bool:
 
 
 class HumanFormatter(logging.Formatter):
-    """`12:34:56.789 warning mapping: text`; wipes a progress line on a terminal first.
+    """A formatter of plain lines: `12:34:56.789 warning mapping: text`.
 
-    Whatever a message quotes, it stays one line without control characters. Only the traceback of
-    an exception has further lines, indented ones.
+    A record is one line without control characters. Only the traceback of an exception adds lines,
+    which are indented.
+
+    Args:
+        terminal: Clear a progress line on the terminal before each record.
     """
 
     def __init__(self, terminal: bool = False) -> None:
@@ -71,14 +74,14 @@ class HumanFormatter(logging.Formatter):
         message = one_line(record.getMessage(), MAX_MESSAGE)
         text = f"{self._before}{clock} {record.levelname.lower():7} {name}: {message}"
         if record.exc_info:
-            # Indented, so that no line of an exception's own words looks like one of the log's.
+            # Indented, so that no line of the exception's text looks like a log record.
             trace = printable_lines(self.formatException(record.exc_info))
             text += "\n" + textwrap.indent(trace, "    ")
         return text
 
 
 class JsonFormatter(logging.Formatter):
-    """One object a line: time (UTC, ISO 8601), level, logger, message, `extra` fields."""
+    """A formatter of JSON lines: time (UTC, ISO 8601), level, logger, message, `extra` fields."""
 
     def format(self, record: logging.LogRecord) -> str:
         fields: dict[str, Any] = {
@@ -95,5 +98,8 @@ class JsonFormatter(logging.Formatter):
 
 
 def _escaped(char: str) -> str:
-    """JSON's escape of a character that does not print: some drive terminals, as U+009B does."""
+    """Return the JSON escape of a non-printable character.
+
+    Some of them, such as U+009B, control terminals.
+    """
     return char if char.isprintable() else json.dumps(char)[1:-1]

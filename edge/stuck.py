@@ -1,19 +1,26 @@
-"""Noticing a robot that is told to move and does not (VL-Nav V.D)."""
+"""Detection of a robot that is commanded to move but does not move (VL-Nav V.D)."""
 
 from __future__ import annotations
 
 from edge.geometry import SE2, wrap_angle
 
 STUCK_M = 0.05
-# Turning on the spot is moving too: this much of it counts like `stuck_m`.
+# Turning on the spot is also movement. This angle counts like `stuck_m`.
 TURN_RAD = 0.2
 
 
 class StuckDetector:
-    """Says when the pose stayed within `stuck_m` (and 0.2 rad) for `stuck_s` under orders to move.
+    """A detector of a pose that stays within `stuck_m` and 0.2 rad while motion is commanded.
 
-    Time in which the robot was not told to move does not count, nor does it start the wait
-    afresh: a robot that is held up may be given one goal after another, with pauses between.
+    The robot is stuck after `stuck_s` of commanded motion. Time without a motion command does not
+    count, but does not restart the wait. A blocked robot may get one goal after another, with
+    breaks between them.
+
+    Example:
+        >>> detector = StuckDetector(stuck_s=2.0)
+        >>> pose = SE2(0.0, 0.0, 0.0)
+        >>> [detector.update(pose, True, k * 1_000_000_000) for k in range(1, 4)]
+        [False, False, True]
     """
 
     def __init__(self, stuck_s: float, stuck_m: float = STUCK_M) -> None:
@@ -22,28 +29,29 @@ class StuckDetector:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past, for example when the robot is given something else to do."""
+        """Forget the past, for example when the robot gets another mission."""
         self._anchor: SE2 | None = None
-        self._told_ns = self._last_ns = 0
+        self._commanded_ns = self._last_ns = 0
 
     def update(self, pose: SE2, moving_commanded: bool, now_ns: int) -> bool:
-        """Whether the robot has been stuck for `stuck_s`; True once, then it waits as long again.
+        """Return True if the robot has been stuck for `stuck_s`, then start the wait again.
 
         Args:
-            moving_commanded: whether the robot was told to move since the last call.
-            now_ns: of the pose; time that goes back, or in which for half of the wait nobody
-                looked, starts the wait afresh.
+            pose: Newest pose of the robot.
+            moving_commanded: True if motion was commanded since the last call.
+            now_ns: Time of the pose. The wait restarts if time goes back, or if the last call was
+                more than half of `stuck_s` ago.
         """
         passed_ns, self._last_ns = now_ns - self._last_ns, now_ns
         seen = 0 <= passed_ns <= self._wait_ns // 2
         if self._anchor is None or self._has_moved(pose) or not seen:
-            self._anchor, self._told_ns = pose, 0
+            self._anchor, self._commanded_ns = pose, 0
             return False
         if moving_commanded:
-            self._told_ns += passed_ns
-        if self._told_ns < self._wait_ns:
+            self._commanded_ns += passed_ns
+        if self._commanded_ns < self._wait_ns:
             return False
-        self._anchor, self._told_ns = pose, 0
+        self._anchor, self._commanded_ns = pose, 0
         return True
 
     def _has_moved(self, pose: SE2) -> bool:

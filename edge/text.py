@@ -1,4 +1,4 @@
-"""Text from outside read, and made safe to log, print and send on; tables."""
+"""Functions that parse outside text, make it safe to log, print or send, and format tables."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from urllib.parse import SplitResult, urlsplit
 
 MAX_CHARS = 200
 
-# Scheme, user and password, host and path, query and fragment. No scheme is longer than that, and a
-# limit keeps a long word from being looked at from each of its letters.
+# Scheme, user and password, host and path, query and fragment. No scheme is longer than 32
+# characters. Without a limit, a long word would be scanned again from each of its letters.
 _URL = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]{0,31}://)(?:[^\s/?#]*@)?([^\s?#]*)(?:[?#]\S*)?")
-# Zenoh's endpoints: protocol and address; behind `?` or `#` come metadata and configuration, which
-# may be a private key.
+# A Zenoh endpoint: protocol and address. Metadata (`?`) and configuration (`#`) follow, which may
+# hold a private key.
 _LOCATOR = re.compile(
     r"(?<![\w/])((?:tcp|udp|tls|quic|ws|serial|vsock|unixpipe|unixsock-stream)/)([^\s?#]*)[?#]\S*"
 )
@@ -25,27 +25,27 @@ _SECRET_KEY = re.compile(
 
 
 def one_line(text: object, limit: int = MAX_CHARS) -> str:
-    """One line without control characters, of at most `limit` characters.
+    """Return one line without control characters, of at most `limit` characters.
 
-    What a peer, a server or a file says may hold line breaks that forge log lines, escapes that
-    drive a terminal, or a novel. Whatever does not print becomes a space, runs of spaces become
-    one, and what is too long ends in `…`.
+    Text of a peer, a server or a file may hold line breaks that forge log lines, escapes that
+    control a terminal, or megabytes. Each non-printable character becomes a space, and runs of
+    spaces become one space. Text that is too long is cut and ends in `…`.
 
     >>> one_line("stuck\\n12:00 info mission:\\x1b[31m reached")
     'stuck 12:00 info mission: [31m reached'
     """
-    # Ten times the limit is looked at: a novel costs no more than a letter.
+    # Only ten times the limit is read, so the cost does not grow with the text.
     is_data = type(text) is int or type(text) in _BRACKETS
-    said = bounded_repr(text, 10 * limit) if is_data else str(text)[: 10 * limit]
-    line = " ".join(_printable(said).split())
+    head = bounded_repr(text, 10 * limit) if is_data else str(text)[: 10 * limit]
+    line = " ".join(_printable(head).split())
     return line if len(line) <= limit else line[: limit - 1] + "…"
 
 
 def bounded_repr(value: object, limit: int = 80) -> str:
-    """Return `repr` of data from outside, cut to `limit` characters; what is cut ends in `…`.
+    """Return the `repr` of outside data, cut to `limit` characters; a cut text ends in `…`.
 
-    It costs no more than what is shown: `f"{value!r:.80}"` builds all of it first, and raises for
-    an integer of more than 4300 digits.
+    The cost depends on `limit`, not on the data. `f"{value!r:.80}"` would build the whole text
+    first, and would raise for an integer of more than 4300 digits.
 
     >>> bounded_repr({"a": [1, None, "x" * 9_000_000]}, 24)
     "{'a': [1, None, 'xxxxxx…"
@@ -62,7 +62,7 @@ _BRACKETS: dict[type, tuple[str, str]] = {
 
 
 def _repr_pieces(value: Any, limit: int) -> Iterator[str]:
-    """Yield the parts of `repr`: at least one character for each level of nesting."""
+    """Yield the pieces of `repr`, at least one character for each level of nesting."""
     if isinstance(value, (str, bytes)):
         yield repr(value[:limit])
     elif isinstance(value, int) and (unseen := value.bit_length() // 4 - limit) > 0:
@@ -82,9 +82,10 @@ def _repr_pieces(value: Any, limit: int) -> Iterator[str]:
 
 
 def shorten(text: str, length: int) -> str:
-    """Printable text of at most `length` characters, its spaces kept; what does not print is `�`.
+    """Return printable text of at most `length` characters, with its spaces kept.
 
-    A line break and the spaces around it become one space: an instruction may have several lines.
+    A non-printable character becomes `�`. A line break and the spaces around it become one space,
+    because an instruction may have several lines.
 
     >>> shorten("tall white trash can", 10)
     'tall whit…'
@@ -96,7 +97,7 @@ def shorten(text: str, length: int) -> str:
 
 
 def printable_lines(text: object) -> str:
-    """The lines of a text of ours that quotes others' words, without control characters.
+    """Return our own multi-line text, which may quote outside text, without control characters.
 
     >>> printable_lines("robot.yaml: one fault\\nrobot.yaml: \\x1b[2J")
     'robot.yaml: one fault\\nrobot.yaml:  [2J'
@@ -105,8 +106,9 @@ def printable_lines(text: object) -> str:
 
 
 def some_lines(text: str, limit: int) -> str:
-    """The lines of a text from outside without control characters, of at most `limit` characters;
-    what is too long ends in `…`.
+    """Return multi-line outside text without control characters, of at most `limit` characters.
+
+    Text that is too long is cut and ends in `…`.
 
     >>> some_lines("a = 1\\nb\\x1b[2J = 2", 11)
     'a = 1\\nb [2…'
@@ -116,19 +118,21 @@ def some_lines(text: str, limit: int) -> str:
 
 
 def _printable(text: str) -> str:
-    if text.isprintable():  # nearly always, and a hundred times quicker
+    if text.isprintable():  # nearly always true, and a hundred times faster
         return text
     return "".join(c if c.isprintable() else " " for c in text)
 
 
 def read_json(text: bytes | str, most: int | None = None) -> Any:
-    """Return the data of a JSON text from outside.
+    """Return the data of JSON text from outside.
 
     Args:
-        most: values and commas that are taken; each value takes some twenty times its characters.
+        text: The JSON text.
+        most: Largest number of commas and opening brackets, an estimate of the number of values.
+            A parsed value takes about twenty times the memory of its text.
 
     Raises:
-        ValueError: it is no JSON, nested too deeply, or of too many values.
+        ValueError: The text is not JSON, is nested too deeply, or has too many values.
     """
     if most is not None:
         marks = (b",", b"[", b"{") if isinstance(text, bytes) else (",", "[", "{")
@@ -141,13 +145,14 @@ def read_json(text: bytes | str, most: int | None = None) -> Any:
 
 
 def read_json_object(text: bytes | str, most: int | None = None) -> dict[str, Any]:
-    """The object that JSON text from outside is.
+    """Return the object in JSON text from outside.
 
     Raises:
-        ValueError: it is none, or longer than `most` bytes; one line.
+        ValueError: The text is not a JSON object, or is longer than `most` bytes. The message is
+            one line.
     """
     if most is not None and len(text) > most:
-        raise ValueError(f"{len(text)} bytes, at most {most} are taken")
+        raise ValueError(f"{len(text)} bytes, at most {most} are accepted")
     data = read_json(text)
     if not isinstance(data, dict):
         raise ValueError("not a JSON object")
@@ -155,17 +160,20 @@ def read_json_object(text: bytes | str, most: int | None = None) -> dict[str, An
 
 
 def split_url(url: str, of: str, wanted: str) -> SplitResult:
-    """The parts of a server's URL.
+    """Return the parts of a server's URL.
 
     Args:
-        of: what the server is, for messages; `wanted`: what to do.
+        url: The URL, http or https.
+        of: Name of the server, for messages.
+        wanted: Advice to the user, for messages.
 
     Raises:
-        ValueError: it is none, or holds a password; one line that shows no secret.
+        ValueError: It is not a URL, or it holds a password. The message is one line that shows no
+            secret.
     """
     try:
         parts = urlsplit(url)
-        parts.port  # noqa: B018 - raises when it is no number
+        parts.port  # noqa: B018 - raises if it is not a number
     except ValueError:
         shown = one_line(without_secrets(url))
         raise ValueError(f"not the URL of {of}: {shown!r}; {wanted}") from None
@@ -179,7 +187,9 @@ def split_url(url: str, of: str, wanted: str) -> SplitResult:
 
 
 def aligned(rows: Sequence[Sequence[object]], left: int | None = None) -> str:
-    """A table: every column as wide as its widest cell, the first `left` (all) flush left.
+    """Return a text table with columns as wide as their widest cell.
+
+    The first `left` columns (default: all) are left-aligned, the others right-aligned.
 
     >>> aligned([["name", "n"], ["chair", 3], ["tv", 12]], left=1)
     'name    n\\nchair   3\\ntv     12'
@@ -197,13 +207,14 @@ def aligned(rows: Sequence[Sequence[object]], left: int | None = None) -> str:
 
 
 def without_secrets(data: Any, depth: int = 100) -> Any:
-    """The same without what may be secret: in a URL user and password, and what comes after its
-    path; in an endpoint of Zenoh what comes after its address; and whatever lies under a key that
-    says so (`password`, `token`, `api_key`, …).
+    """Return the data with possible secrets replaced by `***`.
+
+    Removed are the user, password, query and fragment of a URL, everything after the address of a
+    Zenoh endpoint, and each value under a key such as `password`, `token` or `api_key`.
 
     Args:
-        data: text, or JSON types with texts in them. Keys of objects stay as they are.
-        depth: of nesting; what lies deeper is left out.
+        data: Text, or JSON types that hold text. Keys of objects are not changed.
+        depth: Levels of nesting to keep. Deeper data becomes `…`.
 
     >>> without_secrets({"url": "https://me:pw@host/v1?key=42", "n": [1, "a://b"]})
     {'url': 'https://host/v1?***', 'n': [1, 'a://b']}

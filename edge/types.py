@@ -1,6 +1,6 @@
-"""What more than one package hands on or takes. Arrays are shared, not copied.
+"""Data types that packages exchange. Arrays are shared, not copied.
 
-Frozen but for `Instance`, which its tracker changes from frame to frame.
+All are frozen except `Instance`, which its tracker updates at each frame.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from edge.geometry import SE2, CameraModel, se2_of
 
 
 class Slot(Protocol):
-    """A reference-counted place in a frame pool (see `edge.sources.pool`)."""
+    """A reference-counted slot in a frame pool (see `edge.sources.pool`)."""
 
     def hold(self) -> None: ...
 
@@ -23,25 +23,25 @@ class Slot(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """What the robot saw at one instant, and where it stood then.
+    """Images or a point cloud of one instant, with the robot's pose at that time.
 
     Attributes:
-        seq: counts observations of this source from 0.
-        stamp_ns: capture time of the image or cloud.
-        T_map_base: (4, 4) float64, the pose at `stamp_ns`.
+        seq: Number of the observation in its source, from 0.
+        stamp_ns: Capture time of the image or cloud.
+        T_map_base: (4, 4) float64, pose of the robot at `stamp_ns`.
         rgb: (h, w, 3) uint8, or None.
-        depth_m: (h, w) float32 registered to `rgb`; NaN or 0 = no return; or None.
-        camera: intrinsics of `rgb` and `depth_m`; None when there is no image.
-        distortion: of the lens: `none`; `rectified`: by the source; `ignored`: the images are taken
-            for rectified.
-        T_base_camera: (4, 4) float64, base from optical frame.
-        cloud_m: (n, 3) float32 in the LiDAR's frame, or None. A row (x, y, inf) is no point but a
-            beam of a planar scan that met nothing up to (x, y, 0).
-        T_base_lidar: (4, 4) float64.
-        slot: the pool slot that owns the arrays; None when nothing is pooled.
-        pose_age_ns: how much older than `stamp_ns` the pose is, or a transform that it or a mount
-            is made of; 0: all are interpolated at the stamp.
-        lag_ns: how much newer the newest pose of the robot is; 0 in lockstep.
+        depth_m: (h, w) float32, registered to `rgb`; NaN or 0 = no return; or None.
+        camera: Intrinsics of `rgb` and `depth_m`; None if there is no image.
+        T_base_camera: (4, 4) float64, maps the optical frame into `base`.
+        cloud_m: (n, 3) float32 in the LiDAR frame, or None. A row (x, y, inf) is not a point, but
+            a beam of a planar scan that hit nothing between the sensor and (x, y, 0).
+        T_base_lidar: (4, 4) float64, maps the LiDAR frame into `base`.
+        slot: Pool slot that owns the arrays; None if they are not pooled.
+        pose_age_ns: Largest age, relative to `stamp_ns`, of the pose and of the transforms behind
+            the pose and the mounts. 0 if all are interpolated at the stamp.
+        distortion: Distortion of the lens. `none`: it has none; `rectified`: the source removed
+            it; `ignored`: the images are distorted, but used as if they were rectified.
+        lag_ns: Time from `stamp_ns` to the robot's newest pose; 0 in lockstep.
     """
 
     seq: int
@@ -63,7 +63,7 @@ class Observation:
         return se2_of(self.T_map_base)
 
     def hold(self) -> None:
-        """Keep the arrays from being overwritten until `release` is called as often."""
+        """Protect the arrays from reuse until a matching call of `release`."""
         if self.slot is not None:
             self.slot.hold()
 
@@ -74,14 +74,14 @@ class Observation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContextBoxes:
-    """Boxes of what stands around the targets, as parallel arrays, highest score first.
+    """Boxes of objects other than the targets, as parallel arrays, highest score first.
 
     Attributes:
         xyxy_px: (m, 4) float32 in pixels of the observation's image.
         score: (m,) float32 in [0, 1].
         class_id: (m,) int32, index into `words`.
-        words: canonical names of all that was looked for besides the targets; none is a target's,
-            nor of a kind of one.
+        words: Canonical names of the classes that were searched in addition to the targets. None
+            names a target or a kind of target.
     """
 
     xyxy_px: np.ndarray
@@ -94,7 +94,7 @@ class ContextBoxes:
 
 
 MASK_SIDE = 48
-"""Rows and columns of the raster that a mask is, over its box."""
+"""Rows and columns of a mask. A mask is a raster over its box."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,18 +102,27 @@ class Detections:
     """Boxes of one image, as parallel arrays, highest score first.
 
     Attributes:
-        observation: the observation they were found in (held until they are lifted).
+        observation: The observation of the image, held until the boxes are back-projected.
         xyxy_px: (n, 4) float32 in pixels of `observation.rgb`.
         score: (n,) float32 in [0, 1].
         class_id: (n,) int32, index into `prompts`.
-        prompts: what was asked for.
-        rival: (n,) float32, the best score of anything else on the same place (a background
-            prompt); None where nothing else was asked for.
-        context: what else was found, in boxes of its own; None where the detector does not tell.
-        model: card name of the model.
-        latency_ns: time from image to boxes, and masks.
-        mask: (n, MASK_SIDE, MASK_SIDE) bool, which cells of a raster over each box show the thing
-            itself (row = y); a box without any such cell has no mask. None: no masks are made.
+        prompts: Text classes that the detector searched for.
+        rival: (n,) float32, the best score of a competing class (a background prompt) at the same
+            place; None if there are no competing classes.
+        context: Boxes of other objects; None if the detector does not return them.
+        model: Card name of the model.
+        latency_ns: Time from the image to the boxes and masks.
+        mask: (n, MASK_SIDE, MASK_SIDE) bool, a raster over each box (row = y); True where the
+            object is visible. A box whose cells are all False has no mask. None if no masks were
+            made.
+
+    Example:
+        >>> observation = Observation(seq=0, stamp_ns=0, T_map_base=np.eye(4))
+        >>> boxes = np.array([[0, 0, 20, 20], [5, 5, 9, 9]], np.float32)
+        >>> score, class_id = np.array([0.9, 0.3], np.float32), np.zeros(2, np.int32)
+        >>> found = Detections(observation, boxes, score, class_id, ("chair",))
+        >>> len(found), len(found.above(0.5))
+        (2, 1)
     """
 
     observation: Observation
@@ -131,8 +140,10 @@ class Detections:
         return len(self.score)
 
     def around(self) -> Detections | None:
-        """The context's boxes as detections of their own, its words as prompts; None: there is
-        no context."""
+        """Return the context boxes as detections with its words as prompts.
+
+        Return None if there is no context.
+        """
         if self.context is None:
             return None
         c = self.context
@@ -142,21 +153,24 @@ class Detections:
         )  # fmt: skip
 
     def unrivalled(self) -> np.ndarray:
-        """(n,) bool: the boxes that nothing else explains better."""
+        """Return (n,) bool: True for boxes whose competing class does not score higher."""
         if self.rival is None:
             return np.ones(len(self), np.bool_)
         return self.score >= self.rival
 
     def without_rivals(self) -> Detections:
-        """Only the boxes that nothing else explains better."""
+        """Return only the boxes whose competing class does not score higher."""
         return replace(self.only(self.unrivalled()), rival=None)
 
     def above(self, score: float) -> Detections:
-        """Only the boxes with at least that score."""
+        """Return only the boxes with at least this score."""
         return self.only(self.score >= score)
 
     def only(self, chosen: np.ndarray) -> Detections:
-        """Only the boxes that `chosen`, (n,) bool or indices, names."""
+        """Return only the boxes that `chosen` selects, as (n,) bool or indices.
+
+        The context is kept.
+        """
         return replace(
             self,
             xyxy_px=self.xyxy_px[chosen],
@@ -172,18 +186,20 @@ InstanceState = Literal["seen", "confirmed", "refuted", "reached"]
 
 @dataclass(slots=True, eq=False)
 class Instance:
-    """A thing in the map that may be the target (VL-Nav III.C), merged over time.
+    """An object in the map that may be a target, merged over time (VL-Nav III.C).
 
     Attributes:
-        id: unique within a run.
-        label: the prompt it answers to.
+        id: Number, unique within a run.
+        label: Prompt that the object matches.
         center_m: (3,) float32 in `map`, median of its surface points.
-        points_m: (k, 3) float32 in `map`, voxel-filtered surface points, without those that
-            only few views show.
-        score: running confidence in [0, 1].
-        hits: frames it was detected in.
-        last_seen_ns: stamp of the newest of them.
-        state: `refuted` ones are never chased again.
+        points_m: (k, 3) float32 in `map`, voxel-filtered surface points. Points that only a few
+            views show are left out.
+        score: Running confidence in [0, 1].
+        hits: Number of frames with a detection of the object.
+        first_seen_ns: Stamp of the first of these frames.
+        last_seen_ns: Stamp of the newest of these frames.
+        state: `seen`: tentative; `confirmed`; `refuted`: rejected, no longer a candidate;
+            `reached`: the mission reached it.
     """
 
     id: int
@@ -197,32 +213,38 @@ class Instance:
     state: InstanceState = "seen"
 
     def copied(self) -> Instance:
-        """As it stands now; the arrays are shared, since they are replaced and never written to."""
+        """Return a copy that shares the arrays, which are replaced but never written to."""
         return Instance(
             self.id, self.label, self.center_m, self.points_m, self.score, self.hits,
             self.first_seen_ns, self.last_seen_ns, self.state,
         )  # fmt: skip
 
     def distance_m(self, x_m: float, y_m: float) -> float:
-        """Planar distance from a point to the nearest known surface point."""
+        """Return the planar distance from a point to the nearest known surface point."""
         d = self.points_m[:, :2] - np.array([x_m, y_m], dtype=np.float32)
         return float(np.sqrt((d * d).sum(axis=1).min()))
 
 
-# "look": there was nothing to go to, so the robot turns on the spot, or goes to where the camera
-# sees what it saw badly before. "trajectory": a task's, which moves ahead of the robot, or its turn
-# on the spot.
-CandidateKind = Literal["frontier", "instance", "look", "trajectory"]
+# "look": no candidate is left; the robot turns on the spot, goes to a viewpoint for a better look,
+# or stands still. "trajectory": a task's goal, which moves ahead of the robot on its trajectory, or
+# turns it on the spot. "place": a named place that the mission goes to.
+CandidateKind = Literal["frontier", "instance", "look", "trajectory", "place"]
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """Where the robot should go next.
+    """The pose that the robot should drive to.
 
     Attributes:
-        stamp_ns: when it was chosen; its identity on the wire.
-        pose: a free, reachable cell of the map that faces the candidate.
-        candidate_xy_m: the frontier or instance that it is for.
+        stamp_ns: Time of the choice. It identifies the goal in messages.
+        pose: Position to stand at and heading to face. For a frontier or an instance it is a free,
+            reachable cell, and the heading faces the candidate.
+        kind: Kind of candidate that the goal is for.
+        candidate_id: Id of the frontier, instance or spin candidate; 0 if the goal is for none, as
+            with goals of kind `trajectory` and with turns and views after the last candidate.
+        candidate_xy_m: Position of the candidate; the position of `pose` if there is none.
+        score: Score of the candidate; 0 if there is none.
+        target: Active target of the mission.
     """
 
     stamp_ns: int
@@ -236,10 +258,13 @@ class Goal:
 
 @dataclass(frozen=True, slots=True)
 class GoalStatus:
-    """The motion controller's answer to one goal (`stamp_ns` is the goal's).
+    """Status of one goal, as reported by the motion controller.
 
     Attributes:
-        blocked: where, x and y in `map`, the robot was held up just now; None: it was not.
+        stamp_ns: Stamp of the goal.
+        state: Latest state of the goal.
+        reason: Reason of a failure; may be empty.
+        blocked: Place (x, y) in `map` where the robot is blocked now; None if it is not blocked.
     """
 
     stamp_ns: int
@@ -255,11 +280,15 @@ MissionPhase = Literal[
 
 @dataclass(frozen=True, slots=True)
 class MissionStatus:
-    """How the mission stands; `reached` (fulfilled) and `failed` are final, `idle` is before any.
+    """Status of the mission.
 
     Attributes:
-        target: what is pursued now; at the end, what was pursued last.
-        instruction: what was asked for, as one line (`edge.text.one_line`).
+        target: Active target; after the end, the last one.
+        phase: `reached` (fulfilled) and `failed` are final. `idle`: no mission was given yet.
+        reason: Reason of the phase, for people.
+        elapsed_s: Time that the mission has taken.
+        path_m: Distance that the robot has driven for it.
+        instruction: Instruction as one line (`edge.text.one_line`).
     """
 
     target: str
@@ -281,15 +310,18 @@ StepKind = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One thing that happened to a mission.
+    """One entry of the mission log.
 
     Attributes:
-        kind: `target`: the plan now goes to `label`; `seen`, `reached`, `failed`: what became of
-            it; `nothing`: a step in which nothing is reached, as the formula asks; `warning`: the
-            robot is about to stop beside something that must not be reached now; `trajectory`: of
-            a task, how its trajectory comes about.
-        state: of the automaton, after it.
-        text: for people.
+        stamp_ns: Loop time of the entry.
+        kind: `start`, `end`: of the mission. `target`: the plan now goes to `label`. `seen`,
+            `reached`, `failed`: result for `label`. `nothing`: a step of the formula in which no
+            target is reached. `warning`: the goal is next to something that must not be reached
+            now, or a note at the start of the mission. `trajectory`: progress of a task's
+            trajectory.
+        label: Target of the entry.
+        state: State of the automaton after the entry.
+        text: Text for people.
     """
 
     stamp_ns: int

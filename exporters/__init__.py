@@ -1,4 +1,4 @@
-"""Export-time tools: torch → ONNX → INT8, each step with a parity check.
+"""Tools to export models: torch → ONNX → fewer bits, with a parity check after each step.
 
 Nothing in `edge` imports this package: torch and ultralytics (AGPL-3.0) stay off the robot.
 """

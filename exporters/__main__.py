@@ -1,13 +1,13 @@
-"""The whole chain for one model card: checkpoint → FP32 → FP16 or INT8, parity checked per step.
+"""Export of one model card: checkpoint → FP32 → FP16 or INT8, with a parity check after each step.
 
     python -m exporters yolo-world-s-256x320-int8-cpu --weights FILE.pt --calibration DIR \\
         --vocabulary FILE.npz --cache DIR
 
-Of a folder as Hugging Face publishes it, the files and their cards:
+For a folder as Hugging Face publishes it, makes the files and their cards:
 
     python -m exporters NAME --weights FOLDER --precision fp32 int8-cpu --calibration DIR
 
-Of a vision-language model that is here in FP32, its variants and their cards:
+For a vision-language model in FP32 that is already here, makes variants and their cards:
 
     python -m exporters NAME-fp32 --precision q4 --calibration DIR
 """
@@ -63,11 +63,11 @@ FOLDERS = {
     "clip": "exporters.clip", "siglip": "exporters.clip",
     "idefics3": "exporters.vlm", "smolvlm": "exporters.vlm", "qwen2_vl": "exporters.vlm",
 }  # fmt: skip
-"""By the `model_type` of a Hugging Face folder: the module that exports it."""
+"""Module that exports a Hugging Face folder, by the folder's `model_type`."""
 
 
 def named_card(name: str, folder: Path) -> Card:
-    """The card of a folder; raises UserError for one that is not there or not valid."""
+    """Return the card of a folder by name; raise UserError if it is missing or invalid."""
     path = folder / f"{name}.yaml"
     if not path.is_file():
         choices = ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))) or "none"
@@ -76,7 +76,7 @@ def named_card(name: str, folder: Path) -> Card:
 
 
 def load_card(name: str, folder: Path) -> DetectCard:
-    """A detector's card; raises UserError for one that is not valid, or not made from weights."""
+    """Return a detector's card; raise UserError if it is invalid, or is not made from weights."""
     path, card = folder / f"{name}.yaml", named_card(name, folder)
     if card.family in TRAINED:
         raise ExportError(f"{name}: made with `{TRAINED[card.family]}`, not from weights")
@@ -88,9 +88,9 @@ def load_card(name: str, folder: Path) -> DetectCard:
 
 
 def export_card(card: DetectCard, args: argparse.Namespace) -> ParityReport | None:
-    """Make a card's ONNX file and its sidecar in the cache; None where parity was not measured."""
+    """Make a card's ONNX file and its sidecar in the cache; None if parity was not measured."""
     if args.weights is None and card.derived_from is None:
-        raise ExportError(f"{card.name}: --weights is missing: it is made from nothing else")
+        raise ExportError(f"{card.name}: --weights is missing: give the checkpoint, a .pt file")
     text = _prompts(card, args)
     report = _export(card, args, text)
     if args.vocabulary is None:
@@ -109,13 +109,13 @@ def _export(
         _export_fp32(fp32, args, text)
     elif not (args.cache / fp32.file).is_file():
         raise ExportError(
-            f"{args.cache / fp32.file}: not there; give --weights FILE.pt to make {fp32.name} first"
+            f"{args.cache / fp32.file}: not found; give --weights FILE.pt to make {fp32.name} first"
         )
     return _export_derived(card, fp32, args, text)
 
 
 def _prompts(card: DetectCard, args: argparse.Namespace) -> TextEmbeddings:
-    """Household words of a vocabulary file, or the COCO names inside the checkpoint."""
+    """Return household words of a vocabulary file, or the COCO names inside the checkpoint."""
     if args.vocabulary is not None:
         return load_text_embeddings(args.vocabulary)
     if args.weights is None:
@@ -126,7 +126,7 @@ def _prompts(card: DetectCard, args: argparse.Namespace) -> TextEmbeddings:
 
 
 def keep_vocabulary(text: TextEmbeddings, out: Path) -> None:
-    """Write a vocabulary file for the service to look prompts up in, where there is none yet."""
+    """Write a vocabulary file for the service to look prompts up in, if there is none yet."""
     if out.exists():
         return
     with replace_atomically(out) as made, made.open("wb") as file:
@@ -137,14 +137,14 @@ def keep_vocabulary(text: TextEmbeddings, out: Path) -> None:
 def _export_fp32(
     card: DetectCard, args: argparse.Namespace, text: TextEmbeddings
 ) -> ParityReport | None:
-    """Checkpoint → FP32 ONNX, compared with torch where there are images to compare on."""
+    """Make FP32 ONNX from the checkpoint; compare it with torch if there are images."""
     from exporters.yolo_world import export_onnx, load_detector
 
     out = args.cache / card.file
     print(f"{card.name}: exporting {out}", file=sys.stderr)
     detector = load_detector(args.weights, card.weights_sources()[0].sha256)
     report = None
-    with replace_atomically(out) as made:  # a file that fails its limits never gets its name
+    with replace_atomically(out) as made:  # a file that fails its limits is discarded
         export_onnx(detector, card.input.height, card.input.width, made)
         if validation := pictures(args.calibration, args.validation)[1]:
             report = measure(torch_model(detector), made, validation, text)
@@ -156,7 +156,7 @@ def _export_fp32(
 def _export_derived(
     card: DetectCard, fp32: DetectCard, args: argparse.Namespace, text: TextEmbeddings
 ) -> ParityReport:
-    """FP32 ONNX → FP16 or INT8, compared with the FP32 on images it was not calibrated on."""
+    """Make FP16 or INT8 from FP32 ONNX; compare it with FP32 on images not used for calibration."""
     source, out, recipe = args.cache / fp32.file, args.cache / card.file, recipe_of(card.family)
     calibration, validation = split_images(args.calibration, args.validation)
     print(f"{card.name}: {len(calibration)} images to calibrate on", file=sys.stderr)
@@ -180,7 +180,7 @@ def _conclude(
     limits: Mapping[str, float],
     reference: str,
 ) -> None:
-    """Print a step's parity, write it to the card if asked, and hold it to its tolerance."""
+    """Print a step's parity, check it against its limits, and write it to the card if asked."""
     print(f"{card.name} against {reference}:\n{report.table()}", file=sys.stderr)
     if not args.no_gate:
         check_parity(report, limits, card.name)
@@ -195,7 +195,7 @@ def _update_card(path: Path, parity: dict) -> None:
 
 
 def card_parity(report: ParityReport, reference: str) -> dict:
-    """The part of a report that a card keeps; a score error that is not known is null."""
+    """Return the figures of a report that a card keeps; an unknown score error is null."""
     unknown = math.isnan(report.score_error)
     return {
         "reference": reference,
@@ -247,7 +247,7 @@ def main(argv: list[str] | None) -> None:
     parser.add_argument(
         "card",
         metavar="NAME",
-        help="a card, such as yolo-world-s-256x320-int8-cpu; of a folder, new",
+        help="a card, such as yolo-world-s-256x320-int8-cpu; for a folder: a new name",
     )
     parser.add_argument(
         "--weights", type=Path, help="the .pt file, or a model's folder; default: the cache's FP32"
@@ -257,10 +257,10 @@ def main(argv: list[str] | None) -> None:
         nargs="+",
         default=["fp32"],
         metavar="P",
-        help="of a folder or a vision-language model: what to make",
+        help="for a folder or a vision-language model: precisions to make",
     )
-    parser.add_argument("--family", help="of a folder: its cards' family; default: NAME")
-    parser.add_argument("--license", help="of a folder: default: what its README.md says")
+    parser.add_argument("--family", help="for a folder: its cards' family; default: NAME")
+    parser.add_argument("--license", help="for a folder: its licence; default: from its README.md")
     parser.add_argument("--calibration", type=Path, help="folder of images (all but fp32 need it)")
     parser.add_argument(
         "--validation",
@@ -272,7 +272,9 @@ def main(argv: list[str] | None) -> None:
     cards = resources.data_dir("models")
     parser.add_argument("--cards", type=Path, default=cards, help="folder of model cards")
     parser.add_argument("--update-card", action="store_true", help="write the parity to the card")
-    parser.add_argument("--no-gate", action="store_true", help="keep a model below the limits")
+    parser.add_argument(
+        "--no-gate", action="store_true", help="keep a model whose parity is below the limits"
+    )
     args = parser.parse_args(argv)
     if args.weights is not None and args.weights.is_dir():
         export_folder(args)

@@ -1,8 +1,8 @@
-"""Activation ranges for static quantization, from pictures.
+"""Activation ranges for static quantization, measured on images.
 
-Plain min–max wastes most of the 256 steps on values that hardly occur. Here the range of each
-tensor is the one that loses least, measured where the value is used: a convolution's output that
-goes into SiLU is judged after SiLU, which forgets nearly everything below -6.
+Plain min–max ranges waste most of the 256 steps on rare values. Here each tensor gets the range
+with the least error where the value is used. For example, a convolution's output that goes into
+SiLU is judged after SiLU, which loses nearly all values below -6.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ BINS = 2048
 LEVELS = 255
 """Steps of an 8-bit range."""
 MAX_LEVEL = 127
-"""Steps of a symmetric one, to either side of 0."""
+"""Steps of a symmetric 8-bit range on each side of 0."""
 SHRINK = np.linspace(0.1, 1.0, 37)
-"""Range ends that are tried, as shares of the observed extremes."""
+"""Range ends to try, as shares of the observed extremes."""
 
 Feed = dict[str, np.ndarray]
 
 
 @dataclass
 class Histogram:
-    """Values that a tensor took.
+    """Histogram of the values of a tensor.
 
     Attributes:
-        low, high: extremes, with 0 inside, since an 8-bit range must hold 0 exactly.
+        low: lowest value, at most 0, since an 8-bit range must hold 0 exactly.
+        high: highest value, at least 0.
         counts: (BINS,) float64 over [low, high].
     """
 
@@ -49,7 +50,7 @@ class Histogram:
 
 
 def float_tensors(model: onnx.ModelProto) -> list[str]:
-    """Names of every intermediate float tensor, in graph order."""
+    """Return the names of all intermediate float tensors, in graph order."""
     inferred = onnx.shape_inference.infer_shapes(model)
     known = {info.name: info.type.tensor_type.elem_type for info in inferred.graph.value_info}
     outputs = {output.name for output in model.graph.output}
@@ -58,7 +59,7 @@ def float_tensors(model: onnx.ModelProto) -> list[str]:
 
 
 def tensor_session(model: onnx.ModelProto, names: list[str]) -> InferenceSession:
-    """A session that also returns the intermediate float tensors `names`."""
+    """Return a session that also outputs the intermediate float tensors `names`."""
     augmented = onnx.ModelProto()
     augmented.CopyFrom(model)
     present = {output.name for output in model.graph.output}
@@ -73,10 +74,12 @@ def tensor_session(model: onnx.ModelProto, names: list[str]) -> InferenceSession
 def collect_histograms(
     model: onnx.ModelProto, feeds: list[Feed], names: list[str] | None = None
 ) -> dict[str, Histogram]:
-    """Histograms of tensors and of the inputs, over all feeds (two passes).
+    """Return histograms of tensors and of the inputs, over all feeds (two passes).
 
     Args:
-        names: of intermediate tensors; None: all of them.
+        model: model to run.
+        feeds: inputs, one for each image.
+        names: intermediate tensors; None for all of them.
     """
     names = float_tensors(model) if names is None else names
     session = tensor_session(model, names)
@@ -103,9 +106,9 @@ def collect_histograms(
 def least_loss_range(
     histogram: Histogram, used_as: Callable[[np.ndarray], np.ndarray] | None = None
 ) -> tuple[float, float]:
-    """The range whose 8-bit rounding and clipping change `used_as(value)` least, in mean square.
+    """Return the 8-bit range that changes `used_as(value)` least, in mean square.
 
-    `used_as` is the function through which the tensor acts, the identity by default.
+    `used_as` is the function through which the tensor acts, by default the identity.
     """
     used_as = used_as or (lambda x: x)
     x, counts = histogram.centres, histogram.counts
@@ -126,7 +129,7 @@ def least_loss_range(
 
 
 def least_loss_limit(histogram: Histogram) -> float:
-    """The largest magnitude of the symmetric 8-bit range that changes the values least."""
+    """Return the largest magnitude of the symmetric 8-bit range that changes the values least."""
     x, counts = histogram.centres, histogram.counts
     x, counts = x[counts > 0], counts[counts > 0]
     extreme = max(-histogram.low, histogram.high)
@@ -139,5 +142,5 @@ def least_loss_limit(histogram: Histogram) -> float:
 
 
 def silu(x: np.ndarray) -> np.ndarray:
-    """x · sigmoid(x), YOLO's activation."""
+    """Return x · sigmoid(x), YOLO's activation."""
     return x / (1.0 + np.exp(-x))

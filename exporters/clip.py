@@ -1,9 +1,9 @@
-"""The two towers of CLIP and SigLIP from a Hugging Face folder to ONNX files with their cards.
+"""Export of the two towers of CLIP and SigLIP from a Hugging Face folder to ONNX, with cards.
 
     edge models export NAME --weights FOLDER --precision fp32 int8-cpu --calibration PICTURES
 
-writes for each precision `NAME-image-PRECISION`, `NAME-text-PRECISION` and the scorer of the two,
-`NAME-PRECISION`; `edge.perception.embedding.clip` says what the files are like.
+writes for each precision `NAME-image-PRECISION`, `NAME-text-PRECISION`, and `NAME-PRECISION`, the
+scorer that uses both. `edge.perception.embedding.clip` describes the files.
 """
 
 from __future__ import annotations
@@ -39,9 +39,10 @@ from exporters.sidecar import write_sidecar
 from exporters.weight_only import quantize_weights
 
 TEXT_PRECISION = {"fp32": "fp32", "fp16": "fp16", "int8-cpu": "int8"}
-"""By the image tower's precision: a text is encoded once a mission, so size is what counts."""
+"""Precision of the text tower, by that of the image tower. A text is encoded once per mission, so
+its size matters more than its speed."""
 LEGACY_END = 2
-"""What old configurations of CLIP name as the end of a text; they mean the highest token."""
+"""End-of-text id in old configurations of CLIP; those models use the highest token instead."""
 
 
 class ImageTower(nn.Module):
@@ -65,7 +66,7 @@ class ClipTextTower(nn.Module):
         end = model.config.text_config.eos_token_id
         self.end = None if end == LEGACY_END else end
         context = model.config.text_config.max_position_embeddings
-        # Of finite numbers: -inf would not survive float16.
+        # A finite number: -inf would overflow in float16.
         mask = torch.full((context, context), -1e4).triu(1)[None, None]
         self.register_buffer("causal", mask, persistent=False)
 
@@ -79,7 +80,7 @@ class ClipTextTower(nn.Module):
 
 
 class SiglipTextTower(nn.Module):
-    """The same of SigLIP, which sees all places and takes the last."""
+    """SigLIP's text tower: it sees all positions, and its embedding is that of the last one."""
 
     def __init__(self, model: nn.Module) -> None:
         super().__init__()
@@ -98,7 +99,8 @@ class Family:
 
     Attributes:
         model: class of `transformers`.
-        pads: whether the model reads what fills a text up.
+        text_tower: module of the text tower.
+        pads: True if the model reads the padding of a text.
     """
 
     model: str
@@ -110,11 +112,11 @@ FAMILIES = {
     "clip": Family("CLIPModel", ClipTextTower, pads=False),
     "siglip": Family("SiglipModel", SiglipTextTower, pads=True),
 }
-"""By `model_type`. SigLIP 2's checkpoints of one resolution call themselves `siglip` too."""
+"""Architectures by `model_type`. SigLIP 2 checkpoints of one resolution are also `siglip`."""
 
 
 def load_towers(folder: Path) -> tuple[ImageTower, nn.Module]:
-    """Image and text tower of a folder; raises ExportError for another architecture."""
+    """Return image and text tower of a folder; raise ExportError for another architecture."""
     import transformers
 
     family = _family(folder)
@@ -133,14 +135,14 @@ def _family(folder: Path) -> Family:
 
 
 def export(args: Any) -> dict[str, EmbeddingReport | None]:
-    """Make every file and card that was asked for; the parity by card, None where unknown.
+    """Make all files and cards that were asked for; return the parity by card, None if unknown.
 
     Args:
         args: card (the name), weights (the folder), precision, calibration, validation, cache,
             family, license, no_gate: see `exporters.__main__`.
 
     Raises:
-        ExportError: the folder or the pictures cannot be used, or a parity misses its limits.
+        ExportError: the folder or the images cannot be used, or a parity misses its limits.
     """
     folder: Path = args.weights
     wanted = ["fp32", *(p for p in args.precision if p != "fp32")]
@@ -170,10 +172,10 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
 def make_cards(
     folder: Path, precision: str, towers: tuple[nn.Module, nn.Module], args: Any
 ) -> list[dict[str, Any]]:
-    """Cards of the image tower, of the text tower and of the pair, in one precision.
+    """Return the cards of the image tower, the text tower and the pair, in one precision.
 
     Raises:
-        ExportError: the folder asks for what the runtime does not do to images or texts.
+        ExportError: the folder needs preprocessing that the runtime does not have.
     """
     image, text = (
         f"{args.card}-image-{precision}",
@@ -214,26 +216,26 @@ def make_cards(
 
 
 def image_preprocess(folder: Path) -> dict[str, Any]:
-    """`input` and `preprocess` of an image card, from the folder's `preprocessor_config.json`.
+    """Return `input` and `preprocess` of an image card, from `preprocessor_config.json`.
 
     Raises:
-        ExportError: it asks for anything but a resize, a crop and a normalization.
+        ExportError: it needs more than a resize, a crop and a normalization.
     """
     path = folder / "preprocessor_config.json"
-    told = hugging_face.read_json(path)
-    size = _height_width(told.get("size"), path)
-    crops = bool(told.get("do_center_crop"))
-    if crops and _height_width(told.get("crop_size"), path) != size:
-        raise ExportError(f"{path}: crop_size: must be size; the service crops to what it resizes")
-    if not crops and "shortest_edge" in (told.get("size") or {}):
-        raise ExportError(f"{path}: do_center_crop: must be true where size is the shortest edge")
-    mean, std = told.get("image_mean", [0.0] * 3), told.get("image_std", [1.0] * 3)
-    if not told.get("do_normalize", True):
+    settings = hugging_face.read_json(path)
+    size = _height_width(settings.get("size"), path)
+    crops = bool(settings.get("do_center_crop"))
+    if crops and _height_width(settings.get("crop_size"), path) != size:
+        raise ExportError(f"{path}: crop_size: must equal size; the service supports no other crop")
+    if not crops and "shortest_edge" in (settings.get("size") or {}):
+        raise ExportError(f"{path}: do_center_crop: must be true if size is the shortest edge")
+    mean, std = settings.get("image_mean", [0.0] * 3), settings.get("image_std", [1.0] * 3)
+    if not settings.get("do_normalize", True):
         mean, std = [0.0] * 3, [1.0] * 3
     return {
         "input": {"height": size[0], "width": size[1]},
         "preprocess": {
-            "color": "rgb", "scale": float(told.get("rescale_factor", 1 / 255)),
+            "color": "rgb", "scale": float(settings.get("rescale_factor", 1 / 255)),
             "mean": [float(m) for m in mean], "std": [float(s) for s in std],
             "fit": "crop" if crops else "stretch",
         },
@@ -241,7 +243,7 @@ def image_preprocess(folder: Path) -> dict[str, Any]:
 
 
 def _height_width(size: Any, path: Path) -> tuple[int, int]:
-    """Of a size as processors tell it: a number, a shortest edge, or both sides."""
+    """Return height and width of a size in any of the processors' forms."""
     if isinstance(size, int):
         return size, size
     if isinstance(size, dict):
@@ -249,11 +251,11 @@ def _height_width(size: Any, path: Path) -> tuple[int, int]:
             return edge, edge
         if isinstance(size.get("height"), int) and isinstance(size.get("width"), int):
             return size["height"], size["width"]
-    raise ExportError(f"{path}: size: {one_line(size)} is not understood (height and width)")
+    raise ExportError(f"{path}: size: {one_line(size)} is unknown; give height and width")
 
 
 class _Maker:
-    """Makes one tower after the other, and holds each against the step before it."""
+    """Makes one tower after the other, and compares each with the step before it."""
 
     def __init__(
         self,
@@ -278,14 +280,14 @@ class _Maker:
             "image": [pixels_of(read_rgb(p), image_card) for p in validation],
             "text": [row[None] for row in tokens],
         }
-        # What the other tower's rows are ranked by is the original's, for every variant.
+        # All variants are ranked against the original's embeddings of the other tower.
         self._rows = {
             task: _embed_torch(tower, self._tests[task])
             for task, tower in zip(("image", "text"), towers, strict=True)
         }
 
     def make(self, card: dict[str, Any]) -> EmbeddingReport | None:
-        """The file and the sidecar of a card; None where there is nothing to compare on."""
+        """Make the file and the sidecar of a card; None if there is nothing to compare on."""
         task, precision, source = card["task"], card["precision"], card["derived_from"]
         out = self._args.cache / card["file"]
         print(f"{card['name']}: exporting {out}", file=sys.stderr)
@@ -321,12 +323,12 @@ class _Maker:
 
 
 def sentences() -> list[str]:
-    """What a text tower is compared on: VLFM's sentence of what robots are sent to find."""
+    """Return the sentences that a text tower is compared on: VLFM's prompt with common targets."""
     return [SENTENCE.format(names.normalise(word)) for word in PROMPTS.split(",")]
 
 
 def tokens_of(card: TextCard, folder: Path, texts: list[str]) -> np.ndarray:
-    """Texts as a card's model reads them, (n, context) int64."""
+    """Return texts as tokens of a card's model, (n, context) int64."""
     tokenizer = hugging_face.open_tokenizer(folder / card.tokenizer.file)
     tokenizer.no_padding()
     tokenizer.no_truncation()
@@ -338,14 +340,14 @@ def tokens_of(card: TextCard, folder: Path, texts: list[str]) -> np.ndarray:
 
 
 def export_tower(tower: nn.Module, out: Path, task: str, example: Tensor) -> None:
-    """FP32: one image of one size, or any number of texts."""
+    """Write a tower as FP32 ONNX: one image of one size, or any number of texts."""
     name = "pixels" if task == "image" else "tokens"
     free = {} if task == "image" else {name: {0: "n"}, "embeddings": {0: "n"}}
     export_module(tower, out, {name: example}, ("embeddings",), free)
 
 
 def derive(fp32: Path, out: Path, feeds: list[dict[str, np.ndarray]], precision: str) -> None:
-    """FP32 ONNX → `out` in another precision."""
+    """Write another precision of a FP32 ONNX file to `out`."""
     if precision == "fp16":
         write_fp16(fp32, out, feeds, Recipe())
     elif precision == "int8-cpu":
@@ -356,14 +358,14 @@ def derive(fp32: Path, out: Path, feeds: list[dict[str, np.ndarray]], precision:
 
 
 def _embed_torch(tower: nn.Module, inputs: list[np.ndarray]) -> np.ndarray:
-    """(n, d), one row for each input of one row."""
+    """Return (n, d): one embedding for each input."""
     with torch.inference_mode():
         rows = [tower(torch.from_numpy(batch)).numpy() for batch in inputs]
     return np.concatenate(rows) if rows else np.empty((0, 0), np.float32)
 
 
 def embed_onnx(path: Path, inputs: list[np.ndarray]) -> np.ndarray:
-    """The same with a file, on the CPU."""
+    """Return (n, d): one embedding for each input, by an ONNX file on the CPU."""
     session = cpu_session(path, threads=2)
     name = session.get_inputs()[0].name
     return np.concatenate([session.run(["embeddings"], {name: batch})[0] for batch in inputs])

@@ -1,4 +1,4 @@
-"""How well one encoder repeats another: the check at the end of each export step of an encoder."""
+"""Parity check of encoders: how well one encoder repeats another, after each export step."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ LIMITS = {
     "int8": {"cosine": 0.995, "rank_agreement": 0.97},
     "int8-cpu": {"cosine": 0.95, "rank_agreement": 0.9},
 }
-"""By the precision of what is compared."""
+"""Limits by the precision of the candidate."""
 
 
 @dataclass(frozen=True)
 class EmbeddingReport(Report):
-    """What a candidate kept of a reference.
+    """Agreement of a candidate's embeddings with a reference's.
 
     Attributes:
         inputs: number of images or texts.
-        cosine: the lowest between the two embeddings of an input.
-        mean_cosine: the mean of them.
-        rank_agreement: see `rank_agreement`; NaN where nothing was ranked.
-        max_abs_diff: largest difference of a number of two unit rows.
+        cosine: lowest cosine between the two embeddings of an input.
+        mean_cosine: mean of these cosines.
+        rank_agreement: see `rank_agreement`; NaN if nothing was ranked.
+        max_abs_diff: largest difference of an element of two unit rows.
     """
 
     inputs: int
@@ -38,7 +38,7 @@ class EmbeddingReport(Report):
     max_abs_diff: float
 
     def for_card(self, reference: str) -> dict:
-        """The part that a card keeps (`edge.perception.runtime.card_types.EmbeddingParity`)."""
+        """Return the figures that a card keeps (`card_types.EmbeddingParity`)."""
         unknown = math.isnan(self.rank_agreement)
         return {
             "reference": reference,
@@ -51,14 +51,16 @@ class EmbeddingReport(Report):
 def compare(
     reference: np.ndarray, candidate: np.ndarray, others: np.ndarray | None = None
 ) -> EmbeddingReport:
-    """Embeddings of the same inputs by two encoders, (n, d) each.
+    """Compare embeddings of the same inputs by two encoders, (n, d) each.
 
     Args:
-        others: (m, d), what the inputs are ranked by, as VLFM ranks views by a text: the text rows
-            that images are compared with, or the image rows for texts.
+        reference: (n, d).
+        candidate: (n, d).
+        others: (m, d), rows of the other tower that the inputs are ranked by, as VLFM ranks views
+            by a text.
 
     Raises:
-        ExportError: nothing to compare, or a row that has no direction.
+        ExportError: there are no inputs, or a row has no direction.
     """
     if not len(reference):
         raise ExportError("parity: nothing to compare on; give pictures or texts")
@@ -78,23 +80,23 @@ def compare(
 
 
 def rank_agreement(reference: np.ndarray, candidate: np.ndarray) -> float:
-    """Share of the pairs of rows that two tables of scores (n, m) order alike, over all columns.
+    """Return the share of row pairs that two score tables (n, m) order alike, over all columns.
 
-    It is Kendall's tau (Kendall 1938, "A new measure of rank correlation") as a share, (tau + 1)/2.
-    Pairs that the reference scores alike are not counted; NaN where there are no others.
+    This is Kendall's tau (Kendall 1938, "A new measure of rank correlation") as a share, (tau +
+    1)/2. Pairs with equal reference scores are not counted; NaN if no pair is left.
     """
     first, second = np.triu_indices(len(reference), k=1)
     above = np.sign(reference[first] - reference[second])
-    told = above != 0
-    if not told.any():
+    differs = above != 0
+    if not differs.any():
         return float("nan")
-    return float((np.sign(candidate[first] - candidate[second]) == above)[told].mean())
+    return float((np.sign(candidate[first] - candidate[second]) == above)[differs].mean())
 
 
 def _unit(which: str, rows: np.ndarray) -> np.ndarray:
     norms = np.linalg.norm(rows.astype(np.float64), axis=1, keepdims=True)
     if not (np.isfinite(norms).all() and norms.all()):
         raise ExportError(
-            f"the {which}'s embeddings are zero or not finite; check the weights that it is made of"
+            f"the {which}'s embeddings are zero or not finite; check the weights it is made from"
         )
     return rows / norms

@@ -1,4 +1,4 @@
-"""Files that an export reads, and errors that say what to do."""
+"""Files that an export reads, and errors for the user."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from edge.perception.runtime import model_file
 
 
 class ExportError(UserError):
-    """An error that the user can act on; its text is one line: what, where, what to do."""
+    """An error that the user can fix; its text is one line: what, where, what to do."""
 
 
 def tells_errors(main: Callable[[list[str] | None], object]) -> Callable[..., int]:
-    """A program whose errors that a user can act on are a line on stderr, and exit code 1."""
+    """Wrap a program: print a UserError as one line on stderr, and return exit code 1."""
 
     @wraps(main)
-    def told(argv: list[str] | None = None) -> int:
+    def run(argv: list[str] | None = None) -> int:
         try:
             main(argv)
         except UserError as error:
@@ -28,7 +28,7 @@ def tells_errors(main: Callable[[list[str] | None], object]) -> Callable[..., in
             return 1
         return 0
 
-    return told
+    return run
 
 
 def at_least_one(args: argparse.Namespace, *options: str) -> None:
@@ -41,7 +41,7 @@ def at_least_one(args: argparse.Namespace, *options: str) -> None:
 
 
 def sha256_of(path: Path) -> str:
-    """Hex digest of a file; raises ExportError if it cannot be read."""
+    """Return the hex digest of a file; raise ExportError if it cannot be read."""
     try:
         return model_file.sha256_of(path)
     except OSError as error:
@@ -53,6 +53,6 @@ def check_sha256(path: Path, expected: str) -> None:
     found = sha256_of(path)
     if found != expected:
         raise ExportError(
-            f"{path}: sha256 is {found[:12]}…, expected {expected[:12]}…; not loaded, since a "
+            f"{path}: sha256 is {found[:12]}…, expected {expected[:12]}…; not loaded, because a "
             "checkpoint can run code: fetch the file again from the card's sources"
         )

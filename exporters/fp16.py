@@ -1,7 +1,7 @@
-"""Float16 of a float32 detector; its inputs and outputs stay float32.
+"""Conversion of a float32 detector to float16; its inputs and outputs stay float32.
 
-Two kinds of nodes stay in float32: those of the family's recipe, and those that came near the end
-of float16's range on the calibration images, where a brighter room would make them infinite.
+Two kinds of nodes stay in float32: those of the family's recipe, and those whose values come near
+the end of float16's range on the calibration images. In a brighter room they would overflow.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from exporters.onnx_format import check_format
 from exporters.recipes import Recipe, nodes_like
 
 SAFE_LIMIT = float(np.finfo(np.float16).max) / 8
-"""Largest value that a node may show on calibration images and still go to float16."""
+"""Nodes with larger values on the calibration images stay in float32."""
 
 
 def write_fp16(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe) -> None:
     """Write the float16 model of `fp32` to `out`; see `to_fp16`."""
     if not feeds:
-        raise ExportError("float16: no images to see its values on; give a folder of pictures")
+        raise ExportError("float16: no images to check value ranges on; give a folder of images")
     model = onnx.load(fp32)
     with replace_atomically(out) as temporary:
         onnx.save(to_fp16(model, kept_nodes(model, feeds, recipe)), temporary)
@@ -33,17 +33,19 @@ def write_fp16(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe) -> None
 
 
 def kept_nodes(model: onnx.ModelProto, feeds: list[Feed], recipe: Recipe) -> set[str]:
-    """Names of the nodes that stay in float32."""
+    """Return the names of the nodes that stay in float32."""
     return set(nodes_like(model, recipe.not_fp16)) | overflowing_nodes(model, feeds)
 
 
 def to_fp16(
     model: onnx.ModelProto, kept: set[str], half_ends: tuple[str, ...] = ()
 ) -> onnx.ModelProto:
-    """The model with float16 inside, but for the nodes `kept`; constants are clipped to it.
+    """Return the model in float16, except for the nodes `kept`; constants are clipped to its range.
 
     Args:
-        half_ends: beginnings of the names of inputs and outputs that become float16 too.
+        model: the float32 model.
+        kept: names of nodes that stay in float32.
+        half_ends: prefixes of the names of inputs and outputs that become float16 too.
     """
     from onnxruntime.transformers.float16 import convert_float_to_float16
     from onnxruntime.transformers.onnx_model import OnnxModel
@@ -60,12 +62,12 @@ def to_fp16(
 def overflowing_nodes(
     model: onnx.ModelProto, feeds: list[Feed], limit: float = SAFE_LIMIT
 ) -> set[str]:
-    """Names of the nodes that read or write a value beyond ±`limit` (or NaN) on `feeds`."""
+    """Return the names of nodes that read or write a value beyond ±`limit` (or NaN) on `feeds`."""
     names = float_tensors(model)
     session = tensor_session(model, names)
     large: set[str] = set()
     for feed in counted("pictures: values", feeds):
-        found = session.run(names, feed) if names else []  # no name asks for all outputs
+        found = session.run(names, feed) if names else []  # an empty list means all outputs
         for name, value in (*feed.items(), *zip(names, found, strict=True)):
             if not np.abs(value).max(initial=0.0) <= limit:
                 large.add(name)
@@ -75,7 +77,7 @@ def overflowing_nodes(
 
 
 def drop_round_trips(model: onnx.ModelProto) -> None:
-    """Take out float32 → float16 → float32, which the converter leaves around kept nodes."""
+    """Remove float32 → float16 → float32, which the converter leaves around kept nodes."""
     graph = model.graph
     to_half = {n.output[0]: n.input[0] for n in graph.node if _is_cast(n, onnx.TensorProto.FLOAT16)}
     trips = [n for n in graph.node if _is_cast(n, onnx.TensorProto.FLOAT) and n.input[0] in to_half]
@@ -84,7 +86,7 @@ def drop_round_trips(model: onnx.ModelProto) -> None:
         while instead[name] in instead:
             instead[name] = instead[instead[name]]
     results = {output.name for output in graph.output}
-    # A result keeps its name: there the value before the trip takes the result's.
+    # A model output keeps its name: the value before the round trip takes that name.
     renamed = {source: name for name, source in instead.items() if name in results}
     for node in trips:
         graph.node.remove(node)

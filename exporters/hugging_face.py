@@ -1,7 +1,6 @@
-"""A model's folder as Hugging Face publishes it: configuration, weights, tokenizer, licence.
+"""Reader of Hugging Face model folders: configuration, weights, tokenizer, licence.
 
-Only safetensors are read, and only from the folder: a .bin is a pickle, which can run code, and
-neither code nor anything else is fetched.
+Only safetensors are read, because a .bin is a pickle, which can run code. Nothing is downloaded.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ LICENSE_UNKNOWN = "unknown"
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object of a model's folder; raises ExportError if it is not there or is none."""
+    """Return a JSON object of a model's folder; raise ExportError if it is missing or invalid."""
     try:
         return read_json_object(read_regular(path))
     except (OSError, ValueError) as error:
@@ -40,7 +39,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def model_type(folder: Path) -> str:
-    """The architecture that a folder's `config.json` names."""
+    """Return the architecture that a folder's `config.json` names."""
     found = read_json(folder / CONFIG).get("model_type")
     if not isinstance(found, str):
         raise ExportError(f"{folder / CONFIG}: model_type: missing; give a folder of transformers")
@@ -48,30 +47,31 @@ def model_type(folder: Path) -> str:
 
 
 def weight_files(folder: Path) -> list[Path]:
-    """Its safetensors, in name order; raises ExportError if there are none."""
+    """Return the folder's safetensors, in name order; raise ExportError if there are none."""
     found = sorted(folder.glob("*.safetensors"))
     if not found:
         raise ExportError(
-            f"{folder}: no *.safetensors; fetch the model's own (a .bin is not opened, since it "
-            "can run code)"
+            f"{folder}: no *.safetensors; fetch the model's safetensors (a .bin is not opened, "
+            "because it can run code)"
         )
     return found
 
 
 def weights_sha256(folder: Path) -> str:
-    """One digest of all weights: of their own digests, in name order."""
+    """Return one digest of all weights: of their own digests, in name order."""
     own = "".join(sha256_of(path) for path in weight_files(folder))
     return hashlib.sha256(own.encode()).hexdigest()
 
 
 def load(kind: type, folder: Path) -> nn.Module:
-    """The model with all of its weights, float32, in evaluation mode, its attention spelt out.
+    """Return the model with all its weights: float32, evaluation mode, eager attention.
 
     Args:
         kind: the class of `transformers`.
+        folder: the model's folder.
 
     Raises:
-        ExportError: it cannot be loaded, or weights are missing, which would be left random.
+        ExportError: the model cannot be loaded, or weights are missing, which would stay random.
     """
     weight_files(folder)
     import torch
@@ -93,7 +93,7 @@ def load(kind: type, folder: Path) -> nn.Module:
 
 
 def license_of(folder: Path) -> str:
-    """What the front matter of its `README.md` says; `unknown` where that says nothing."""
+    """Return the licence in the front matter of `README.md`; `unknown` without one."""
     try:
         text = read_regular(folder / "README.md").decode("utf-8")
         _, front, _ = text.split("---", 2)
@@ -104,11 +104,12 @@ def license_of(folder: Path) -> str:
 
 
 def tokenizer_text(folder: Path, lowercase: bool = False) -> str:
-    """The content of its `tokenizer.json`.
+    """Return the content of the folder's `tokenizer.json`.
 
     Args:
-        lowercase: the model was trained on lower case, which some tokenizers leave to code of
-            `transformers`: it is put into the file where it is not yet.
+        folder: the model's folder.
+        lowercase: True if the model was trained on lower case. Some tokenizers leave this to code
+            of `transformers`; then it is added to the file.
     """
     path = folder / TOKENIZER
     tokenizer = open_tokenizer(path)
@@ -122,12 +123,12 @@ def tokenizer_text(folder: Path, lowercase: bool = False) -> str:
 
 
 def open_tokenizer(path: Path) -> Any:
-    """A `tokenizers.Tokenizer`; raises ExportError if there is none."""
+    """Return a `tokenizers.Tokenizer`; raise ExportError if there is none."""
     from tokenizers import Tokenizer
 
     if not path.is_file():
         raise ExportError(
-            f"{path}: not there; save one with transformers' AutoTokenizer (save_pretrained)"
+            f"{path}: not found; save one with transformers' AutoTokenizer (save_pretrained)"
         )
     try:
         return Tokenizer.from_file(str(path))
@@ -139,13 +140,13 @@ def check_tokens(folder: Path, tokens: Iterable[int], size: int) -> None:
     """Raise ExportError if a token is beyond the model's vocabulary of `size`."""
     if (largest := max(tokens, default=0)) >= size:
         raise ExportError(
-            f"{folder / TOKENIZER}: token {largest}, where the model knows {size}: the files are "
-            "of two models; fetch the folder again"
+            f"{folder / TOKENIZER}: token {largest}, but the model has {size} tokens: the files "
+            "are of two models; fetch the folder again"
         )
 
 
 def pad_token(folder: Path) -> int:
-    """The number of the token that fills a text up; raises ExportError if none is named."""
+    """Return the id of the padding token; raise ExportError if none is named."""
     path = folder / "tokenizer_config.json"
     named = read_json(path).get("pad_token")
     named = named.get("content") if isinstance(named, dict) else named

@@ -1,4 +1,4 @@
-"""Images and prompts that a model is calibrated and checked on."""
+"""Images and prompts for calibration and parity checks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PROMPTS = (
     "potted plant,picture frame,mirror,pillow,carpet,curtain,door,window,trash can,dumbbell,ball,"
     "box,bottle,book,person,car,bicycle,tree,traffic light,fan,clock"
 )
-"""What robots are sent to find, in the words of the CLIP vocabulary file."""
+"""Common targets of robots, in the words of the CLIP vocabulary file."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class TextEmbeddings:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """Image files of a folder and its subfolders in name order; raises ExportError if none."""
+    """Return the images of a folder and its subfolders, by name; raise ExportError if none."""
     paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
     if not paths:
         raise ExportError(
@@ -50,7 +50,7 @@ def list_images(folder: Path) -> list[Path]:
 
 
 def digest_of(paths: list[Path]) -> str:
-    """One sha256 over the contents of files, in the order given."""
+    """Return one sha256 over the contents of files, in the given order."""
     digest = hashlib.sha256()
     for path in paths:
         digest.update(hashlib.sha256(read_regular(path)).digest())
@@ -58,13 +58,13 @@ def digest_of(paths: list[Path]) -> str:
 
 
 def load_input(path: Path, hw: tuple[int, int]) -> np.ndarray:
-    """One image file as the detector's `images` input, (1, 3, H, W) float32 RGB 0..1."""
+    """Return an image file as the detector's `images` input, (1, 3, H, W) float32 RGB 0..1."""
     return as_input(letterbox(read_rgb(path), hw))
 
 
 def read_rgb(path: Path) -> np.ndarray:
-    """One image file, (h, w, 3) uint8; raises ExportError if it is none."""
-    # OpenCV would wait for ever at a pipe.
+    """Return an image file as (h, w, 3) uint8; raise ExportError if it cannot be read."""
+    # OpenCV would wait forever on a pipe.
     bgr = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
     if bgr is None:
         raise ExportError(f"{path}: not a readable image; remove it from the folder")
@@ -72,12 +72,12 @@ def read_rgb(path: Path) -> np.ndarray:
 
 
 def as_input(rgb: np.ndarray) -> np.ndarray:
-    """(h, w, 3) uint8 → (1, 3, h, w) float32 in 0..1."""
+    """Convert (h, w, 3) uint8 to (1, 3, h, w) float32 in 0..1."""
     return np.ascontiguousarray(rgb.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
 
 
 def letterbox(rgb: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
-    """Scale (h, w, 3) uint8 to fit H×W, centred on grey; (H, W, 3) uint8."""
+    """Scale (h, w, 3) uint8 to fit H×W, centred on grey; return (H, W, 3) uint8."""
     scale = min(hw[0] / rgb.shape[0], hw[1] / rgb.shape[1])
     height, width = round(rgb.shape[0] * scale), round(rgb.shape[1] * scale)
     interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
@@ -90,7 +90,7 @@ def letterbox(rgb: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
 
 
 def load_text_embeddings(path: Path) -> TextEmbeddings:
-    """Embeddings of those of `PROMPTS` that a vocabulary .npz with `names` and `emb` has."""
+    """Return the embeddings of `PROMPTS` that a vocabulary .npz (`names`, `emb`) has."""
     try:
         words, rows = load_vocabulary(path)
     except PromptError as error:
@@ -98,5 +98,5 @@ def load_text_embeddings(path: Path) -> TextEmbeddings:
     index = {word: row for row, word in enumerate(words)}
     chosen = [word for word in PROMPTS.split(",") if word in index]
     if not chosen:
-        raise ExportError(f"{path}: has none of the words that robots are sent for, such as chair")
+        raise ExportError(f"{path}: has none of the usual targets, such as chair; give another")
     return TextEmbeddings(tuple(chosen), rows[[index[word] for word in chosen]])

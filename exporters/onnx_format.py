@@ -1,4 +1,4 @@
-"""ONNX files: the versions that all of ours keep to, made from PyTorch, run on the CPU."""
+"""ONNX files: the format version of all exports, export from PyTorch, sessions on the CPU."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from torch import nn
 
 OPSET = 19
-"""Opset of the exports: the newest the TorchScript exporter writes without warnings."""
+"""Opset of the exports: the newest that the TorchScript exporter writes without warnings."""
 
 
 def check_format(path: Path) -> None:
@@ -30,10 +30,11 @@ def check_format(path: Path) -> None:
 
 
 def cpu_session(model: Path | bytes, threads: int = 0) -> onnxruntime.InferenceSession:
-    """A session on the CPU, of a file or of its content; raises ExportError if it is no model.
+    """Return a session on the CPU, for a file or its content; raise ExportError if it cannot load.
 
     Args:
-        threads: 0: one a core.
+        model: path or content of an ONNX file.
+        threads: 0 for one for each core.
     """
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads, options.log_severity_level = threads, 3
@@ -41,7 +42,7 @@ def cpu_session(model: Path | bytes, threads: int = 0) -> onnxruntime.InferenceS
     try:
         content = model if isinstance(model, bytes) else str(model)
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime raises many types of its own
+    except Exception as error:  # onnxruntime raises many types
         what = "the model" if isinstance(model, bytes) else model
         raise ExportError(f"{what}: cannot be loaded: {one_line(error)}") from None
 
@@ -53,8 +54,11 @@ def export_module(
     """Write a PyTorch module as ONNX.
 
     Args:
-        inputs: tensors to trace it with, by name.
-        free: names of the axes that any size may have, by input or output and axis.
+        module: module to trace.
+        out: file to write.
+        inputs: example tensors, by name.
+        outputs: names of the outputs.
+        free: names of the dynamic axes, by input or output and axis.
     """
     with replace_atomically(out) as temporary:
         trace_module(module, temporary, inputs, outputs, free)
@@ -65,11 +69,11 @@ def trace_module(
     module: nn.Module, out: Path, inputs: dict[str, Any], outputs: tuple[str, ...],
     free: dict[str, dict[int, str]],
 ) -> None:  # fmt: skip
-    """The same, with its weights in files beside it where one ONNX file does not hold them."""
+    """Write a PyTorch module as ONNX, with external weight files if one file cannot hold them."""
     import torch
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # dynamo=False is deprecated, see below
+        warnings.simplefilter("ignore", DeprecationWarning)  # of dynamo=False, see below
         warnings.simplefilter("ignore", torch.jit.TracerWarning)  # sizes are constants on purpose
         torch.onnx.export(
             module, tuple(inputs.values()), str(out),

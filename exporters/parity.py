@@ -1,4 +1,4 @@
-"""How well one detector repeats another: the check at the end of each export step."""
+"""Parity check of detectors: how well one detector repeats another, after each export step."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ INT8_LIMITS = {"recall": 0.95, "precision": 0.8}
 
 @dataclass(frozen=True)
 class ParityReport(Report):
-    """What a candidate kept of a reference.
+    """Agreement of a candidate's detections with a reference's.
 
     Attributes:
         images: number of images.
         detections: reference detections at `SCORE_THRESHOLD` after class-wise NMS.
-        recall: share of those that the candidate also has (same class, IoU >= `MATCH_IOU`).
+        recall: share of these that the candidate also has (same class, IoU >= `MATCH_IOU`).
         precision: share of the candidate's detections that the reference also has.
         score_error: mean of |candidate - reference| / reference over every anchor and class whose
-            reference score lies in `SCORE_BAND`; NaN where there is none.
+            reference score lies in `SCORE_BAND`; NaN if there is none.
         score_bias: mean of (candidate - reference) / reference over the same.
         max_abs_diff: largest score difference anywhere.
     """
@@ -56,7 +56,7 @@ class ParityReport(Report):
 def select_boxes(
     xyxy_px: np.ndarray, scores: np.ndarray, threshold: float = SCORE_THRESHOLD
 ) -> Found:
-    """Boxes (A, 4) with scores (A, n) above a threshold, after class-wise NMS."""
+    """Return boxes (A, 4) with scores (A, n) above a threshold, after class-wise NMS."""
     anchor, class_id = np.nonzero(scores > threshold)
     order = np.argsort(-scores[anchor, class_id], kind="stable")
     anchor, class_id = anchor[order], class_id[order]
@@ -75,7 +75,7 @@ def compare(
     """Run both models over `images`, each (1, 3, H, W), with one prompt set (1, n, 512).
 
     Raises:
-        ExportError: a model gives values that are not finite, with which nothing compares.
+        ExportError: a model returns values that are not finite.
     """
     count = matched = wanted = found = 0
     errors: list[np.ndarray] = []
@@ -106,7 +106,7 @@ def compare(
 def _finite(
     which: str, outputs: tuple[np.ndarray, np.ndarray], image: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes (A, 4) and scores (A, n) of one image; raises ExportError if one is not finite."""
+    """Return boxes (A, 4) and scores (A, n) of one image; raise ExportError if not finite."""
     for name, output in zip(("boxes", "scores"), outputs, strict=True):
         if lost := int(np.count_nonzero(~np.isfinite(output))):
             raise ExportError(
@@ -117,17 +117,17 @@ def _finite(
 
 
 def check_parity(report: ParityReport, limits: Mapping[str, float], what: str) -> None:
-    """Raise ExportError if a figure is worse than its limit, or the reference saw nothing."""
+    """Raise ExportError if a figure is worse than its limit, or the reference detects nothing."""
     if not report.detections:
         raise ExportError(
-            f"{what}: the reference sees nothing above {SCORE_THRESHOLD} in {report.images} "
-            "images, so parity means nothing; give images that show the prompted things"
+            f"{what}: the reference detects nothing above {SCORE_THRESHOLD} in {report.images} "
+            "images, so there is no parity; give images that show the prompted objects"
         )
     check_limits(report, limits, what)
 
 
 def onnx_model(path: Path) -> tuple[Model, tuple[int, int]]:
-    """An ONNX detector on the CPU, and its input height and width in pixels."""
+    """Return an ONNX detector on the CPU, and its input height and width in pixels."""
     check_format(path)
     session = cpu_session(path, threads=2)
     height, width = session.get_inputs()[0].shape[2:]
@@ -140,7 +140,7 @@ def onnx_model(path: Path) -> tuple[Model, tuple[int, int]]:
 
 
 def torch_model(detector: object) -> Model:
-    """A torch detector as a parity model."""
+    """Return a torch detector as a parity model."""
     import torch
 
     def run(images: np.ndarray, txt_feats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -154,7 +154,7 @@ def torch_model(detector: object) -> Model:
 def measure(
     reference: Model | Path, candidate: Path, images: list[Path], text: TextEmbeddings
 ) -> ParityReport:
-    """Compare a model, or the ONNX file of one, with an ONNX file, on image files."""
+    """Compare an ONNX file with a reference model or ONNX file, on image files."""
     run, hw = onnx_model(candidate)
     if isinstance(reference, Path):
         reference, _ = onnx_model(reference)

@@ -1,14 +1,14 @@
-"""Static QDQ INT8 of an FP32 detector or image encoder, for onnxruntime on a CPU or for TensorRT.
+"""Static QDQ INT8 of a FP32 detector or image encoder, for onnxruntime on a CPU or for TensorRT.
 
-Weights are int8 per output channel. Three things keep the scores: ranges that lose least where
-the value is used (`calibration`), weights rounded against their inputs (`rounding`), and the few
-nodes of the family's recipe that stay in float.
+Weights are int8 per output channel. Three measures keep the scores: ranges with the least error
+where the value is used (`calibration`), weights rounded against their inputs (`rounding`), and
+float for the few nodes in the family's recipe.
 
-`int8-cpu`: activations are uint8 with a zero point, and so is everything between convolutions.
-`int8-trt`: activations are int8 around 0, as TensorRT demands, and only what goes into a
-convolution is quantized: TensorRT fuses convolution, activation and the next Q into one kernel,
-which a Q between them would keep apart. Biases and the rest are float16 as in an `fp16` model,
-since a strongly typed TensorRT network takes the file at its word.
+`int8-cpu`: activations are uint8 with a zero point, and everything between convolutions is
+quantized too. `int8-trt`: activations are int8 around 0, as TensorRT requires, and only inputs of
+convolutions are quantized. TensorRT fuses convolution, activation and the next Q into one kernel; a
+Q between them would prevent this. Biases and the rest are float16 as in a `fp16` model, because a
+strongly typed TensorRT network uses the types in the file.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from exporters.rounding import round_weights
 PRECISIONS = ("int8-cpu", "int8-trt")
 MIN_IMAGES = 4
 MAX_ROUNDING_IMAGES = 40
-"""Images that the weights are rounded against; the ranges use all of them."""
+"""Images that the weights are rounded against; the ranges use all images."""
 HELD_OUT_EVERY = 4
-"""Where one folder serves for both, every fourth image is kept for measuring."""
+"""If one folder is used for both, every fourth image is kept for the parity check."""
 FEW_PROMPTS = 4
-"""Prompts per image in half of the calibration: missions name few, benchmarks many."""
+"""Prompts per image in half of the calibration: missions have few, benchmarks many."""
 
 PASSES_RANGE_ON = {"Slice", "Reshape", "Transpose", "Resize", "MaxPool", "Unsqueeze", "Expand"}
-"""Operators whose output shares its input's range, so that 8-bit values pass unchanged."""
+"""Operators whose output has the range of its input, so that 8-bit values pass unchanged."""
 
 
 def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision: str) -> None:
@@ -56,7 +56,7 @@ def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision
     if len(feeds) < MIN_IMAGES:
         raise ExportError(
             f"calibration: {len(feeds)} images, at least {MIN_IMAGES} are needed "
-            "(40 or more for good scores); add pictures from the robot's camera"
+            "(40 or more for good scores); add images from the robot's camera"
         )
     model = onnx.load(fp32)
     for_trt = precision == "int8-trt"
@@ -85,16 +85,16 @@ def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision
 
 
 def constant_products(model: onnx.ModelProto) -> list[onnx.NodeProto]:
-    """The nodes that multiply by a constant matrix; raises ExportError if there are none."""
+    """Return the nodes that multiply by a constant matrix; raise ExportError if there are none."""
     constants = {init.name for init in model.graph.initializer}
     found = [n for n in model.graph.node if n.op_type == "MatMul" and n.input[1] in constants]
     if not found:
-        raise ExportError("int8: no product with a constant matrix in the model; nothing to do")
+        raise ExportError("int8: the model has no product with a constant matrix to quantize")
     return found
 
 
 def input_hw(model: onnx.ModelProto) -> tuple[int, int]:
-    """Height and width in pixels of a model's image input."""
+    """Return height and width in pixels of a model's image input."""
     dims = model.graph.input[0].type.tensor_type.shape.dim
     return dims[2].dim_value, dims[3].dim_value
 
@@ -102,7 +102,7 @@ def input_hw(model: onnx.ModelProto) -> tuple[int, int]:
 def calibration_feeds(
     images: list[Path], text: TextEmbeddings, hw: tuple[int, int], seed: int = 0
 ) -> list[Feed]:
-    """One feed per image, by turns with all prompts and with a random few."""
+    """Return one feed per image, alternately with all prompts and with a random few."""
     rng = np.random.default_rng(seed)
     feeds = []
     for index, path in enumerate(counted("pictures: read", images)):
@@ -116,9 +116,11 @@ def calibration_feeds(
 def activation_ranges(
     model: onnx.ModelProto, feeds: list[Feed], tensors: list[str] | None = None
 ) -> dict[str, tuple[float, float]]:
-    """The 8-bit range of every activation that has one of its own, by tensor name.
+    """Return the 8-bit range of every activation that needs one, by tensor name.
 
     Args:
+        model: the float32 model.
+        feeds: inputs, one for each image.
         tensors: see `collect_histograms`.
     """
     histograms = collect_histograms(model, feeds, tensors)
@@ -142,16 +144,18 @@ def activation_ranges(
 def symmetric_limits(
     model: onnx.ModelProto, feeds: list[Feed], tensors: list[str] | None = None
 ) -> dict[str, float]:
-    """The largest magnitude of every activation's symmetric 8-bit range, by tensor name."""
+    """Return the largest magnitude of every activation's symmetric 8-bit range, by tensor name."""
     return {n: least_loss_limit(h) for n, h in collect_histograms(model, feeds, tensors).items()}
 
 
 def _overrides(
     ranges: dict[str, tuple[float, float]], scales: dict[str, np.ndarray], axis: int
 ) -> dict[str, list[dict]]:
-    """Our ranges and weight scales in the form that onnxruntime's quantizer takes.
+    """Return our ranges and weight scales in the form of onnxruntime's quantizer.
 
     Args:
+        ranges: of the activations.
+        scales: of the weights' output channels.
         axis: of a weight's output channels.
     """
     from onnxruntime.quantization import QuantType
@@ -178,8 +182,7 @@ def _write_qdq(
 ) -> None:
     """Insert the quantize/dequantize pairs that onnxruntime or TensorRT fuses into kernels.
 
-    Args:
-        op_type: only what goes into nodes of this type is quantized; None: everything.
+    If `op_type` is given, only inputs of nodes of this type are quantized.
     """
     from onnxruntime.quantization import (
         CalibrationDataReader,
@@ -189,7 +192,7 @@ def _write_qdq(
     )
 
     class OneFeed(CalibrationDataReader):
-        """The quantizer insists on a calibration of its own; the overrides replace its ranges."""
+        """One input for the quantizer's own calibration, whose ranges the overrides replace."""
 
         def __init__(self) -> None:
             self._feeds = iter([feed])
@@ -223,7 +226,7 @@ def _write_qdq(
 
 
 def need_pictures(calibration: Path | None, name: str) -> None:
-    """Raise ExportError where no folder was given for what is not made without."""
+    """Raise ExportError if no calibration folder was given."""
     if calibration is None:
         raise ExportError(
             f"{name}: --calibration is missing; give a folder of pictures from the robot's "
@@ -232,14 +235,14 @@ def need_pictures(calibration: Path | None, name: str) -> None:
 
 
 def pictures(calibration: Path | None, validation: Path | None) -> tuple[list[Path], list[Path]]:
-    """Images to calibrate on and to measure on; none where no folder was given."""
+    """Return images to calibrate on and images to measure on; empty without a folder."""
     if calibration is not None:
         return split_images(calibration, validation)
     return [], [] if validation is None else list_images(validation)
 
 
 def split_images(calibration: Path, validation: Path | None) -> tuple[list[Path], list[Path]]:
-    """Images to calibrate on and to measure on: two folders, or every fourth of one held out."""
+    """Return images to calibrate on and to measure on: of two folders, or of one that is split."""
     images = list_images(calibration)
     if validation is not None:
         return images, list_images(validation)

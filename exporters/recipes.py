@@ -1,4 +1,4 @@
-"""What of a family's network is too delicate for few bits, as patterns of node names."""
+"""Nodes of each family's network that need more bits, as patterns of node names."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class Recipe:
 
     Attributes:
         not_int8: nodes that are not quantized.
-        not_symmetric: nodes that are not quantized either where 8-bit ranges lie around 0, which
-            leaves values of one sign only half the steps.
-        not_fp16: nodes that stay in float32 when the others go to float16.
-        matrices_only: of a transformer only what is multiplied by constant matrices is quantized,
-            and what comes out is float: normalizations, softmax and sums cost little, and their
-            values are too uneven for 8 bits.
+        not_symmetric: nodes that are also not quantized if 8-bit ranges lie around 0, since values
+            of one sign then have only half the steps.
+        not_fp16: nodes that stay in float32 when the others become float16.
+        matrices_only: quantize only the inputs of products with constant matrices, for a
+            transformer. Normalizations, softmax and sums stay float: they cost little, and their
+            values vary too much for 8 bits.
     """
 
     not_int8: tuple[str, ...] = ()
@@ -31,43 +31,43 @@ class Recipe:
 
 
 _YOLO_HEAD = r"^/model\.22/(?!cv\d)"
-"""Contrast with the text and box decoding: class scores die in 8 bits, and a coordinate beyond
-512 px has only half pixels in float16."""
+"""Text contrast and box decoding. Class scores vanish in 8 bits, and a coordinate above 512 px has
+only half-pixel steps in float16."""
 
 RECIPES = {
     "yolo-world-s": Recipe(
         not_int8=(
-            r"^/model\.[01]/",  # 2 % of the work, and every later layer repeats their error
+            r"^/model\.[01]/",  # 2 % of the work, and their error reaches every later layer
             r"/attn/(?!proj_conv/)",  # text-guided gates: a sigmoid of a wide sum, half the error
             _YOLO_HEAD,
         ),
-        # Their inputs are wide, the latter's for the gates' part of it: the error of what comes out
-        # is 4 to 20 times the other convolutions'.
+        # Their inputs have a wide range (in the second pattern because of the gates). The error of
+        # their output is 4 to 20 times that of other convolutions.
         not_symmetric=(r"^/model\.2/cv1/", r"^/model\.(12|15|18|21)/cv2/"),
         not_fp16=(_YOLO_HEAD,),
     ),
     "mini-house": Recipe(
         not_int8=(
-            r"^/trunk/stem/",  # three channels leave an integer kernel half empty: float is faster
+            r"^/trunk/stem/",  # 3 channels fill an integer kernel badly: float is faster
             r"^/(?!trunk/|neck/|heads\.)",  # as _YOLO_HEAD
         )
     ),
 }
-"""By family, as the cards name it."""
+"""Recipes by the family in the cards."""
 
 TRANSFORMER = Recipe(matrices_only=True)
-"""Of every image encoder that is a vision transformer, whatever its family."""
+"""Recipe of every image encoder that is a vision transformer."""
 
 
 def recipe_of(family: str) -> Recipe:
-    """The recipe of a family; raises ExportError that lists those there are."""
+    """Return the recipe of a family; raise ExportError for an unknown one."""
     if family not in RECIPES:
         raise ExportError(f"family: unknown {family!r} (choices: {', '.join(sorted(RECIPES))})")
     return RECIPES[family]
 
 
 def nodes_like(model: onnx.ModelProto, patterns: tuple[str, ...]) -> list[str]:
-    """Names of a model's nodes that fit a pattern; raises ExportError if a pattern finds none."""
+    """Return the names of nodes that match a pattern; raise ExportError for one without match."""
     names = [node.name for node in model.graph.node]
     for pattern in patterns:
         if not any(re.search(pattern, name) for name in names):

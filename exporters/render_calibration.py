@@ -1,8 +1,8 @@
-"""Pictures of a mesh world from random free poses: calibration images, or held-out ones.
+"""Images of a mesh world from random free poses, for calibration or for parity checks.
 
     python -m exporters.render_calibration WORLD.glb --count 60 --seed 1 --out DIR
 
-The same seed gives the same pictures; use another seed for the images a parity is measured on.
+The same seed gives the same images. Use another seed for the images of a parity check.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ SIZES_HW = ((256, 320), (480, 640))
 CAMERA_HEIGHT_M = (0.4, 0.6)
 HORIZONTAL_FOV_RAD = np.deg2rad(75.0)
 CLEARANCE_M = 0.3
-"""Free space around the camera: what a small robot's body needs."""
+"""Free space around the camera, as a small robot's body needs."""
 MIN_MEDIAN_DEPTH_M = 0.8
-"""Views nearer than this show one textureless surface and calibrate nothing."""
+"""Nearer views show one surface without texture, which is useless for calibration."""
 BACKGROUND_RGB = (190, 200, 210)
 
 
 @dataclass(frozen=True)
 class TexturedWorld:
-    """A triangle mesh with what is needed to colour a hit.
+    """A triangle mesh with the data to colour a hit.
 
     Attributes:
         mesh: all triangles as one trimesh, world frame, metres, z up.
@@ -45,7 +45,7 @@ class TexturedWorld:
 
 
 def load_world(path: Path) -> TexturedWorld:
-    """Read a .glb whose axes are already z up; raises ExportError if it cannot be read."""
+    """Read a .glb whose z axis is up; raise ExportError if it cannot be read."""
     import trimesh
 
     try:
@@ -61,7 +61,7 @@ def load_world(path: Path) -> TexturedWorld:
 
 
 def _corner_uv(part: object) -> np.ndarray:
-    """(faces, 3, 2) float32; zeros where the part has no texture coordinates."""
+    """Return (faces, 3, 2) float32; zeros if the part has no texture coordinates."""
     uv = getattr(part.visual, "uv", None)
     if uv is None:
         return np.zeros((len(part.faces), 3, 2), np.float32)
@@ -69,7 +69,7 @@ def _corner_uv(part: object) -> np.ndarray:
 
 
 def _texture(part: object) -> np.ndarray:
-    """The part's base colour as an RGB image, one pixel where it is a plain colour."""
+    """Return the part's base colour as an RGB image; one pixel if it is a plain colour."""
     material = getattr(part.visual, "material", None)
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     if image is not None:
@@ -81,7 +81,7 @@ def _texture(part: object) -> np.ndarray:
 def render(
     world: TexturedWorld, T_map_camera: np.ndarray, hw: tuple[int, int]
 ) -> np.ndarray | None:
-    """One picture, (h, w, 3) uint8 RGB, from an optical pose; None where a wall is close."""
+    """Return an image, (h, w, 3) uint8 RGB, from an optical pose; None if a wall is close."""
     directions = _rays(T_map_camera[:3, :3], hw)
     origins = np.broadcast_to(T_map_camera[:3, 3], directions.shape)
     points, ray, face = world.mesh.ray.intersects_location(origins, directions, multiple_hits=False)
@@ -99,7 +99,7 @@ def render(
 
 
 def _rays(R_map_camera: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
-    """Unit ray directions in the map frame, (h*w, 3), row by row."""
+    """Return unit ray directions in the map frame, (h*w, 3), row by row."""
     height, width = hw
     focal_px = width / 2 / np.tan(HORIZONTAL_FOV_RAD / 2)
     u, v = np.meshgrid(np.arange(width) + 0.5 - width / 2, np.arange(height) + 0.5 - height / 2)
@@ -108,7 +108,7 @@ def _rays(R_map_camera: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
 
 
 def _colour(world: TexturedWorld, points: np.ndarray, face: np.ndarray) -> np.ndarray:
-    """Bilinear texture colours (n, 3) float32 of hit points on faces."""
+    """Return bilinear texture colours (n, 3) float32 of hit points on faces."""
     import trimesh
 
     weights = trimesh.triangles.points_to_barycentric(world.mesh.triangles[face], points)
@@ -121,7 +121,7 @@ def _colour(world: TexturedWorld, points: np.ndarray, face: np.ndarray) -> np.nd
 
 
 def _bilinear(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Texture samples (n, 3) float32 at uv (n, 2), repeating, v counted from the bottom row."""
+    """Return texture samples (n, 3) float32 at uv (n, 2), repeating, with v from the bottom row."""
     size = np.array([texture.shape[1], texture.shape[0]])
     xy = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1) % 1.0 * size - 0.5
     corner = np.floor(xy).astype(np.int64)
@@ -133,7 +133,7 @@ def _bilinear(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 def camera_pose(x_m: float, y_m: float, z_m: float, yaw_rad: float) -> np.ndarray:
-    """T_map_camera (4, 4) of a level camera: optical z forward, x right, y down."""
+    """Return T_map_camera (4, 4) of a level camera: optical z forward, x right, y down."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     pose = np.eye(4)
     pose[:3, :3] = np.array([[s, 0, c], [-c, 0, s], [0, -1, 0]])
@@ -142,7 +142,7 @@ def camera_pose(x_m: float, y_m: float, z_m: float, yaw_rad: float) -> np.ndarra
 
 
 def free_pose(world: TexturedWorld, rng: np.random.Generator) -> np.ndarray:
-    """A random level camera pose over open floor with `CLEARANCE_M` on all sides."""
+    """Return a random level camera pose over open floor with `CLEARANCE_M` on all sides."""
     (x0, y0, _), (x1, y1, _) = world.mesh.bounds
     angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)

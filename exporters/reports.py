@@ -1,4 +1,4 @@
-"""Figures of how well one model repeats another, and the limits they are held to."""
+"""Figures of a parity check, and their limits."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Any
 from exporters.files import ExportError
 
 AT_MOST = ("score_error", "max_abs_diff")
-"""Figures whose limit is the most they may be; of all others it is the least."""
+"""Figures whose limit is a maximum; for all others it is a minimum."""
 MAY_BE_UNKNOWN = ("rank_agreement",)
 
 
 @dataclass(frozen=True)
 class Report:
-    """Figures of a comparison, one a field; NaN where one is not known."""
+    """Figures of a comparison, one for each field; NaN if unknown."""
 
     def figures(self) -> dict[str, Any]:
-        """Return them rounded, by name; what is not known is None."""
-        told = asdict(self).items()
+        """Return the figures by name, rounded; None if unknown."""
+        fields = asdict(self).items()
         return {
-            k: None if v != v else v if isinstance(v, int) else float(f"{v:.6g}") for k, v in told
+            k: None if v != v else v if isinstance(v, int) else float(f"{v:.6g}") for k, v in fields
         }
 
     def table(self) -> str:
@@ -32,7 +32,7 @@ class Report:
 def check_limits(report: Report, limits: Mapping[str, float], what: str) -> None:
     """Raise ExportError if a figure of the report is worse than its limit.
 
-    A figure that is not known does not keep its limit, but for `MAY_BE_UNKNOWN`.
+    An unknown figure fails its limit, except for `MAY_BE_UNKNOWN`.
     """
     worse = []
     for name, limit in limits.items():

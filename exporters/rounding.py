@@ -1,9 +1,9 @@
-"""Int8 weights of convolutions and matrices that keep the layer's output, not the weights.
+"""Int8 weights of convolutions and matrices, rounded to keep the layer's output.
 
-Rounding each weight to its nearest step ignores that a layer's inputs move together. GPTQ
-(Frantar et al. 2022, "Accurate post-training quantization for generative pre-trained
-transformers") rounds one input column after another and lets the later columns make up for the
-error, weighted by what the calibration images feed the layer.
+Rounding each weight to its nearest step ignores that a layer's inputs are correlated. GPTQ (Frantar
+et al. 2022, "Accurate post-training quantization for generative pre-trained transformers") rounds
+one input column after another. The later columns compensate the error, weighted by the layer's
+inputs on the calibration images.
 """
 
 from __future__ import annotations
@@ -19,27 +19,33 @@ from edge.host.bars import counted
 from exporters.calibration import Feed, tensor_session
 
 DAMPING = 0.01
-"""Share of the mean input power added to the diagonal, so that unseen directions stay stable."""
+"""Share of the mean input power added to the diagonal, for stability in unseen directions."""
 BLOCK = 128
 ROWS_PER_IMAGE = 384
-"""Output cells (tokens, for a matrix) of a layer that one image contributes."""
+"""Output cells of a layer (tokens, for a matrix) that one image contributes."""
 MAX_LEVEL = 127
-"""Symmetric int8: the scale a weight is stored with has zero point 0."""
+"""Symmetric int8: a stored weight's scale has zero point 0."""
 CLIP_SHARES = np.linspace(0.7, 1.0, 13)
 
 
 def attribute(node: onnx.NodeProto, name: str, default: list[int]) -> list[int]:
-    """An integer-list attribute of a node."""
+    """Return an integer-list attribute of a node."""
     return next((list(a.ints) for a in node.attribute if a.name == name), default)
 
 
 def input_columns(
     node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int], cells: np.ndarray
 ) -> np.ndarray:
-    """What a convolution multiplies with its weights: (k, C·kh·kw) of an input (1, C, H, W).
+    """Return the columns that a convolution multiplies with its weights.
 
     Args:
-        cells: (k,) of the output, numbered row by row.
+        node: the convolution.
+        x: input (1, C, H, W).
+        kernel: (kh, kw).
+        cells: (k,) output cells, numbered row by row.
+
+    Returns:
+        (k, C·kh·kw).
     """
     windows = _windows(node, x, kernel)
     rows, columns = np.unravel_index(cells, windows.shape[1:3])
@@ -47,7 +53,7 @@ def input_columns(
 
 
 def _windows(node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int]) -> np.ndarray:
-    """A view (C, output height, output width, kh, kw) of what each output cell sees."""
+    """Return a view (C, output height, output width, kh, kw) of each output cell's input."""
     top, left, bottom, right = attribute(node, "pads", [0, 0, 0, 0])
     down, across = attribute(node, "strides", [1, 1])
     padded = np.pad(x[0], ((0, 0), (top, bottom), (left, right)))
@@ -57,7 +63,7 @@ def _windows(node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int]) -> np
 def _sampled_columns(
     node: onnx.NodeProto, x: np.ndarray, weight: onnx.TensorProto, random: np.random.Generator
 ) -> np.ndarray:
-    """(at most ROWS_PER_IMAGE, d) of what a layer multiplies with its weights (rows, d)."""
+    """Return at most ROWS_PER_IMAGE columns, (n, d), that a layer multiplies with its weights."""
     if node.op_type == "MatMul":
         tokens = x.reshape(-1, x.shape[-1])
         return tokens[random.permutation(len(tokens))[:ROWS_PER_IMAGE]]
@@ -67,11 +73,12 @@ def _sampled_columns(
 
 
 class Inputs:
-    """What a layer's input columns (cells, d) are like, summed up over images.
+    """Statistics of a layer's input columns (cells, d), summed over images.
 
     Attributes:
-        moment: their second moment X·Xᵀ, (d, d) float32.
-        mean, rounded_mean: of the columns, and of the columns in symmetric 8 bits, (d,).
+        moment: second moment X·Xᵀ, (d, d) float32.
+        mean: mean of the columns, (d,).
+        rounded_mean: mean of the columns in symmetric 8 bits, (d,).
     """
 
     def __init__(self, size: int, limit: float | None) -> None:
@@ -103,14 +110,22 @@ def input_statistics(
     limits: Mapping[str, float],
     seed: int = 0,
 ) -> dict[str, Inputs]:
-    """Of each layer, by node name; `limits` are the tensors' 8-bit ranges, where known."""
+    """Return the statistics of each layer's input, by node name.
+
+    Args:
+        model: the float32 model.
+        layers: `Conv` and `MatMul` nodes.
+        feeds: inputs, one for each image.
+        limits: the tensors' 8-bit ranges, if known.
+        seed: of the choice of cells.
+    """
     weights = {init.name: init for init in model.graph.initializer}
     names = sorted({node.input[0] for node in layers} - {model.graph.input[0].name})
     session = tensor_session(model, names)
     random = np.random.default_rng(seed)
     statistics: dict[str, Inputs] = {}
     for feed in counted("pictures: inputs of layers", feeds):
-        made = session.run(names, feed) if names else []  # no name asks for all outputs
+        made = session.run(names, feed) if names else []  # an empty list means all outputs
         values = {**feed, **dict(zip(names, made, strict=True))}
         for node in layers:
             columns = _sampled_columns(node, values[node.input[0]], weights[node.input[1]], random)
@@ -122,7 +137,7 @@ def input_statistics(
 
 
 def channel_scales(weight: np.ndarray) -> np.ndarray:
-    """Per-row step (rows, 1) of a weight (rows, d): the clipping with the least squared error."""
+    """Return the step (rows, 1) of a weight (rows, d) with the least squared clipping error."""
     full = np.maximum(np.abs(weight).max(axis=1, keepdims=True), 1e-8) / MAX_LEVEL
     best = np.full_like(full, np.inf)
     scales = full.copy()
@@ -139,13 +154,13 @@ def _round(values: np.ndarray, scale: np.ndarray | np.floating) -> np.ndarray:
 
 
 def gptq(weight: np.ndarray, moment: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Integer levels (rows, d) of `weight` (rows, d) on steps `scale` (rows, 1).
+    """Return integer levels (rows, d) of `weight` (rows, d) for steps `scale` (rows, 1).
 
     `moment` (d, d) is the second moment of the layer's inputs.
     """
     diagonal = moment.diagonal()
     damping = DAMPING * diagonal.mean() + 1e-8
-    # The strongest inputs go first, while there are still many columns to make up for them.
+    # The strongest inputs go first, while many columns are left to compensate their error.
     order = np.argsort(-diagonal, kind="stable")
     weight, inverse = weight[:, order], _inverse_factor(moment[np.ix_(order, order)], damping)
     levels = np.zeros_like(weight)
@@ -163,9 +178,9 @@ def gptq(weight: np.ndarray, moment: np.ndarray, scale: np.ndarray) -> np.ndarra
 
 
 def _inverse_factor(moment: np.ndarray, damping: float) -> np.ndarray:
-    """Upper triangular U, (d, d), with UᵀU the inverse of moment + damping·1.
+    """Return upper triangular U, (d, d), with UᵀU the inverse of moment + damping·1.
 
-    That is the inverse of an upper factor R of RRᵀ, which is Cholesky's from the far corner.
+    U is the inverse of an upper factor R of RRᵀ, which is Cholesky's from the far corner.
     """
     damped = moment + damping * np.eye(len(moment), dtype=moment.dtype)
     return np.linalg.inv(np.linalg.cholesky(damped[::-1, ::-1])[::-1, ::-1])
@@ -177,14 +192,16 @@ def round_weights(
     feeds: list[Feed],
     limits: Mapping[str, float] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Put rounded weights into `model` (in place); per-channel scales (rows,) by weight name.
+    """Put rounded weights into `model`, in place; return per-channel scales (rows,) by weight name.
 
     Args:
-        layers: `Conv` nodes, and `MatMul` nodes by a constant (d, rows).
-        limits: by tensor, the largest magnitude of its symmetric 8-bit range. Where a
-            convolution's input has one, its bias makes up for what rounding weights and input
-            adds to its output on average (Nagel et al. 2019, "Data-free quantization through
-            weight equalization and bias correction", sec. 4.2, with the means measured).
+        model: the model.
+        layers: `Conv` nodes, and `MatMul` nodes with a constant (d, rows).
+        feeds: inputs, one for each image.
+        limits: largest magnitude of a tensor's symmetric 8-bit range. If a convolution's input has
+            one, its bias compensates the mean error of rounding weights and input (Nagel et al.
+            2019, "Data-free quantization through weight equalization and bias correction", sec.
+            4.2, with measured means).
     """
     statistics = input_statistics(model, layers, feeds, limits or {})
     by_name = {init.name: init for init in model.graph.initializer}

@@ -1,4 +1,4 @@
-"""`FILE.onnx.json` beside an exported model: its digest, its parity, and how it was made."""
+"""`FILE.onnx.json` next to an exported model: its digest, parity, and the tools that made it."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def write_sidecar(
     weights_sha256: str | None,
     calibration_sha256: str | None = None,
 ) -> None:
-    """Write it for a model, with the digest that the service checks the model against.
+    """Write the sidecar of a model, with the digest that the service checks.
 
-    The digest is here and not in the card since the file depends on the calibration images and on
-    the versions of the tools.
+    The digest is not in the card, because the file depends on the calibration images and on the
+    tools' versions.
     """
     content = {
         "name": name,
@@ -41,7 +41,7 @@ def write_sidecar(
 
 
 def _version(tool: str) -> str | None:
-    """None for what is not installed; torch is only needed for FP32."""
+    """Return a tool's version; None if it is not installed (torch is only needed for FP32)."""
     try:
         return importlib.metadata.version(tool)
     except importlib.metadata.PackageNotFoundError:

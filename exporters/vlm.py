@@ -1,10 +1,11 @@
-"""Vision-language models from a Hugging Face folder to three ONNX files, as they are published.
+"""Export of vision-language models from a Hugging Face folder to three ONNX files.
 
     edge models export NAME --weights FOLDER
 
 writes `NAME/onnx/vision_encoder.onnx`, `embed_tokens.onnx` and `decoder_model_merged.onnx` in FP32,
-what says how to feed them beside, and a card; `exporters.vlm_quantize` makes variants of these.
-Keys and values of what was read go in and out of the decoder: one file reads a prompt and goes on.
+the files that describe preprocessing, and a card. The layout is that of published models.
+`exporters.vlm_quantize` makes variants. Keys and values of earlier tokens are inputs and outputs of
+the decoder, so one file reads a prompt and continues it.
 """
 
 from __future__ import annotations
@@ -47,17 +48,20 @@ OTHERS = (
     "config.json", "tokenizer.json", "tokenizer_config.json", "preprocessor_config.json",
     "processor_config.json", "chat_template.jinja", "chat_template.json",
 )  # fmt: skip
-"""What says how to feed the networks, as far as the folder has it."""
+"""Files that describe the preprocessing, if the folder has them."""
 TRACED_TOKENS, TRACED_PAST = 3, 2
 
 
 class Networks(NamedTuple):
-    """The three of a model, and how its images are prepared.
+    """The three networks of a model, and its image preprocessing.
 
     Attributes:
+        vision: vision encoder.
+        embedding: token embedding.
+        decoder: language model.
         prepare: (h, w, 3) uint8 → inputs of the vision encoder, by name.
         text: configuration of the language model.
-        threefold: places have three numbers (M-RoPE).
+        threefold: True if position ids have three numbers (M-RoPE).
     """
 
     vision: nn.Module
@@ -74,9 +78,9 @@ class Family:
 
     Attributes:
         prefix: of the names of its classes in `transformers`.
-        vision: its vision encoder.
-        text: where the model keeps its language model.
-        threefold: places have three numbers (M-RoPE).
+        vision: module of its vision encoder.
+        text: attribute of the model that holds its language model.
+        threefold: True if position ids have three numbers (M-RoPE).
     """
 
     prefix: str
@@ -90,15 +94,15 @@ FAMILIES = {
     "smolvlm": Family("SmolVLM", Idefics3Vision, "text_model"),
     "qwen2_vl": Family("Qwen2VL", Qwen2Vision, "language_model", threefold=True),
 }
-"""By `model_type`; SmolVLM 2 calls itself `smolvlm`, SmolVLM `idefics3`."""
+"""Architectures by `model_type`; SmolVLM 2 has `smolvlm`, SmolVLM has `idefics3`."""
 
 
 class TorchOriginal:
-    """A model as `transformers` runs it, asked as a whole.
+    """The original model, run by `transformers` as a whole.
 
     Attributes:
         prepare: (h, w, 3) uint8 → inputs of the vision encoder's ONNX.
-        merge: how many patches a token is high and wide.
+        merge: height and width of a token in patches.
     """
 
     def __init__(self, model: nn.Module, prepare: Callable[[np.ndarray], dict]) -> None:
@@ -107,7 +111,7 @@ class TorchOriginal:
         self.merge = 1 if visual is None else visual.spatial_merge_size
 
     def show(self, rgb: np.ndarray) -> Shown:
-        """A picture, (h, w, 3) uint8, made ready and looked at."""
+        """Preprocess and encode an image, (h, w, 3) uint8."""
         feeds = self.prepare(rgb)
         with torch.inference_mode():
             found = self._model.model.get_image_features(**_inputs(feeds)).pooler_output
@@ -115,7 +119,7 @@ class TorchOriginal:
         return Shown(feeds, rows.reshape(-1, rows.shape[-1]).numpy())
 
     def logits(self, question: Question, shown: Shown) -> np.ndarray:
-        """(v,) float32 of the token behind the question."""
+        """Return (v,) float32 of the token after the question."""
         ids = torch.from_numpy(question.ids(len(shown.features)))
         more = {}
         if shown.grid is not None:
@@ -128,22 +132,22 @@ class TorchOriginal:
 
 
 def cache_shape(text: Any) -> tuple[int, int]:
-    """(heads, size) of a language model's keys and values, by its configuration."""
+    """Return (heads, size) of a language model's keys and values, from its configuration."""
     size = getattr(text, "head_dim", None) or text.hidden_size // text.num_attention_heads
     return text.num_key_value_heads, size
 
 
 def _inputs(feeds: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Of the vision encoder's ONNX → those of transformers, which calls the grid otherwise."""
+    """Rename inputs of the vision encoder's ONNX to those of transformers."""
     renamed = {"grid_thw": "image_grid_thw"}
     return {renamed.get(key, key): torch.from_numpy(value) for key, value in feeds.items()}
 
 
 def load_model(folder: Path) -> tuple[nn.Module, Networks]:
-    """The model of a folder and its networks.
+    """Return the model of a folder and its networks.
 
     Raises:
-        ExportError: the folder cannot be used, or does what a trace cannot follow.
+        ExportError: the folder cannot be used, or the model cannot be traced.
     """
     import transformers
 
@@ -158,9 +162,9 @@ def load_model(folder: Path) -> tuple[nn.Module, Networks]:
     text = getattr(model.model, family.text)
     rope = text.rotary_emb.rope_type
     if rope in ("dynamic", "longrope"):
-        raise ExportError(f"{folder}: rope_type {rope!r} goes by the length, and is not exported")
+        raise ExportError(f"{folder}: rope_type {rope!r} depends on the length: not supported")
     if getattr(text.config, "use_sliding_window", False):
-        raise ExportError(f"{folder}: use_sliding_window is not exported; set it to false")
+        raise ExportError(f"{folder}: use_sliding_window is not supported; set it to false")
     processor = _image_processor(folder, family)
 
     def prepare(rgb: np.ndarray) -> dict[str, np.ndarray]:
@@ -179,7 +183,7 @@ def load_model(folder: Path) -> tuple[nn.Module, Networks]:
 
 
 def _image_processor(folder: Path, family: Family) -> Any:
-    """What prepares its images, by Pillow: the other needs torchvision."""
+    """Return the model's image processor, in its Pillow version; the other needs torchvision."""
     import transformers
 
     kind = getattr(transformers, f"{family.prefix}ImageProcessorPil")
@@ -190,19 +194,19 @@ def _image_processor(folder: Path, family: Family) -> Any:
 
 
 def export(args: Any) -> dict[str, LetterReport]:
-    """Make the FP32 files and their card; the parity by card.
+    """Make the FP32 files and their card; return the parity by card.
 
     Args:
-        args: as `exporters.clip.export`.
+        args: as for `exporters.clip.export`.
 
     Raises:
-        ExportError: the folder or the pictures cannot be used, or the parity misses its limits.
+        ExportError: the folder or the images cannot be used, or the parity misses its limits.
     """
     name = f"{args.card}-fp32"
     if others := [p for p in args.precision if p != "fp32"]:
         raise ExportError(
-            f"--precision: {others[0]!r:.60}: only fp32 is made of a folder; then `edge models "
-            f"export {name} --quantize --precision P --calibration PICTURES` makes the others"
+            f"--precision: {others[0]!r:.60}: a folder gives fp32 only; make the others from that: "
+            f"`edge models export {name} --quantize --precision P --calibration PICTURES`"
         )
     _, validation = pictures(args.calibration, args.validation)
     model, networks = load_model(args.weights)
@@ -234,12 +238,12 @@ def export(args: Any) -> dict[str, LetterReport]:
 
 
 def _noise() -> np.ndarray:
-    """What FP32 is compared on where no pictures were given, (480, 640, 3) uint8."""
+    """Return a noise image, (480, 640, 3) uint8, to compare FP32 on if there are no images."""
     return np.random.default_rng(0).integers(0, 256, (480, 640, 3), np.uint8)
 
 
 def _copy_others(folder: Path, out: Path, digest: str) -> list[str]:
-    """Copy what says how to feed the networks, and say what it hashes to."""
+    """Copy the files of `OTHERS` and write their sidecars; return their names."""
     found = [name for name in OTHERS if (folder / name).is_file()]
     for name in found:
         write_atomically(out / name, read_regular(folder / name))
@@ -249,7 +253,11 @@ def _copy_others(folder: Path, out: Path, digest: str) -> list[str]:
 
 @contextmanager
 def traced(networks: Networks) -> Iterator[dict[str, Path]]:
-    """FP32 of the three, by name, for as long as the block goes on; each in a folder of its own."""
+    """Trace the three networks as FP32 ONNX, each in its own temporary folder.
+
+    Yields:
+        Path by name; the files exist until the block ends.
+    """
     layers = networks.text.num_hidden_layers
     heads, size = cache_shape(networks.text)
     n, before = TRACED_TOKENS, TRACED_PAST

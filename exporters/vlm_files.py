@@ -1,4 +1,4 @@
-"""The three files of a vision-language model: how they are saved, judged and named by a card."""
+"""The three files of a vision-language model: saved, compared and named by a card."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ LIMITS = {
     "q4f16": {"cosine": 0.999, "rank_agreement": 0.8},
 }
 ONE_FILE_BYTES = 2_000_000_000
-"""What is more is kept in a file beside: protocol buffers end at 2 GiB."""
+"""Larger weights go into a separate file: protocol buffers end at 2 GiB."""
 
 
 def bytes_of(model: onnx.ModelProto) -> int:
-    """What its weights take."""
+    """Return the size of a model's weights in bytes."""
     return sum(len(tensor.raw_data) for tensor in model.graph.initializer)
 
 
 def save_network(model: onnx.ModelProto, out: Path) -> list[Path]:
-    """Write a model, its weights in `FILE.onnx_data` beside it where one file does not hold them.
+    """Write a model; its weights go into `FILE.onnx_data` if one file cannot hold them.
 
     Returns:
         The files: the model first.
@@ -62,15 +62,19 @@ def judge(
     gate: bool,
     digests: tuple[str | None, str | None],
 ) -> LetterReport:
-    """Compare three files with what they are made of, and write a sidecar for each.
+    """Compare three files with the model that they were made from, and write their sidecars.
 
     Args:
-        files: of each network its file, and those that it keeps weights in.
-        against: what the exam's answers are of.
-        digests: of the weights and of the pictures calibrated on, as far as there are any.
+        files: for each network its file, and its weight files.
+        precision: of the files; selects the limits.
+        name: of the card.
+        exam: the comparison.
+        against: name of the reference.
+        gate: if True, raise ExportError if the parity misses its limits.
+        digests: of the weights and of the calibration images, if known.
 
     Raises:
-        ExportError: the parity misses its limits, and `gate`.
+        ExportError: the parity misses its limits, and `gate` is True.
     """
     report = exam.sit(Chain([network for network, *_ in files]))
     print(f"{name} against {against}:\n{report.table()}", file=sys.stderr)
@@ -82,21 +86,21 @@ def judge(
 
 
 def files_of_card(paths: list[list[Path]], folder: Path, others: list[str]) -> dict[str, Any]:
-    """The part of a card of task `choice` that names its files.
+    """Return the part of a card of task `choice` that names its files.
 
     Args:
-        paths: of each network its file, and those that it keeps weights in.
+        paths: for each network its file, and its weight files.
         folder: of the model.
-        others: what says how to feed the networks.
+        others: files that describe the preprocessing.
     """
-    told = [[path.relative_to(folder).as_posix() for path in files] for files in paths]
+    relative = [[path.relative_to(folder).as_posix() for path in files] for files in paths]
     keys = ("vision_encoder", "embed_tokens", "decoder")
-    parts = {key: {"file": files[0]} for key, files in zip(keys, told, strict=True)}
-    beside = [file for files in told for file in files[1:]]
-    return {**parts, "others": [{"file": file} for file in (*others, *beside)]}
+    parts = {key: {"file": files[0]} for key, files in zip(keys, relative, strict=True)}
+    weight_files = [file for files in relative for file in files[1:]]
+    return {**parts, "others": [{"file": file} for file in (*others, *weight_files)]}
 
 
 def write_card(card: dict[str, Any], folder: Path) -> None:
-    """Write it as `NAME.yaml`."""
+    """Write a card as `NAME.yaml`."""
     text = yaml.safe_dump(card, sort_keys=False, width=110)
     write_atomically(folder / f"{card['name']}.yaml", text.encode())

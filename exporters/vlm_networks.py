@@ -1,7 +1,7 @@
-"""The networks of a vision-language model as modules that can be traced: what each file computes.
+"""The networks of a vision-language model as traceable modules, one for each ONNX file.
 
-Weights and layers are those of `transformers`; what is written anew here is what a trace cannot
-follow there: masks, places, and the cache of keys and values.
+Weights and layers are those of `transformers`. Masks, positions and the cache of keys and values
+are written here, because tracing cannot follow the originals.
 """
 
 from __future__ import annotations
@@ -10,18 +10,18 @@ import torch
 from torch import Tensor, nn
 
 MASKED = -1e4
-"""Added to the score of what must not be seen. -inf would not survive float16."""
+"""Added to the score of masked positions. -inf would overflow in float16."""
 
 
 class Decoder(nn.Module):
-    """Reads on from what was read.
+    """Decoder that continues from cached tokens.
 
-    `inputs_embeds` (b, n, d), `attention_mask` (b, past + n), `position_ids` (b, n), or (3, b, n)
-    where places have three numbers, and of each layer keys and values (b, heads, past, size) →
-    `logits` (b, 1, v) of the last token, and keys and values (b, heads, past + n, size).
+    Inputs: `inputs_embeds` (b, n, d), `attention_mask` (b, past + n), `position_ids` (b, n), or (3,
+    b, n) for positions of three numbers, and for each layer keys and values (b, heads, past, size).
+    Outputs: `logits` (b, 1, v) of the last token, and keys and values (b, heads, past + n, size).
 
-    Published decoders give logits of every token. Only the last one's are ever looked at, and of a
-    long prompt the others cost much time and memory.
+    Published decoders give the logits of every token. Only the last ones are used, and for a long
+    prompt the others cost much time and memory.
     """
 
     def __init__(self, text_model: nn.Module, lm_head: nn.Module) -> None:
@@ -41,14 +41,14 @@ class Decoder(nn.Module):
         rotation = self.rotary_emb(inputs_embeds, position_ids)
         hidden = inputs_embeds
         for layer in self.layers:
-            # Fourth, by its place: not every release of transformers calls the cache alike.
+            # The cache is the fourth argument; its name differs between transformers' releases.
             hidden = layer(hidden, mask, None, cache, position_embeddings=rotation)
         logits = self.lm_head(self.norm(hidden[:, -1:]))
         return logits, *cache.present
 
 
 class _Cache:
-    """Keys and values of the past, with those of the present put behind them."""
+    """Keys and values of earlier tokens, with the new ones appended."""
 
     def __init__(self, past: tuple[Tensor, ...]) -> None:
         self._past = past
@@ -57,7 +57,7 @@ class _Cache:
     def update(
         self, key: Tensor, value: Tensor, layer: int, *_: object, **__: object
     ) -> tuple[Tensor, Tensor]:
-        """As `transformers.Cache.update`, layer by layer."""
+        """Append a layer's keys and values, like `transformers.Cache.update`."""
         both = self._past[2 * layer : 2 * layer + 2]
         joined = [torch.cat(pair, dim=2) for pair in zip(both, (key, value), strict=True)]
         self.present += joined
@@ -76,11 +76,11 @@ class Embedding(nn.Module):
 
 
 class Idefics3Vision(nn.Module):
-    """Of Idefics3 and SmolVLM: `pixel_values` (b, i, 3, h, w), `pixel_attention_mask` (b, i, h, w)
-    bool → `image_features` (b·i, tokens, d).
+    """Vision encoder of Idefics3 and SmolVLM.
 
-    A patch counts where any of its pixels does. Images that are all padding are not taken out: a
-    scorer shows one image.
+    Inputs: `pixel_values` (b, i, 3, h, w), `pixel_attention_mask` (b, i, h, w) bool. Output:
+    `image_features` (b·i, tokens, d). A patch counts if any of its pixels counts. Images of padding
+    only are not removed, since a scorer shows one image.
     """
 
     def __init__(self, model: nn.Module) -> None:
@@ -101,15 +101,15 @@ class Idefics3Vision(nn.Module):
 
 
 class _Idefics3Places(nn.Module):
-    """Which patches are seen, (images, rows, columns) of 0 and 1 → their places, (images, n) int64.
+    """Positions of the visible patches: (images, rows, columns) of 0 and 1 → (images, n) int64.
 
-    A module of its own for the names of its nodes, which have to stay in float32.
+    It is a separate module because its nodes must stay in float32 and are found by name.
     """
 
     def __init__(self, side: int) -> None:
         super().__init__()
         self.side = side
-        # As transformers cuts 0..1 into places, rounding errors and all.
+        # The same division of 0..1 as in transformers, with its rounding errors.
         bounds = torch.arange(1 / side, 1.0, 1 / side)
         self.register_buffer("bounds", bounds, persistent=False)
 
@@ -119,7 +119,7 @@ class _Idefics3Places(nn.Module):
         return (places * seen.to(torch.int64)).flatten(1)
 
     def _along(self, seen: Tensor) -> Tensor:
-        """(images, n) of a row or column of patches → which of `side` places each is in."""
+        """Return the position, of `side`, of each patch of a row or column, (images, n)."""
         step = 1.0 / seen.sum(dim=1, keepdim=True)
         share = torch.arange(seen.shape[1]).to(torch.float32)[None] * step
         share = share.clamp(max=1.0 - 1e-6)
@@ -127,8 +127,10 @@ class _Idefics3Places(nn.Module):
 
 
 class Qwen2Vision(nn.Module):
-    """Of Qwen2-VL: `pixel_values` (n, 3·2·patch²), `grid_thw` (1, 3) int64 → `image_features`
-    (n / merge², d), of one still image.
+    """Vision encoder of Qwen2-VL, for one still image.
+
+    Inputs: `pixel_values` (n, 3·2·patch²), `grid_thw` (1, 3) int64. Output: `image_features` (n /
+    merge², d).
     """
 
     def __init__(self, model: nn.Module) -> None:
@@ -139,8 +141,8 @@ class Qwen2Vision(nn.Module):
     def forward(self, pixel_values: Tensor, grid_thw: Tensor) -> Tensor:
         visual = self.visual
         rotation = self.places(grid_thw)
-        # A convolution whose stride is its kernel, over one patch each: a product. The first axis
-        # keeps layers products too: a Gemm, which a linear layer is without it, is not quantized.
+        # A convolution whose stride is its kernel size is a matrix product. The first axis keeps
+        # linear layers as MatMul too: without it they become Gemm, which is not quantized.
         weight = visual.patch_embed.proj.weight
         hidden = nn.functional.linear(pixel_values[None], weight.flatten(1))
         for block in visual.blocks:
@@ -151,7 +153,7 @@ class Qwen2Vision(nn.Module):
 
 
 class _Qwen2Rotation(nn.Module):
-    """`grid_thw` → cosines and sines of each patch's place, (n, 1, size of a head) each."""
+    """Rotary embedding: `grid_thw` → cosines and sines per patch, (n, 1, head size) each."""
 
     def __init__(self, visual: nn.Module) -> None:
         super().__init__()
@@ -170,14 +172,14 @@ class _Qwen2Rotation(nn.Module):
 
 
 def _attend(attention: nn.Module, x: Tensor, rotation: tuple[Tensor, Tensor]) -> Tensor:
-    """Qwen2-VL's attention over all patches of one image, (1, n, d) → (1, n, d)."""
+    """Return Qwen2-VL's attention over all patches of one image, (1, n, d) → (1, n, d)."""
     heads = attention.num_heads
     q, k, v = attention.qkv(x).reshape(-1, 3, heads, x.shape[-1] // heads).unbind(1)
     q, k = (part * rotation[0] + _half_turned(part) * rotation[1] for part in (q, k))
     q, k, v = (part.transpose(0, 1) for part in (q, k, v))
     scores = torch.matmul(q, k.transpose(1, 2)) * attention.scaling
-    heard = torch.matmul(scores.softmax(dim=-1), v)
-    return attention.proj(heard.transpose(0, 1).flatten(1)[None])
+    mixed = torch.matmul(scores.softmax(dim=-1), v)
+    return attention.proj(mixed.transpose(0, 1).flatten(1)[None])
 
 
 def _half_turned(x: Tensor) -> Tensor:

@@ -1,7 +1,7 @@
-"""How three ONNX files choose among the letters, compared with the model that they are made of.
+"""Parity check of vision-language models: answers of three ONNX files compared with the original's.
 
-What is compared is what the service reads (`scoring/choice`): of the logits behind a
-picture and a question only the letters'.
+Only the logits of the letters after an image and a question are compared, since the service reads
+no others (`scoring/choice`).
 """
 
 from __future__ import annotations
@@ -22,19 +22,20 @@ from exporters.reports import Report
 
 TARGETS = ("chair", "refrigerator", "bed")
 MARKS = 4
-"""Directions that a question offers, and one letter more for elsewhere."""
+"""Directions that a question offers; one more letter stands for elsewhere."""
 _SPELLINGS = ("{}", "Ġ{}", "▁{}")
-"""How vocabularies write a letter: alone, and behind a space."""
+"""Spellings of a letter in vocabularies: alone, or after a space."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """A question about a picture, as tokens.
+    """A question about an image, as tokens.
 
     Attributes:
-        before, after: of the picture's own tokens.
-        letters: the tokens of the answers.
-        image: the token that stands in a picture's places.
+        before: tokens before the image.
+        after: tokens after the image.
+        letters: tokens of the answers.
+        image: placeholder token of the image.
     """
 
     before: tuple[int, ...]
@@ -43,12 +44,12 @@ class Question:
     image: int
 
     def ids(self, tokens: int) -> np.ndarray:
-        """(1, n) int64 with so many places for the picture."""
+        """Return (1, n) int64 with `tokens` placeholders for the image."""
         return np.array([[*self.before, *[self.image] * tokens, *self.after]], np.int64)
 
 
 def questions(folder: Path, image_token: int) -> list[Question]:
-    """ViTL's directional question for a few targets, in a folder's tokens."""
+    """Return ViTL's directional question for a few targets, in the tokens of a folder."""
     path = folder / hugging_face.TOKENIZER
     tokenizer = hugging_face.open_tokenizer(path)
 
@@ -59,7 +60,7 @@ def questions(folder: Path, image_token: int) -> list[Question]:
     for letter in LETTERS[: MARKS + 1]:
         found = [tokenizer.token_to_id(spelling.format(letter)) for spelling in _SPELLINGS]
         if not any(token is not None for token in found):
-            raise ExportError(f"{path}: no token for {letter!r}: it cannot answer with one token")
+            raise ExportError(f"{path}: no token for {letter!r}: the model cannot answer by letter")
         letters.append(next(token for token in found if token is not None))
     return [
         Question(ids(SYSTEM), ids(direction_question(MARKS, target)), tuple(letters), image_token)
@@ -68,10 +69,15 @@ def questions(folder: Path, image_token: int) -> list[Question]:
 
 
 def places_of(ids: np.ndarray, image: int, grid: np.ndarray | None, merge: int) -> np.ndarray:
-    """Places of tokens, (1, n) int64, or with a grid (3, 1, n): time, row, column (Qwen2-VL 2.1).
+    """Return position ids, (1, n) int64; with a grid (3, 1, n): time, row, column.
+
+    Qwen2-VL section 2.1.
 
     Args:
-        grid: (1, 3) patches of the picture; `merge`² of them are a token.
+        ids: (1, n) tokens.
+        image: placeholder token of the image.
+        grid: (1, 3) size of the image in patches; None for plain positions.
+        merge: height and width of a token in patches.
     """
     n = ids.shape[1]
     if grid is None:
@@ -87,10 +93,10 @@ def places_of(ids: np.ndarray, image: int, grid: np.ndarray | None, merge: int) 
 
 
 class Shown(NamedTuple):
-    """A picture, as the original sees it.
+    """An image, encoded by the original.
 
     Attributes:
-        feeds: of the vision encoder's ONNX.
+        feeds: inputs of the vision encoder's ONNX.
         features: (tokens, d) float32.
     """
 
@@ -99,32 +105,32 @@ class Shown(NamedTuple):
 
     @property
     def grid(self) -> np.ndarray | None:
-        """(1, 3) of its patches, for a model whose places have three numbers."""
+        """(1, 3) size in patches, for a model with positions of three numbers; else None."""
         return self.feeds.get("grid_thw", self.feeds.get("image_grid_thw"))
 
 
 class Original(Protocol):
-    """What a candidate is compared with: a model of `transformers`, or its files in FP32.
+    """Reference of a comparison: a model of `transformers`, or its FP32 files.
 
     Attributes:
-        merge: how many patches a token is high and wide.
+        merge: height and width of a token in patches.
     """
 
     merge: int
 
     def logits(self, question: Question, shown: Shown) -> np.ndarray:
-        """(v,) float32 of the token behind the question."""
+        """Return (v,) float32 of the token after the question."""
         ...
 
 
 class Chain:
-    """Three ONNX files, one after the other, on the CPU."""
+    """Pipeline of three ONNX files on the CPU.
+
+    Args:
+        files: vision encoder, token embedding, decoder.
+    """
 
     def __init__(self, files: list[Path]) -> None:
-        """
-        Args:
-            files: vision encoder, embedding of tokens, decoder.
-        """
         self._vision, self._embedding, self._decoder = (cpu_session(f, threads=2) for f in files)
 
     @property
@@ -132,12 +138,12 @@ class Chain:
         return [value.name for value in self._vision.get_inputs()]
 
     def features(self, feeds: dict[str, np.ndarray]) -> np.ndarray:
-        """(tokens, d) of a prepared picture."""
+        """Return (tokens, d) of a preprocessed image."""
         (found,) = self._vision.run(["image_features"], feeds)
         return found.reshape(-1, found.shape[-1])
 
     def rows(self, ids: np.ndarray, image: int, features: np.ndarray) -> np.ndarray:
-        """(1, n, d): embeddings, with the picture's features in its places."""
+        """Return (1, n, d): embeddings, with the image's features in its placeholders."""
         (rows,) = self._embedding.run(["inputs_embeds"], {"input_ids": ids})
         rows[ids == image] = features
         return rows
@@ -145,7 +151,7 @@ class Chain:
     def logits(
         self, question: Question, features: np.ndarray, grid: np.ndarray | None, merge: int
     ) -> np.ndarray:
-        """(v,) of the token behind a question about a picture; see `places_of`."""
+        """Return (v,) of the token after a question about an image; see `places_of`."""
         ids = question.ids(len(features))
         places = places_of(ids, question.image, grid, merge)
         return self.read(self.rows(ids, question.image, features), places)[0]
@@ -153,7 +159,7 @@ class Chain:
     def read(
         self, rows: np.ndarray, places: np.ndarray, past: dict[str, np.ndarray] | None = None
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Read on; logits (v,) of the last token, and all that was read, for the next time."""
+        """Read more tokens; return logits (v,) of the last one, and the cache for the next call."""
         past = self._nothing() if past is None else past
         logits, *present = self._decoder.run(None, self.decoder_feeds(rows, places, past))
         return logits[0, -1], dict(zip(past, present, strict=True))
@@ -161,7 +167,7 @@ class Chain:
     def decoder_feeds(
         self, rows: np.ndarray, places: np.ndarray, past: dict[str, np.ndarray] | None = None
     ) -> dict[str, np.ndarray]:
-        """Inputs of the decoder that reads on."""
+        """Return the decoder's inputs for more tokens."""
         past = self._nothing() if past is None else past
         before = next(iter(past.values())).shape[2]
         return {
@@ -182,15 +188,15 @@ class Chain:
 
 @dataclass(frozen=True)
 class LetterReport(Report):
-    """What a candidate kept of the original's answers.
+    """Agreement of a candidate's answers with the original's.
 
     Attributes:
-        questions: number of pictures times targets.
-        cosine: the lowest between two features of a picture.
-        same_letter: share of the questions that both answer alike.
-        rank_agreement: share of the pairs of letters in one order (`encoder_parity`).
-        share_error: the largest difference of a letter's probability (ViTL eq. 4).
-        max_abs_diff: the largest difference of a letter's logit.
+        questions: number of images times targets.
+        cosine: lowest cosine between two features of an image.
+        same_letter: share of questions with the same answer.
+        rank_agreement: share of the pairs of letters in the same order (`encoder_parity`).
+        share_error: largest difference of a letter's probability (ViTL eq. 4).
+        max_abs_diff: largest difference of a letter's logit.
     """
 
     questions: int
@@ -202,21 +208,21 @@ class LetterReport(Report):
 
 
 class Exam:
-    """Questions about pictures, and what the original answers: (letters, pictures · questions)."""
+    """Questions about images with the original's answers, to compare candidates with."""
 
     def __init__(self, original: Original, pictures: list[Shown], asked: list[Question]) -> None:
         self._pictures, self._asked, self._merge = pictures, asked, original.merge
         rows = [
             original.logits(question, shown)[list(question.letters)]
-            for shown in counted("pictures: the original is asked", pictures)
+            for shown in counted("pictures: original", pictures)
             for question in asked
         ]
         self._reference = np.array(rows).T
 
     def sit(self, chain: Chain) -> LetterReport:
-        """Ask three files the same; raises ExportError if what they answer is not finite."""
+        """Ask three files the same questions; raise ExportError if an answer is not finite."""
         found, cosines = [], []
-        for shown in counted("pictures: asked about", self._pictures):
+        for shown in counted("pictures: candidate", self._pictures):
             features = chain.features(shown.feeds)
             norms = np.linalg.norm(shown.features, axis=1) * np.linalg.norm(features, axis=1)
             cosines.append(float(((shown.features * features).sum(axis=1) / norms).min()))
@@ -226,7 +232,7 @@ class Exam:
             ]
         reference, candidate = self._reference, np.array(found, np.float32).T
         if not (np.isfinite(candidate).all() and np.isfinite(cosines).all()):
-            raise ExportError("the candidate's logits or features are not finite; take more bits")
+            raise ExportError("the candidate's logits or features are not finite; use more bits")
         return LetterReport(
             questions=reference.shape[1],
             cosine=min(cosines),
@@ -238,6 +244,6 @@ class Exam:
 
 
 def _shares(logits: np.ndarray) -> np.ndarray:
-    """Softmax over the letters, (letters, questions)."""
+    """Return the softmax over the letters, (letters, questions)."""
     powers = np.exp(logits - logits.max(axis=0))
     return powers / powers.sum(axis=0)

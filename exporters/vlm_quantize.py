@@ -1,9 +1,9 @@
-"""Variants of a vision-language model that is here in FP32, as it was pulled or exported.
+"""Variants of a vision-language model that is here in FP32, pulled or exported.
 
     edge models export NAME-fp32 --quantize --precision q4 int8 --calibration PICTURES
 
-writes the files to `quantized/` in the model's folder, where no published one lies, and a card for
-each precision. It needs no PyTorch: a variant is compared with the FP32 files.
+writes the files to `quantized/` in the model's folder, apart from published files, and a card for
+each precision. It needs no PyTorch: variants are compared with the FP32 files.
 """
 
 from __future__ import annotations
@@ -58,28 +58,31 @@ PRECISIONS = {
     "q4": ("int8", "int8", "q4"),
     "q4f16": ("fp16", "fp16", "q4f16"),
 }
-"""By a card's precision: those of its files. `int8` is static of the vision encoder, and of weights
-alone of the others; `q4` of weights."""
+"""Precisions of the three files, by the card's precision.
+
+`int8` is static for the vision encoder and weight-only for the others; `q4` is weight-only.
+"""
 RECIPES = {
     VISION: Recipe(not_fp16=(r"^/places/",)),
     EMBEDDING: Recipe(),
     DECODER: Recipe(not_fp16=(r"^/rotary_emb/", r"layernorm/", r"^/norm/")),
 }
-"""What stays in float32: the angle of place 1000 has no fraction left in float16, and the square of
-a decoder's hidden value soon is no number."""
+"""Nodes that stay in float32. In float16 the rotary angle of position 1000 has no fraction left,
+and the square of a decoder's hidden value overflows."""
 HALF_PICTURES = 8
-"""On so many it is seen which of the decoder's values are too large for float16."""
+"""Images for the check which of the decoder's values are too large for float16."""
 
 
 def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
-    """Make every variant that was asked for; the parity by card.
+    """Make all variants that were asked for; return the parity by card.
 
     Args:
+        card: the FP32 card.
         args: precision, calibration, validation, cache, no_gate: see `exporters.__main__`.
 
     Raises:
-        ExportError: the card is of no FP32 model with eyes, a card is in the way, or a parity
-            misses its limits.
+        ExportError: the card is no FP32 model with a vision encoder, another card has the name, or
+            a parity misses its limits.
         ModelError: a file is missing or damaged.
     """
     wanted = {p: f"{card.name.removesuffix(f'-{FP32}')}-{p}" for p in args.precision}
@@ -87,13 +90,13 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
         choices = ", ".join(PRECISIONS)
         raise ExportError(f"--precision: {unknown[0]!r:.60} (choices: {choices})")
     if card.precision != FP32 or card.vision_encoder is None:
-        what = f"is {card.precision}" if card.precision != FP32 else "has no eyes"
-        raise ExportError(f"{card.name}: {what}; variants are made of an FP32 model with eyes")
+        what = f"is {card.precision}" if card.precision != FP32 else "has no vision encoder"
+        raise ExportError(f"{card.name}: {what}; give an FP32 card with a vision encoder")
     for name in wanted.values():
         if name in card_names() and load_card(name).derived_from != card.name:
             raise ExportError(
-                f"{name}: there is a card of this name, not made of {card.name}: `edge models pull "
-                f"{name}` fetches it; for one of your own, copy {card.name}'s under another name"
+                f"{name}: another card has this name and is not made from {card.name}: get it with "
+                f"`edge models pull {name}`, or copy {card.name}'s card under another name"
             )
     need_pictures(args.calibration, card.name)
     calibration, validation = pictures(args.calibration, args.validation)
@@ -124,7 +127,15 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
 
 
 class Maker:
-    """Makes files of those in FP32, each once: several precisions of a model share some."""
+    """Makes variants of the FP32 files, each once: several precisions of a model share some.
+
+    Args:
+        fp32: the three files, by name.
+        original: the FP32 model.
+        asked: question for the check which of the decoder's values are too large for float16.
+        calibration: images to calibrate on.
+        folder: folder to write to.
+    """
 
     def __init__(
         self,
@@ -134,12 +145,6 @@ class Maker:
         calibration: list[Path],
         folder: Path,
     ) -> None:
-        """
-        Args:
-            fp32: the three, by name.
-            asked: what the decoder is watched at, to see which values are too large for float16.
-            folder: for what is made.
-        """
         self._fp32, self._folder = fp32, folder
         self._made: dict[tuple[str, str], list[Path]] = {}
         few = [original.show(read_rgb(path)) for path in calibration[:HALF_PICTURES]]
@@ -150,7 +155,7 @@ class Maker:
         }
 
     def make(self, name: str, precision: str) -> list[Path]:
-        """The file of a network in a precision, and those that it keeps weights in."""
+        """Return the file of a network in a precision, and its weight files."""
         if (name, precision) not in self._made:
             out = self._folder / f"{name}_{precision}.onnx"
             print(f"{out.name}: making it", file=sys.stderr)
@@ -176,17 +181,17 @@ class Maker:
 
 
 def _kept(model: onnx.ModelProto, feeds: list[dict[str, np.ndarray]], name: str) -> set[str]:
-    """Nodes that stay in float32; by their values only where there are feeds to see them on."""
+    """Return the nodes that stay in float32; without feeds, only those of the recipe."""
     recipe = RECIPES[name]
     return kept_nodes(model, feeds, recipe) if feeds else set(nodes_like(model, recipe.not_fp16))
 
 
 class FilesOriginal:
-    """The FP32 files of a card, asked as `exporters.vlm_parity.Exam` does.
+    """The FP32 files of a card, as the reference of `exporters.vlm_parity.Exam`.
 
     Attributes:
-        image_token: stands in a picture's places.
-        merge: how many patches a token is high and wide.
+        image_token: placeholder token of the image.
+        merge: height and width of a token in patches.
     """
 
     def __init__(self, card: ChoiceCard) -> None:
@@ -201,21 +206,21 @@ class FilesOriginal:
         self._prepare = make_prepare(files, text, card.image_tokens)
 
     def prepare(self, rgb: np.ndarray) -> dict[str, np.ndarray]:
-        """(h, w, 3) uint8 → inputs of the vision encoder's ONNX."""
+        """Return inputs of the vision encoder's ONNX for an image, (h, w, 3) uint8."""
         feeds = self._prepare(rgb).feeds
         return {name: feeds[name] for name in self._chain.vision_inputs}
 
     def show(self, rgb: np.ndarray) -> Shown:
-        """A picture, (h, w, 3) uint8, made ready and looked at."""
+        """Preprocess and encode an image, (h, w, 3) uint8."""
         feeds = self.prepare(rgb)
         return Shown(feeds, self._chain.features(feeds))
 
     def logits(self, question: Question, shown: Shown) -> np.ndarray:
-        """(v,) float32 of the token behind the question."""
+        """Return (v,) float32 of the token after the question."""
         return self._chain.logits(question, shown.features, shown.grid, self.merge)
 
     def decoder_feeds(self, question: Question, shown: Shown) -> dict[str, np.ndarray]:
-        """Inputs of the decoder's ONNX for the whole question, with nothing before it."""
+        """Return the decoder's inputs for the whole question, with an empty cache."""
         ids = question.ids(len(shown.features))
         places = places_of(ids, question.image, shown.grid, self.merge)
         rows = self._chain.rows(ids, question.image, shown.features)

@@ -1,10 +1,10 @@
-"""A vocabulary of CLIP ViT-B/32 text embeddings, from what Detic publishes; needs no CLIP.
+"""Vocabulary of CLIP ViT-B/32 text embeddings, made from Detic's published files, without CLIP.
 
     git clone --depth 1 https://github.com/facebookresearch/Detic
     python -m exporters.vocabulary Detic --out clip_vitb32_vocab.npz
 
-Detic (Apache-2.0) keeps the embedding of "a NAME" for every category of LVIS, Objects365 and
-OpenImages beside its code: 1608 words in all.
+Detic (Apache-2.0) has the embedding of "a NAME" for every category of LVIS, Objects365 and
+OpenImages next to its code: 1608 words in all.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ _UNREADABLE = (OSError, EOFError, ValueError, SyntaxError, KeyError, IndexError,
 
 
 def lvis_names(text: str) -> list[str]:
-    """Of a JSON list of categories, by id."""
+    """Return the names of a JSON list of categories, by id."""
     return [item["name"] for item in sorted(json.loads(text), key=lambda item: item["id"])]
 
 
 def objects365_names(text: str) -> list[str]:
-    """Of a table: number, name, the name with its spelling put right."""
+    """Return the names of a table: number, name, name with corrected spelling."""
     return [row[2] for row in csv.reader(text.splitlines()) if row]
 
 
 def openimages_names(text: str) -> list[str]:
-    """Of Python code that assigns a list of categories; it is read and not run."""
+    """Return the names of Python code that assigns a list of categories; the code is not run."""
     for node in ast.parse(text).body:
         if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "categories":
             return [item["name"] for item in ast.literal_eval(node.value)]
@@ -49,14 +49,14 @@ TABLES = (
     (_METADATA / "Objects365_names_fix.csv", objects365_names, "o365_clip_a+cnamefix.npy"),
     (Path("detic/data/datasets/oid.py"), openimages_names, "oid_clip_a+cname.npy"),
 )
-"""File of names, how they are read, file of their embeddings; where two have a word, the first."""
+"""File of names, its reader, file of embeddings. If two files have a word, the first one counts."""
 
 
 def read_tables(detic: Path) -> dict[str, np.ndarray]:
-    """Word → its embedding, (512,) float16.
+    """Return the embedding, (512,) float16, of each word.
 
     Raises:
-        ExportError: a file is missing, or not what it should be.
+        ExportError: a file is missing or invalid.
     """
     found: dict[str, np.ndarray] = {}
     for file, names_in, embeddings in TABLES:
@@ -74,7 +74,7 @@ def read_tables(detic: Path) -> dict[str, np.ndarray]:
             ) from None
         if rows.shape != (len(names), DIM):
             raise ExportError(
-                f"{path}: {rows.shape}, must be ({len(names)}, {DIM}) by {file.name}; clone it anew"
+                f"{path}: {rows.shape}, must be ({len(names)}, {DIM}) by {file.name}; clone again"
             )
         for name, row in zip(names, rows.astype(np.float16), strict=True):
             found.setdefault(name.replace("_", " ").lower(), row)

@@ -1,7 +1,8 @@
-"""Weight-only INT8 and INT4: what multiplies gets few bits, what flows through stays in float.
+"""Weight-only INT8 and INT4: weights get few bits, activations stay float.
 
-A matrix gets a scale for each block of `BLOCK` weights (onnxruntime's MatMulNBits, rounding to
-nearest), a table of embeddings one for each row, and 8 bits always: a row is read, not summed up.
+A matrix has a scale for each block of `BLOCK` weights (onnxruntime's MatMulNBits, rounding to
+nearest). An embedding table has a scale for each row and always 8 bits, because its rows are read
+and not summed.
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ from onnx import helper, numpy_helper
 from exporters.files import ExportError
 
 BITS = {"int8": 8, "q4": 4}
-"""By the precision of a card."""
+"""Bits by the precision of a card."""
 BLOCK = 32
 INT8_ARITHMETIC = 4
-"""MatMulNBits' `accuracy_level` of what the CPU multiplies in: inputs are rounded to int8, block by
-block, where float32 would unpack every weight first. A GPU does not look at it."""
+"""MatMulNBits' `accuracy_level`: the CPU multiplies in int8, with inputs rounded block by block. In
+float32 it would unpack every weight first. A GPU ignores it."""
 MAX_LEVEL = 127
 
 
 def quantize_weights(model: onnx.ModelProto, precision: str) -> onnx.ModelProto:
-    """The model with its constant matrices in 8 or 4 bits and its embedding tables in 8.
+    """Return the model with constant matrices in 8 or 4 bits and embedding tables in 8.
 
     Raises:
         ExportError: no such precision, or nothing in the model to quantize.
@@ -50,7 +51,7 @@ def quantize_weights(model: onnx.ModelProto, precision: str) -> onnx.ModelProto:
 
 
 def quantize_tables(model: onnx.ModelProto) -> int:
-    """Put every table that rows are gathered from into int8, in place; how many there were."""
+    """Convert every embedding table to int8, in place; return how many there were."""
     graph = model.graph
     constants = {init.name: init for init in graph.initializer}
     uses = [name for node in graph.node for name in node.input]
@@ -81,7 +82,7 @@ def quantize_tables(model: onnx.ModelProto) -> int:
 
 
 def _is_table(tensor: onnx.TensorProto | None) -> bool:
-    """Whether it has two axes of floats, more than a block of them."""
+    """Return True for a float tensor of two axes with more elements than a block."""
     return (
         tensor is not None and tensor.data_type == onnx.TensorProto.FLOAT
         and len(tensor.dims) == 2 and int(np.prod(tensor.dims)) > BLOCK
@@ -93,6 +94,6 @@ def _axis(node: onnx.NodeProto) -> int:
 
 
 def _rows_in_int8(table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(rows, d) float32 → levels (rows, d) int8, scales (rows, 1) float32."""
+    """Quantize (rows, d) float32 to levels (rows, d) int8 and scales (rows, 1) float32."""
     scale = np.maximum(np.abs(table).max(axis=1, keepdims=True), 1e-12) / MAX_LEVEL
     return np.round(table / scale).astype(np.int8), scale.astype(np.float32)

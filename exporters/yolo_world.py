@@ -1,6 +1,6 @@
-"""YOLO-World v2 from its PyTorch checkpoint to one ONNX file that takes the prompt as an input.
+"""Export of YOLO-World v2 from its PyTorch checkpoint to one ONNX file with prompts as input.
 
-Every detector ONNX of this project has the same contract, see `INPUTS` and `OUTPUTS`.
+All detector ONNX files of this project have the same inputs and outputs: `INPUTS`, `OUTPUTS`.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ import os
 import tempfile
 from pathlib import Path
 
-# Ultralytics pip-installs what it misses, tells its makers what is run, and writes settings to the
-# home folder unless told otherwise; an export must not change the host, nor speak of it.
+# By default Ultralytics installs missing packages, sends usage data and writes settings to the home
+# folder. An export must not change the host or send data.
 os.environ.setdefault("YOLO_AUTOINSTALL", "false")
 os.environ.setdefault("YOLO_OFFLINE", "true")
 os.environ.setdefault("YOLO_CONFIG_DIR", tempfile.gettempdir())
@@ -33,9 +33,9 @@ TEXT_DIM = 512
 
 
 class YoloWorldDetector(nn.Module):
-    """YOLO-World with its text embeddings as an input and boxes and scores as two outputs.
+    """YOLO-World with its text embeddings as an input, and boxes and scores as two outputs.
 
-    Ultralytics' own forward bakes the number of classes into the graph; this one leaves it free.
+    Ultralytics' own forward fixes the number of classes in the graph; here it is free.
     """
 
     def __init__(self, world_model: nn.Module):
@@ -46,7 +46,7 @@ class YoloWorldDetector(nn.Module):
         self.save = frozenset(world_model.save)
 
     def forward(self, images: Tensor, txt_feats: Tensor) -> tuple[Tensor, Tensor]:
-        """See `INPUTS` and `OUTPUTS`."""
+        """Run the detector; see `INPUTS` and `OUTPUTS`."""
         x, outputs = images, []
         for layer in self.model[:-1]:
             if layer.f != -1:
@@ -58,12 +58,12 @@ class YoloWorldDetector(nn.Module):
 
 
 def _gather(sources: list[int], latest: Tensor, outputs: list[Tensor | None]) -> list[Tensor]:
-    """The inputs of a layer by layer number, where -1 is the layer before."""
+    """Return the inputs of a layer by layer number; -1 is the layer before."""
     return [latest if i == -1 else outputs[i] for i in sources]
 
 
 class WorldHead(nn.Module):
-    """Detection head at strides 8, 16 and 32: Ultralytics' WorldDetect layers, decoded in full."""
+    """Detection head at strides 8, 16, 32: Ultralytics' WorldDetect layers, fully decoded."""
 
     def __init__(self, head: nn.Module):
         super().__init__()
@@ -72,12 +72,12 @@ class WorldHead(nn.Module):
         self.strides_px = [float(stride) for stride in head.stride]
 
     def forward(self, features: list[Tensor], txt_feats: Tensor) -> tuple[Tensor, Tensor]:
-        """Feature maps (1, C, rows, columns) per level → boxes (1, A, 4), scores (1, A, n)."""
+        """Map features (1, C, rows, columns) per level to boxes (1, A, 4) and scores (1, A, n)."""
         logits = [self._logits(i, x, txt_feats) for i, x in enumerate(features)]
         return self._boxes(features), torch.cat(logits, dim=1).sigmoid()
 
     def _boxes(self, features: list[Tensor]) -> Tensor:
-        """Distribution focal loss decoding at all levels; (1, A, 4) xyxy in input pixels."""
+        """Decode the distribution focal loss of all levels to (1, A, 4) xyxy in input pixels."""
         distances = torch.cat([self.cv2[i](x).flatten(2) for i, x in enumerate(features)], dim=2)
         ltrb = self.dfl(distances).transpose(1, 2)
         centres, strides = _anchors(features, self.strides_px)
@@ -85,16 +85,16 @@ class WorldHead(nn.Module):
         return corners * strides
 
     def _logits(self, level: int, x: Tensor, txt_feats: Tensor) -> Tensor:
-        """Class logits of one level, (1, cells, n): image features against the text embeddings."""
+        """Return class logits of one level, (1, cells, n): image features times text embeddings."""
         contrast = self.cv4[level]
         embedding = contrast.norm(self.cv3[level](x)).flatten(2).transpose(1, 2)
         text = nn.functional.normalize(txt_feats, dim=-1).transpose(1, 2)
-        # The scale goes onto the text: n is far smaller than the number of cells.
+        # Scale the text: n is far smaller than the number of cells.
         return embedding @ (text * contrast.logit_scale.exp()) + contrast.bias
 
 
 def _anchors(features: list[Tensor], strides_px: list[float]) -> tuple[Tensor, Tensor]:
-    """Cell centres (1, A, 2) xy in cells, and strides (1, A, 1) in pixels, as constants."""
+    """Return cell centres (1, A, 2) xy in cells, and strides (1, A, 1) in pixels, as constants."""
     centres, strides = [], []
     for x, stride_px in zip(features, strides_px, strict=True):
         rows, columns = int(x.shape[2]), int(x.shape[3])
@@ -105,9 +105,9 @@ def _anchors(features: list[Tensor], strides_px: list[float]) -> tuple[Tensor, T
 
 
 def load_detector(weights: Path, sha256: str) -> YoloWorldDetector:
-    """The checkpoint as an evaluation-mode module; refuses a file whose sha256 is another.
+    """Return the checkpoint in evaluation mode; raise ExportError if its sha256 differs.
 
-    The check comes first since a .pt file is a pickle: loading one runs what is in it.
+    The check comes first, because a .pt file is a pickle, and loading a pickle can run code.
     """
     check_sha256(weights, sha256)
     checkpoint = torch.load(weights, map_location="cpu", weights_only=False)
@@ -116,7 +116,7 @@ def load_detector(weights: Path, sha256: str) -> YoloWorldDetector:
 
 
 def coco_prompts(weights: Path, sha256: str) -> TextEmbeddings:
-    """The 80 COCO names with the text embeddings that come inside the checkpoint."""
+    """Return the 80 COCO names with the text embeddings inside the checkpoint."""
     check_sha256(weights, sha256)
     model = torch.load(weights, map_location="cpu", weights_only=False)["model"]
     names = tuple(model.names[index] for index in range(len(model.names)))
@@ -135,7 +135,7 @@ def export_onnx(detector: nn.Module, height_px: int, width_px: int, out: Path) -
 
 
 def _slimmed(model: onnx.ModelProto, height_px: int, width_px: int) -> onnx.ModelProto:
-    """Fold constants and drop dead nodes, then state the output shapes that tracing left open."""
+    """Fold constants and drop dead nodes, then set the output shapes that tracing left open."""
     import onnxslim
 
     slim = onnxslim.slim(model)

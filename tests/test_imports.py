@@ -23,6 +23,7 @@ LAYERS = (
     ("config",),
     ("bus", "chat"),
     ("mapping", "perception", "trajectory"),
+    ("memory",),
     ("policies", "mission"),
     ("tasks",),
     ("loop",),

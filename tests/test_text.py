@@ -118,6 +118,6 @@ NO_OBJECTS = [b"", b"\xff\x00", b"[" * 100_000, b"3", b'"x"', b"[1]", b'{"a": 1}
 
 @pytest.mark.parametrize("data", NO_OBJECTS)
 def test_what_is_no_json_object_of_the_size_is_one_line(data):
-    says = r"^(not JSON|not a JSON object|8 bytes, at most 7 are taken)$"
+    says = r"^(not JSON|not a JSON object|8 bytes, at most 7 are accepted)$"
     with pytest.raises(ValueError, match=says):
         read_json_object(data, 100_000 if len(data) > 8 else 7)

@@ -41,7 +41,8 @@ def connect(
     Args:
         patience_s: how long to look for it, `CONNECT_S` at most.
         what: the command, for the error's line.
-        whom, start: who should be there, and what starts it, for that too.
+        whom: who should be there, for the message.
+        start: the command that starts it, for the message.
 
     Raises:
         RequestError: nobody is there, or it does not take us in.

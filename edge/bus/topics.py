@@ -55,10 +55,13 @@ TICK = Topic("tick", "json", "block", 0, "service")
 CMD_VEL = Topic("cmd_vel", "geometry_msgs/TwistStamped", "drop", 20, "controller")
 GOAL_STATUS = Topic("goal_status", "json", "urgent", 0, "controller")
 
-# Not topics but queryables: requests about the mission and the perception's model, JSON both ways
-# (see `edge.loop.requests`).
+# Not topics but queryables: requests about the mission, the perception's model, and places and
+# zones, JSON both ways (see `edge.loop.requests`, `edge.loop.site_requests`).
 MISSION_REQUEST = "mission/request"
 MODELS_REQUEST = "models/request"
+SITE_REQUEST = "site/request"
+MEMORY_REQUEST = "memory/request"
+REQUESTS = (MISSION_REQUEST, MODELS_REQUEST, SITE_REQUEST, MEMORY_REQUEST)
 
 # Nor is this one: below it lies the liveliness token of the service (see `edge.bus.presence`).
 ALIVE = "alive"

@@ -326,7 +326,7 @@ def _targets(config: Config) -> tuple[str, ...]:
     from edge.mission.brief import prepare
 
     try:
-        return prepare(config.mission).targets
+        return prepare(config.mission).prompts
     except UserError:
         return (config.mission.target,)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from edge import __version__
-from edge.cli import eval_parsers, model_parsers, requests
+from edge.cli import eval_parsers, memory, model_parsers, requests, site
 from edge.cli.options import (
     CONFIG,
     WHERE,
@@ -48,6 +48,9 @@ def make_parser() -> argparse.ArgumentParser:
         _play,
         _mission,
         _fleet,
+        site.add_places,
+        site.add_zones,
+        memory.add,
         model_parsers.add,
         _record,
         _replay,

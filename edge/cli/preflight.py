@@ -94,7 +94,7 @@ def check_mission(config: Config) -> None:
     brief, detector = prepared(config), config.perception.detector
     if isinstance(detector, DetectorOnnx):
         card = load_card_of(DetectCard, detector.model)
-        make_text_encoder(card, detector.vocabulary).embed(brief.targets)
+        make_text_encoder(card, detector.vocabulary).embed(brief.prompts)
 
 
 def _policy(config: Config) -> None:

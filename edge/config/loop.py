@@ -18,7 +18,7 @@ TopicName = Literal[
     "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom",
     "sim/ground_truth", "sim/segmentation", "sim/labels",
     "goal", "map", "status", "latency", "mission", "trajectory", "tick", "cmd_vel",
-    "goal_status", "mission/request", "models/request",
+    "goal_status", "mission/request", "models/request", "site/request", "memory/request",
 ]  # fmt: skip
 
 

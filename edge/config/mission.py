@@ -132,6 +132,8 @@ class Mission(Section):
         max_targets: most different objects in a mission.
         checkpoint: file to continue the mission from after a restart. Map and objects are saved
             next to it, as `<checkpoint>.map` (docs/service.md). null: nothing is saved.
+        site: GeoJSON file of places, zones and room names, read at the start and written when one
+            changes (docs/places.md). null: they last until the service stops.
         on_request: true: start without a mission and wait for `edge mission new`, unless the
             command line gives a mission.
         search_limit_s: a target that is searched for this time without success counts as failed;
@@ -162,6 +164,7 @@ class Mission(Section):
     max_states: Annotated[int, Field(ge=2)] = 20000
     max_targets: Annotated[int, Field(ge=1, le=40)] = 16
     checkpoint: str | None = None
+    site: str | None = None
     on_request: bool = False
     search_limit_s: Positive | None = None
     time_limit_s: Positive = 300.0

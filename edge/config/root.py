@@ -157,6 +157,18 @@ class Config(Section):
         similar: list[ValueSource] = [] if self.perception.similarity is None else ["similarity"]
         return similar if self.perception.choice.kind == "none" else ["choice", *similar]
 
+    def check_site(self) -> None:
+        """Refuse a file of places in a frame that does not outlive the service.
+
+        Raises:
+            ConfigError: one line: the key, and what to set.
+        """
+        if self.mission.site is not None and not self.source.localised:
+            raise ConfigError(
+                f"{self.at('mission.site', 'source.localised')}: a file of places needs poses in a "
+                "map that lasts: set source.localised to true, or remove mission.site"
+            )
+
     def check_policy(self) -> None:
         """Raise ConfigError if the policy needs a scorer, or a scorer a prior, that is not set."""
         source, kind = self.value_source, self.policy.kind
@@ -229,6 +241,7 @@ def parse(data: dict[str, Any], path: str = "<defaults>", origins: Origins | Non
         raise ConfigError(explain_all(error, path, Config, origins.of)) from None
     config._origins = origins
     config.check_policy()
+    config.check_site()
     return config
 
 

@@ -8,6 +8,7 @@ import signal
 import socket
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,6 +19,7 @@ STOP = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 SHOW = (signal.SIGUSR1, signal.SIGUSR2)
 
 _PARENT_LOOK_S = 1.0
+_WAKE, _WAKE_S = signal.SIGURG, 0.05
 
 # Actions that run on a separate thread as soon as a signal comes. A Python handler runs later, in
 # the main thread: a signal to another thread does not wake it, and a handler must take no lock,
@@ -43,16 +45,23 @@ def stop_on_signals(parent: int | None = None) -> threading.Event:
     stop = threading.Event()
     numbers: list[int] = []
 
+    came = 0
+
     def handle(signum: int, frame: object) -> None:
-        if numbers:
+        numbers.append(signum)
+        if len(numbers) > 1:
             signal.signal(signum, signal.SIG_DFL)
             _break_off(signum, frame)
-        numbers.append(signum)
 
     def obey(signum: int) -> None:
-        log.info("%s: stopping", signal.Signals(signum).name)
+        nonlocal came
+        came += 1
+        if came == 1:
+            log.info("%s: stopping", signal.Signals(signum).name)
         stop.set()
+        _wake_main_thread(lambda: len(numbers) >= came)
 
+    signal.signal(_WAKE, lambda signum, frame: None)
     _act(dict.fromkeys(STOP, obey))
     _handle(handle)
     if parent is not None:
@@ -107,6 +116,17 @@ def _serve(numbers: socket.socket) -> None:
         number = numbers.recv(1)[0]
         if (action := _actions.get(number)) is not None:
             action(number)
+
+
+def _wake_main_thread(handled: Callable[[], bool]) -> None:
+    """Interrupt what the main thread waits for, until it has handled its signals.
+
+    A signal that comes just before the main thread begins to wait does not end that wait.
+    """
+    main = threading.main_thread()
+    while not handled() and main.is_alive():
+        signal.pthread_kill(main.ident, _WAKE)
+        time.sleep(_WAKE_S)
 
 
 def _show_stacks(_signum: int) -> None:

@@ -1,4 +1,5 @@
-"""Simulation, evaluation, benches, reports and the reference controller: never on the robot's path.
+"""Simulator, evaluation, benchmarks, reports and the reference controller. Not used on the robot.
 
-Nothing outside imports it; the CLI does so lazily. Its packages need the extra `lab`.
+No package outside `edge.lab` imports it, except the CLI, which imports it lazily. Its packages need
+the extra `lab`.
 """

@@ -41,7 +41,6 @@ _FILES = {
 }
 PUBLIC = tuple(_FILES)
 """The page itself: it says nothing of the robot."""
-_REQUESTS = (topics.MISSION_REQUEST, topics.MODELS_REQUEST)
 
 
 class LiveView:
@@ -80,7 +79,7 @@ class LiveView:
 
     def forms(self) -> Forms:
         """Requests, as over the bus: see `edge.loop.requests`."""
-        return {f"/{key}": partial(self._request, key) for key in _REQUESTS}
+        return {f"/{key}": partial(self._request, key) for key in topics.REQUESTS}
 
     # -- what is told --------------------------------------------------------------------------
 

@@ -92,7 +92,7 @@ class ServiceCheckpoint:
 
     def goes_on(self, mission: MissionRun, targets: Sequence[str]) -> bool:
         """Return whether this is the saved mission, and the map was saved with the same targets."""
-        return mission is self._resumed and tuple(targets) == mission.brief.targets
+        return mission is self._resumed and tuple(targets) == mission.brief.prompts
 
     def note(
         self,
@@ -111,7 +111,7 @@ class ServiceCheckpoint:
         noted, self._noted = self._noted, (mission, mission.changes)
         changed = noted is None or noted[0] is not mission or noted[1] != mission.changes
         if sighted is not None:
-            self.map.note(parts, sighted, mission.brief.targets, mission.target, changed)
+            self.map.note(parts, sighted, mission.brief.prompts, mission.target, changed)
         if not (changed or self._writer.due(now_ns)):
             return
         state = state_of(mission, status.phase)

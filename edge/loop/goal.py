@@ -19,7 +19,7 @@ from edge.config import Config
 from edge.geometry import SE2, wrap_angle
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.loop.candidates import CandidatePool
-from edge.loop.goal_client import GoalClient
+from edge.loop.goal_client import ARRIVED_M, GoalClient
 from edge.loop.search import LASTING_NS, LEFT, TURNS, NextBestView, Search
 from edge.loop.standstill import Standstill
 from edge.mapping.coverage import Viewpoint
@@ -28,12 +28,16 @@ from edge.mission.run import MissionRun
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import FRONTIER, INSTANCE, LOOK, Context
 from edge.policies.select import Held, choose, ranked
+from edge.text import one_line
 from edge.types import CandidateKind, Goal, GoalStatus, Instance, MissionPhase
 
 # A detector that stands still refutes nothing: so many images have to be searched on the spot.
 MIN_IMAGES = 5
 # A goal that is dropped in one tick and chosen again in one of the next is not taken back.
 GRACE_NS = 300_000_000
+
+# A place whose cell is closed is reached next to it; a goal there that failed is tried again.
+_AT_PLACE_M, _PLACE_TRIES = 0.5, 3
 
 _KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "look")
 
@@ -94,6 +98,7 @@ class GoalTracker:
         self._standstill = Standstill(config, event)
         self._warned_of: set[int] = set()
         self._turns = -1
+        self._place_failures = 0
         self._restored: tuple[str, Search, _Present | None] | None = None  # and its target
         self._without_since_ns: int | None = None
         self._grace_ns = GRACE_NS
@@ -128,7 +133,8 @@ class GoalTracker:
     def why_in_vain(self, mission: MissionRun, grid: RollingMap) -> str:
         """What was tried to get to the mission's target, when it is exhausted, and what barred."""
         target, views = mission.target, self.views
-        found = "no way to" if target in mission.detected else "found no"
+        seen = target in mission.detected or target in mission.places
+        found = "no way to" if seen else "found no"
         again = f", looked again at {views} place{'s' * (views > 1)}" if views else ""
         barred = _barred(grid)
         left = self._pool.out_of_reach if barred else 0
@@ -164,6 +170,31 @@ class GoalTracker:
         elif not self._search.trying_again(context, grid, self._pool, self._tracker):
             chosen = self._look_again(context, grid, images)
         self._present = chosen
+        return self.goal
+
+    def go_to_place(
+        self, context: Context, grid: RollingMap, place: SE2, target: str, images: int
+    ) -> Goal | None:
+        """Return a goal at a place; a frontier on the way to it while no path to it is known.
+
+        Args:
+            place: position and final heading.
+            target: the place's name.
+            images: number of images that the detector has searched so far.
+        """
+        cell = grid.reach.nearest(place.x_m, place.y_m, _AT_PLACE_M)
+        if cell is None:
+            frontiers, n = context.candidates, context.candidates.n
+            rest_m = np.hypot(*(frontiers.xy_m[:n] - (place.x_m, place.y_m)).T)
+            score = 1.0 / (1.0 + frontiers.path_m[:n] + rest_m)
+            return self.choose(context, grid, score.astype(np.float32), images)
+        self._next_view.drop()
+        self._search.found()
+        goal, at = self.goal, (place.x_m, place.y_m)
+        if goal is None or goal.kind != "place" or grid.state_at(goal.pose.x_m, goal.pose.y_m):
+            pose = SE2(cell[0], cell[1], place.yaw_rad)
+            goal = Goal(context.now_ns, pose, "place", 0, at, 1.0, target)
+            self._present = _Present(goal)
         return self.goal
 
     def lead(self, pose: SE2, mission: MissionRun, now_ns: int, apart_m: float) -> Goal:
@@ -311,11 +342,13 @@ class GoalTracker:
             instance = self._tracker.get(present.goal.candidate_id)
         verdict = None
         if present is None or instance is None:
-            of_a_task = present is not None and present.goal.kind == "trajectory"
-            self.phase = "approaching" if of_a_task else "searching"
+            known = present is not None and present.goal.kind in ("trajectory", "place")
+            self.phase = "approaching" if known else "searching"
         elif verdict := self._verdict(present, instance, pose, now_ns, images):
             self._act_on(verdict, present, instance, mission, now_ns)
-        if present is not None and verdict is None:
+        if present is not None and present.goal.kind == "place":
+            self._follow_to_place(present, pose, mission, now_ns)
+        elif present is not None and verdict is None:
             self._follow(present, pose, now_ns, images)
         # If nobody drives the robot, it is not the candidate's fault that it stands.
         driven_to = self.goal if self.client.is_driven(pose) else None
@@ -406,6 +439,23 @@ class GoalTracker:
             # turn to another frontier, and back as soon as it is a little farther away.
             self._discard(now_ns)
 
+    def _follow_to_place(
+        self, present: _Present, pose: SE2, mission: MissionRun, now_ns: int
+    ) -> None:
+        """Handle the controller's answer about a place."""
+        goal, answer = present.goal, present.answer
+        state = None if answer is None else answer.state
+        away_m = pose.distance_to(*goal.candidate_xy_m)
+        if state == "reached" and away_m <= _AT_PLACE_M + ARRIVED_M:
+            self.drop()
+            mission.arrive(f"{away_m:.1f} m from the place", now_ns)
+        elif answer is not None and state in ("reached", "failed"):
+            reason = answer.reason or f"the controller stopped {away_m:.1f} m from it"
+            self._event(f"goal failed: {reason}", now_ns)
+            self._discard(now_ns)
+            if self._place_failures >= _PLACE_TRIES:
+                mission.give_up(f"no way to {goal.target}: {one_line(reason)}", now_ns)
+
     # -- leaving ----------------------------------------------------------------------------
 
     def drop(self) -> None:
@@ -426,7 +476,7 @@ class GoalTracker:
         """For another target: nothing that held for the last one does."""
         self._turns = mission.turns
         self.drop()
-        self._search = Search()
+        self._search, self._place_failures = Search(), 0
         restored, self._restored = self._restored, None
         if restored is not None and restored[0] == mission.target:
             _, self._search, self._present = restored
@@ -494,6 +544,8 @@ class GoalTracker:
             self._search.turned(now_ns)
             goal, until_ns = present.goal, now_ns + int(self._config.mission.discard_s * 1e9)
             self._pool.discard(LOOK, goal.candidate_id, goal.candidate_xy_m, until_ns)
+        elif present is not None and present.goal.kind == "place":
+            self._place_failures += 1
         elif present is not None and present.goal.kind != "trajectory":
             goal = present.goal
             kind = INSTANCE if goal.kind == "instance" else FRONTIER

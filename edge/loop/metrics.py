@@ -36,7 +36,7 @@ from edge.tasks.facts import StepState
 from edge.types import MissionPhase
 
 _STEP_STATES = get_args(StepState)
-_GOALS = ("none", "frontier", "instance", "look", "trajectory")
+_GOALS = ("none", "frontier", "instance", "look", "trajectory", "place")
 _MS = 1e-3
 
 

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 from edge.bus import topics
 from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_text, shown
 from edge.errors import UserError
+from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.result import facts_of
+from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.loop.status import answer_of
 from edge.mission.brief import Brief
 from edge.perception.runtime.card_types import DetectCard, DirectionsCard
@@ -48,6 +50,8 @@ def served(
             MODEL_VERBS,
             partial(handle_model, service.swapper, scorers=service.scorers),
         ),
+        topics.SITE_REQUEST: (SITE_VERBS, partial(handle_site, service)),
+        topics.MEMORY_REQUEST: (MEMORY_VERBS, partial(handle_memory, service)),
     }
 
 

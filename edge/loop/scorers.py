@@ -229,7 +229,7 @@ class Scorers:
             idle: no mission asks questions.
         """
         if self.swap is not None:
-            self.swap.step(idle)
+            self.swap.step(idle=idle)
         similarity = None if self._similarity is None else self._similarity.poll()
         if similarity is not None:
             question, said = similarity

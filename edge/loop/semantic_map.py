@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 
+import numpy as np
+
 from edge.config import Config
 from edge.geometry import Grid
 from edge.host.checkpoint import Arrays
@@ -18,6 +20,7 @@ from edge.loop.result import VALUE_LAYER
 from edge.mapping.grid import MAX_FRONTIERS, RollingMap
 from edge.mapping.results import MapUpdate
 from edge.mapping.view import MapView
+from edge.memory import Site
 from edge.perception.tracking.instances import MAX_INSTANCES, InstanceTracker
 from edge.perception.tracking.lift import Lifter
 from edge.perception.tracking.sightings import SightingTracker
@@ -49,11 +52,13 @@ class SemanticMap:
         self.prior = make_prior(config)
         self.epoch = 0
         self._lifter = Lifter(perception)
+        self._zones_m: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
         self._lay(RollingMap(config.mapping, config.robot))
 
     def _lay(self, grid: RollingMap) -> None:
         """Put a grid in the place of the one that there was."""
         self.grid, self.view = grid, MapView(grid)
+        grid.set_zones(*self._zones_m)
         self._feed_values()
 
     def _feed_values(self) -> None:
@@ -108,6 +113,11 @@ class SemanticMap:
         self.tracker.forget_verdicts()
         self.tracker.recall(targets)
         self.grid.coverage.forget()
+
+    def set_site(self, site: Site) -> None:
+        """Close the cells that the site's zones close."""
+        self._zones_m = site.polygons_m("keep_out"), site.polygons_m("stay_inside")
+        self.grid.set_zones(*self._zones_m)
 
     def reconfigure(self, config: Config) -> None:
         """Go by another configuration; see `edge.loop.reload.LIVE` for what may differ."""

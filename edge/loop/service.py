@@ -7,6 +7,7 @@ clock but to time itself: the same observations give the same goals.
 from __future__ import annotations
 
 import logging
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -35,6 +36,7 @@ from edge.loop.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
 from edge.loop.source import InputRow
 from edge.loop.status import HealthWatch
+from edge.memory import START, Place, Site, SiteFile
 from edge.mission.brief import Brief, task_of
 from edge.mission.run import MissionRun
 from edge.mission.surveyor import make_surveyor
@@ -50,6 +52,7 @@ INGEST, CHECK, DETECT, MAP, LIFT, CANDIDATES, SCORE, PLAN, SELECT, PUBLISH = ran
 )
 NOTHING_CHANGED = (0, 0, 0, 0)
 _PAST = 32
+_EXIT_M = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # how far away the way out of a zone is looked for
 
 
 class Service:
@@ -67,9 +70,11 @@ class Service:
         idle: the mission is not begun: the robot stands until one is asked for.
         journal: notes what comes in from beside the loop.
         inputs: the source's table of inputs, for any thread; empty where it has none.
+        site: places and zones; None keeps those of this run only.
 
     Attributes:
         map: all that is known of the surroundings.
+        site: places and zones that people gave.
         mission: the one under way, or the last one.
         behaviour: carries out the mission: searches for its targets, or follows a trajectory.
         past: what became of those before it that had a name, JSON-ready, oldest first.
@@ -102,11 +107,14 @@ class Service:
         idle: bool = False,
         journal: Journal | None = None,
         inputs: Callable[[], Sequence[InputRow]] = tuple,
+        site: SiteFile | None = None,
     ) -> None:
         self.config = config
         self._journal = journal = journal or Journal()
         self.checkpoint, self.overruns, self.inputs = checkpoint, overruns, inputs
-        self.map = SemanticMap(config, brief.targets)
+        self.map = SemanticMap(config, brief.prompts)
+        self.site = site or SiteFile()
+        self.map.set_site(self.site.site)
         self.mission = MissionRun(brief, config.mission, self._step_taken)
         self.policy = policy
         self.latency = LatencyRing(calibration=calibration)
@@ -148,7 +156,7 @@ class Service:
         self._looked_ns = 0  # when the last observation was dealt with
         self._images = 0  # that were looked for things in, as of this tick
         self._newest_seq = self._void_seq = -1
-        self.refused = False
+        self.refused = self._in_zone = False
         self.past: deque[dict[str, str]] = deque(maxlen=_PAST)
         if checkpoint is not None:
             checkpoint.resume(self.mission)
@@ -161,7 +169,7 @@ class Service:
             saved, known = checkpoint.saved, checkpoint.map.loaded
         journal.note(
             "start", translation=brief.translation, task=task_of(brief), saved=saved, places=known,
-            idle=idle,
+            idle=idle, site=self.site.site,
         )  # fmt: skip
 
     # -- the tick ---------------------------------------------------------------------------
@@ -183,6 +191,10 @@ class Service:
         self.stage = CHECK
         pose = self.pose = observation.pose
         self._newest_seq = observation.seq
+        if self.site.start is None:
+            self.site.start = Place(START, pose)
+        if self.mission.places:
+            self.mission.locate(self.site.start.pose, pose)
         judge = partial(self.plausibility.judge, observation, now_ns)
         use = self._journal.decided(USE, judge, usual="")
         self._lap(CHECK)
@@ -268,7 +280,7 @@ class Service:
             return
         try:
             void = detections.observation.seq <= self._void_seq
-            if not void and detections.prompts == self.mission.brief.targets:
+            if not void and detections.prompts == self.mission.brief.prompts:
                 self.latency.span(DETECT, detections.latency_ns)
                 if self.scorers is not None:
                     self.scorers.saw(detections, self.map.grid.values)
@@ -283,9 +295,10 @@ class Service:
         """What stage 6 may go by besides detections: answers there are, and the next questions."""
         mission, here = self.mission, self.map
         if mission.active:
-            targets, candidates = mission.brief.targets, here.pool.candidates
+            targets, candidates = mission.brief.prompts, here.pool.candidates
+            target = mission.brief.prompt_for(mission.target)
             scorers.ask(
-                observation, targets, mission.target, candidates, here.tracker, here.grid.values,
+                observation, targets, target, candidates, here.tracker, here.grid.values,
                 here.prior, here.sightings.shown,
             )  # fmt: skip
         scorers.take_up(here.grid.values, idle=mission.done)
@@ -302,8 +315,8 @@ class Service:
             self.map.pool.shown,
             self._detections,
             Answers() if self.scorers is None else self.scorers.answers,
-            self.mission.brief.targets,
-            self.mission.target,
+            self.mission.brief.prompts,
+            self.mission.brief.prompt_for(self.mission.target),
             now_ns,
             self.map.sightings.shown,
             self.map.prior,
@@ -333,7 +346,27 @@ class Service:
         if not self.mission.active:
             self.goals.rest()
             return None
+        if (leaving := self._leave_zone(context)) is not None:
+            return leaving
         return self.behaviour.select(context, self.scores, self._images)
+
+    def _leave_zone(self, context: Context) -> Goal | None:
+        """Return a goal outside the zone that the robot is in, or None if it is in none."""
+        grid, pose = self.map.grid, context.pose
+        inside = grid.zones.any and grid.zones.holds(pose.x_m, pose.y_m)
+        if inside != self._in_zone:
+            self._in_zone = inside
+            text = "inside a zone: leaving it by the shortest way" if inside else "left the zone"
+            self.event(text, context.now_ns, logging.WARNING if inside else logging.INFO)
+        if not inside:
+            return None
+        for radius_m in _EXIT_M:
+            if (cell := grid.reach.nearest(pose.x_m, pose.y_m, radius_m)) is not None:
+                x_m, y_m, _ = cell
+                yaw_rad = math.atan2(y_m - pose.y_m, x_m - pose.x_m)
+                exit_pose = SE2(x_m, y_m, yaw_rad)
+                return self.goals.lead(exit_pose, self.mission, context.now_ns, _EXIT_M[0])
+        return None
 
     def _report(self, observation: Observation | None, now_ns: int) -> None:
         """Write the checkpoint, and tell the sinks."""
@@ -362,7 +395,7 @@ class Service:
         Nothing has changed when it raises.
         """
         mission = MissionRun(brief, self.config.mission, self._step_taken, id)
-        self._worker.set_prompts(brief.targets)
+        self._worker.set_prompts(brief.prompts)
         self._remember(self.mission)
         self._journal.note(
             "mission", translation=brief.translation, task=task_of(brief), id=id, now_ns=now_ns
@@ -389,7 +422,7 @@ class Service:
 
     def _forget_tried(self) -> None:
         """The mission is another than the one for which things were looked at, and tried."""
-        self.map.begin(self.mission.brief.targets)
+        self.map.begin(self.mission.brief.prompts)
         self.policy.reset("mission")
         self.goals.forget_mission()
 
@@ -418,6 +451,12 @@ class Service:
         self.goals.reconfigure(config)
         if self.scorers is not None:
             self.scorers.feeds = config.value_source
+
+    def change_site(self, site: Site, now_ns: int) -> None:
+        """Replace places, zones and room names; a zone closes cells from the next tick on."""
+        self._journal.note("site", site=site, now_ns=now_ns)
+        self.site.change(site)
+        self.map.set_site(site)
 
     def pause(self, paused: bool, now_ns: int) -> None:
         """Have the robot stand where it is, or go on."""
@@ -479,6 +518,11 @@ class Service:
         """
         self._journal.note("jump", now_ns=now_ns)
         self.event("pose jumped: map and instances dropped", now_ns)
+        if not self.config.source.localised and self.site.known.items:
+            self.event("pose jumped: places and zones dropped, they were in the old frame", now_ns)
+            self.site.start = None
+            self.site.change(Site())
+            self.map.set_site(self.site.site)
         self.map.forget()
         self.policy.reset("pose")
         self.mission.forget_distances()

@@ -14,7 +14,7 @@ from numba import njit
 
 from edge.geometry import SE2, wrap_angle
 from edge.host.checkpoint import Arrays, Rows, check_arrays
-from edge.mapping.layers import OCCUPIED, UNSEEN, Layers
+from edge.mapping.layers import OCCUPIED, UNSEEN, ZONE, Layers
 from edge.mapping.window import Window
 
 OPEN_M = 2.5
@@ -149,7 +149,7 @@ def cast(layers, origin_x, origin_y, x, y, direction, area, decay, out):
             if cx < origin_x or cy < origin_y or cx >= origin_x + n or cy >= origin_y + n:
                 break
             cx, cy = cx % n, cy % n
-            if raw[cy, cx] >= OCCUPIED or near[cy, cx] >= CROWDED:
+            if raw[cy, cx] >= OCCUPIED or near[cy, cx] & ~ZONE >= CROWDED:
                 break
             if raw[cy, cx] == UNSEEN:
                 open_ *= decay

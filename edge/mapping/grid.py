@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import partial
 from weakref import proxy
 
@@ -22,6 +23,7 @@ from edge.mapping.reach import ReachField
 from edge.mapping.results import Frontiers, MapUpdate
 from edge.mapping.values import ValueMap
 from edge.mapping.window import Window
+from edge.mapping.zones import Zones
 
 # An obstacle this wide and high is sampled twice across at full range, and four times up: its
 # lowest sample may pass for ground, and from there the highest must still stand out by 0.06 m.
@@ -60,6 +62,7 @@ class RollingMap:
         frontiers: refreshed in place by every update.
         reach: geodesic distances from the robot; its `step` is called once a tick.
         bumps: where the robot was held up by what no sensor shows.
+        zones: where the robot must not be; set by `set_zones`.
         coverage: where the detector looked; its `look` is called for each image that it searched.
         gain: what a look from somewhere would show.
         values: what scorers say of places; whoever feeds it calls its `begin` first.
@@ -116,6 +119,7 @@ class RollingMap:
         # Weakly: a map that is given up is let go at once, not when the collector comes to it.
         write = partial(RollingMap._write, proxy(self))
         self.bumps = Bumps(self._layers, self.window, c, write)
+        self.zones = Zones(self._layers, self.window, self._inflation_cells)
 
     def update_depth(
         self,
@@ -180,6 +184,12 @@ class RollingMap:
         self._lost[:] = 0
         return self._finish(n_points, hits, T, cell, fraction, T_map_base, T_base_lidar, rolled)
 
+    def set_zones(
+        self, keep_out_m: Sequence[np.ndarray], stay_inside_m: Sequence[np.ndarray]
+    ) -> None:
+        """Replace the zones; frontiers follow with the next update. See `Zones.set`."""
+        self.zones.set(keep_out_m, stay_inside_m, self._changed)
+
     def state_at(self, x_m: float, y_m: float) -> int:
         """-1 unknown or outside the window, 0 free, 100 occupied or inflated."""
         x, y = self.window.cell_of(x_m, y_m)
@@ -226,7 +236,9 @@ class RollingMap:
             x1, y1 = (min(int(v) + margin, n) for v in self._explored[2:])
             cells = np.empty((max(y1 - y0, 0), max(x1 - x0, 0)), np.int8)
             corner = origin[0] + x0, origin[1] + y0
-            compose(self._layers, self._body, *corner, inflated, cells)
+            # In a map that is closed all around it, a controller would not drive out of a zone.
+            zones = self._robot is None or not self.zones.holds_cell(*self._robot)
+            compose(self._layers, self._body, *corner, inflated, zones, cells)
             if self.window.origin == origin:
                 corner_m = (corner[0] * self.resolution_m, corner[1] * self.resolution_m)
                 return Grid(cells, corner_m, self.resolution_m)
@@ -335,6 +347,8 @@ class RollingMap:
             clusters = {name: state[f"cluster_{name}"] for name in names}
             cl.load_state_dict(layers.label, self._clusters, clusters)
             layers.frontier[:] = ly.bits_of(layers.label > 0)
+        if self.zones.any:
+            self.zones.paint((0, 0, n, n), self._changed)
         self._retest(0, 0, n, n)
         self._refresh_frontiers(True)
 
@@ -543,6 +557,8 @@ class RollingMap:
         if not window.placed:
             window.origin = ((x - n // 2) // word * word, (y - n // 2) // word * word)
             window.placed = True
+            if self.zones.any:
+                self.zones.paint((0, 0, n, n), self._changed)
             return False
         rolled = False
         for axis, at in enumerate((x, y)):
@@ -589,6 +605,8 @@ class RollingMap:
         ly.inflate_into(
             layers, *shift, _band(axis, edge, n), _band(axis, come, n), self._disc, self._changed
         )
+        if self.zones.any:
+            self.zones.paint(_band(axis, come, n), self._changed)
         self._retest(*_band(axis, (come[0] - 1, come[1] + 1), n))
         tail = (0, 1) if by > 0 else (n - 1, n)
         self._retest(*_band(axis, tail, n))

@@ -16,6 +16,8 @@ from numba import njit
 
 WORD = 64
 UNSEEN, FREE, OCCUPIED = 0, 1, 2
+ZONE = np.uint16(0x8000)
+"""Bit of `Layers.near`: a zone closes the cell (see `edge.mapping.zones`). The rest is a count."""
 BUMPED = 255  # occupied too, but no ray clears it: see `edge.mapping.bumps`
 
 
@@ -25,7 +27,7 @@ class Layers(NamedTuple):
     Attributes:
         raw: (N, N) uint8, what was observed: 0 unseen, 1 free, 2 + k occupied and seen
             through in the last k updates, 255 the robot was held up there.
-        near: (N, N) uint16, occupied cells within the inflation disc.
+        near: (N, N) uint16, occupied cells within the inflation disc, and the bit `ZONE`.
         top: (N, N) uint8, height of the obstacle over the local ground (see `HEIGHT_CODES`).
         label: (N, N) int16, frontier cluster; 0 none, -1 not in a cluster yet.
         known: (N, N / 64) uint64 bits, raw != 0.
@@ -180,7 +182,7 @@ def on_trail(layers, sy, sx, body):
     Args:
         body: disc that has to be free of obstacles, smaller than the inflation's.
     """
-    if not bit_get(layers.trail, sy, sx):
+    if not bit_get(layers.trail, sy, sx) or layers.near[sy, sx] & ZONE:
         return False
     n = layers.raw.shape[0]
     radius = len(body) // 2

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from edge.mapping.layers import FREE, OCCUPIED, bit_get, on_trail
+from edge.mapping.layers import FREE, OCCUPIED, ZONE, bit_get, on_trail
 from edge.mapping.points import TALL
 
 # Octile steps as integers: 7 / 5 stands for sqrt 2 (1 % short), so that a handful of buckets
@@ -81,10 +81,16 @@ def _edge_steps(cell, n, shift_x, shift_y, x0, y0, x1, y1, steps):
 
 @njit(nogil=True, cache=True)
 def _escapes(layers, wave, cell):
-    """Whether an inflated cell may be crossed because the robot started inside inflation."""
+    """Return True if a closed cell may be crossed because the robot started inside inflation.
+
+    A robot inside a zone may cross all of it, to leave it.
+    """
     n = layers.raw.shape[0]
     sy, sx = cell // n, cell % n
-    dx, dy = abs(sx - wave.state[_START_X]), abs(sy - wave.state[_START_Y])
+    start_x, start_y = wave.state[_START_X], wave.state[_START_Y]
+    if layers.near[start_y, start_x] & ZONE and layers.near[sy, sx] == ZONE:
+        return layers.raw[sy, sx] == FREE
+    dx, dy = abs(sx - start_x), abs(sy - start_y)
     dx, dy = min(dx, n - dx), min(dy, n - dy)
     return dx * dx + dy * dy <= wave.state[_ESCAPE2] and layers.raw[sy, sx] == FREE
 

@@ -1,4 +1,4 @@
-"""Missions: from words to a formula, from a formula to an automaton, from there to the next target.
+"""Missions: instruction to formula, formula to automaton, automaton to the next target.
 
-It knows no sensor, no goal and no bus.
+This package knows no sensors, no goals and no bus.
 """

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated
 
 from pydantic import ConfigDict, Field
 
 from edge.errors import UserError
+from edge.geometry import SE2
 from edge.host.checkpoint import CheckpointFormat
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.logic.ltl import parse, propositions
@@ -21,16 +22,26 @@ Words = Annotated[tuple[Word, ...], Field(max_length=10_000)]
 
 @dataclass(frozen=True)
 class MissionState:
-    """A mission as it stood.
+    """A saved mission.
 
     Attributes:
-        word: the letters taken so far, `NOTHING` included. The automaton's state is not saved: it
-            follows from running them, whatever number a later compiler gives to it.
-        reached: R of ViTL III; `failed` is B, `detected` is D. All are propositions of `formula`.
-        target: the proposition that was pursued, or None.
-        reading, readings, implied: see `edge.mission.translate.Translation`.
+        instruction: see `edge.mission.translate.Translation`, as for `backend`, `english`,
+            `reading`, `readings`, `implied` and `places`.
+        formula: text of the automaton's formula.
+        word: the trace so far: reached propositions and `NOTHING`. The automaton's state is not
+            saved. It follows from the trace, even if a later compiler numbers states differently.
+        reached: R of ViTL III; a subset of the formula's propositions, like `failed` and
+            `detected`.
+        failed: B of ViTL III.
+        detected: D of ViTL III.
+        target: the pursued proposition, or None.
+        phase: phase of the mission.
+        reason: reason of the phase.
+        paused: True if the mission was paused.
+        elapsed_s: time that counts towards the time limit.
+        path_m: path that counts towards the path limit.
         id: see `edge.mission.run.MissionRun`.
-        task: it is a task (`edge.tasks`): `word` has one `NOTHING` for each step that was driven.
+        task: True for a task (`edge.tasks`): `word` has one `NOTHING` for each driven step.
     """
 
     __pydantic_config__ = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
@@ -52,27 +63,29 @@ class MissionState:
     reading: Annotated[int, Field(ge=1)] | None = None
     readings: tuple[str, ...] = ()
     implied: bool = False
+    places: Annotated[dict[Word, SE2 | None], Field(max_length=100)] = field(default_factory=dict)
     id: Word = ""
     task: bool = False
 
 
-OF_TRANSLATION = ("instruction", "backend", "english", "reading", "readings", "implied")
+OF_TRANSLATION = ("instruction", "backend", "english", "reading", "readings", "implied", "places")
 _OF_RUN = ("word", "reached", "target", "reason", "paused", "elapsed_s", "path_m", "id")
 
 
 def state_of(mission: MissionRun, phase: str) -> MissionState:
-    """Return the mission as it stands."""
+    """Return the current state of the mission for a checkpoint."""
     brief = mission.brief
     return MissionState(
         formula=str(brief.automaton.formula), phase=phase, task=brief.steps is not None,
         failed=tuple(sorted(mission.failed)), detected=tuple(sorted(mission.detected)),
-        **{name: getattr(brief.translation, name) for name in OF_TRANSLATION},
+        **{name: getattr(brief.translation, name) for name in OF_TRANSLATION}
+        | {"places": dict(mission.places)},
         **{name: getattr(mission, name) for name in _OF_RUN},
     )  # fmt: skip
 
 
 def _check(state: MissionState) -> None:
-    """Raise ValueError, one line, if a set holds what the formula does not."""
+    """Raise a one-line ValueError if a set has a name that is not in the formula."""
     letters = _letters(state.formula)
     if state.task:
         return

@@ -1,4 +1,4 @@
-"""What an instruction may mean where English leaves it open: its readings, told apart."""
+"""The readings of an ambiguous instruction, compared as formal languages."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ _SHOWN = 300  # characters of each reading
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One thing that an instruction may mean, and the same in plain English."""
+    """One possible meaning of an instruction, as a formula and in English."""
 
     formula: Formula
     english: str
 
 
 class AmbiguousError(TranslationError):
-    """An instruction that can be read in several ways, or in one that may not be meant.
+    """An instruction with several readings, or with one that may not be meant.
 
     Attributes:
-        readings: one or more, of different languages.
-        implied: the index of the reading that implies all others, which is the safer one: whoever
-            fulfils it fulfils them all. None where there is none, it is not known, or none of them
-            may be taken unasked.
-        doubts: what is doubted of single words, as "firdge: fridge?".
+        readings: one or more, each a different language.
+        implied: index of the reading that implies all others. It is the safer choice, because
+            fulfilling it fulfils all others. None if there is no such reading, if it is unknown, or
+            if a person must choose.
+        doubts: questions about single words, such as "firdge: fridge?".
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class AmbiguousError(TranslationError):
             f"({i}) {one_line(reading.english, _SHOWN)}" for i, reading in enumerate(readings, 1)
         )
         several = f"it can be read in {len(readings)} ways, choose a reading"
-        single = "it may be meant so; if it is, choose reading 1"
+        single = "not sure that this is meant; if it is, choose reading 1"
         what = "; ".join((*doubts, several if len(readings) > 1 else single))
         super().__init__(f"instruction: {what}: {listed}")
         self.readings = readings
@@ -55,12 +55,12 @@ class AmbiguousError(TranslationError):
 
 
 def refuse_contradiction(formulas: Sequence[Formula]) -> None:
-    """Refuse an instruction of which no reading can be fulfilled.
+    """Refuse an instruction if no reading of it can be fulfilled.
 
-    Beside one that can, `distinct` leaves such readings out.
+    `distinct` removes impossible readings if there is a possible one.
 
     Raises:
-        UnclearError: nothing fulfils it.
+        UnclearError: no reading can be fulfilled.
     """
     if not any(f.op in ("!", "G", "W") for f in postorder(formulas[0])):
         return
@@ -71,33 +71,36 @@ def refuse_contradiction(formulas: Sequence[Formula]) -> None:
         conflict = automaton.steps_left[0] < 0
         parts = diagnose(automaton, _MAX_STATES, _MAX_STEPS).contradiction if conflict else ()
     except CompileError:
-        return  # the mission says so
+        return  # compiling the mission reports it
     if conflict:
-        told = one_line(" ".join(map(describe, parts)), _SHOWN)
-        raise UnclearError(f"instruction: a contradiction, nothing does all of this: {told}")
+        listed = one_line(" ".join(map(describe, parts)), _SHOWN)
+        raise UnclearError(
+            f"instruction: a contradiction, these parts exclude each other: {listed}"
+        )
 
 
 def is_possible(formula: Formula) -> bool:
-    """Return whether something fulfils a formula; True if it is too large to compile."""
+    """Return True if a formula can be fulfilled, or is too large to compile."""
     try:
         return compile_formula(formula, _MAX_STATES, _MAX_STEPS).steps_left[0] >= 0
     except CompileError:
-        return True  # the mission says so
+        return True  # compiling the mission reports it
 
 
 def same(a: Formula, b: Formula) -> bool:
-    """Whether two formulas ask for the same; False where one is too large to compile."""
+    """Return True if two formulas describe the same language; False if one is too large."""
     return len(distinct((a, b))[0]) == 1
 
 
 def distinct(formulas: Sequence[Formula]) -> tuple[tuple[Formula, ...], int | None]:
-    """The formulas that differ in what they ask for, and the one that implies all of them.
+    """Return the formulas with different meanings, and the index of the strongest one.
 
-    One that cannot be fulfilled, or asks for nothing, is left out beside others: nobody means it.
+    The strongest formula implies all others. Formulas that cannot be fulfilled or that ask for
+    nothing are left out if there are others.
 
     Returns:
-        The formulas in their order, and an index, see `AmbiguousError`; with a formula too large
-            to compile, all of them and None.
+        The formulas in their order, and an index or None (see `AmbiguousError`). If a formula is
+        too large to compile: all formulas, and None.
     """
     formulas = tuple(dict.fromkeys(formulas))
     if len(formulas) == 1:

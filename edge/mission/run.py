@@ -1,4 +1,4 @@
-"""A mission under way: the automaton, what is known of its targets, and the plan (ViTL alg. 1)."""
+"""A running mission: automaton, knowledge about its targets, and plan (ViTL algorithm 1)."""
 
 from __future__ import annotations
 
@@ -22,44 +22,53 @@ MAX_STEPS = 1000
 
 
 class MissionRun:
-    """Advances the automaton by what was reached, and says which target to pursue.
+    """A running mission: it advances the automaton and chooses the target to pursue.
 
-    The automaton moves only when the active target was declared reached, and, where the formula
-    asks for it, by a step in which nothing is reached. The plan is made anew whenever one of the
-    sets D (seen), R (reached), B (failed) changes; with metres as weights, whenever new ones come.
+    The automaton moves when the active target is reached. If the formula requires it, it also takes
+    a step in which nothing is reached. The mission is planned again when one of the sets D
+    (detected), R (reached) or B (failed) changes; with distances as weights, also when new ones
+    come.
 
     Attributes:
-        state: of the automaton.
-        plan: from here to acceptance.
-        target: what to pursue now; at the end, what was pursued last.
-        word: the letters taken so far.
-        detected, failed: the sets D and B, as labels; `reached`: R in order of reaching.
-        steps: what happened, oldest first; of a very long mission, the last `MAX_STEPS`.
-        started: whether the first steps were taken.
-        paused: time and path do not count, nothing is pursued.
-        turns: counts how often a target was set out for.
-        changes: counts everything that a checkpoint should hold.
-        config: its limits; may be set to one with others.
-        id: what whoever asked for it calls it; "" where it has no name.
+        state: state of the automaton.
+        plan: plan from the current state to acceptance.
+        target: the target to pursue now; after the end, the last one.
+        word: the trace so far.
+        detected: the set D, as labels.
+        failed: the set B, as labels.
+        reached: the set R, in order of reaching.
+        steps: the mission log, oldest entry first, at most the last `MAX_STEPS`.
+        started: True after `start`.
+        paused: while True, time and path do not count and no target is pursued.
+        turns: number of times that a new target was set.
+        changes: number of changes that a checkpoint should hold.
+        config: the `mission` section; may be replaced to change the limits.
+        places: targets that are places, with their poses; None for a pose that `locate` sets.
+        id: the requester's name of the mission; "" if there is none.
     """
 
     def __init__(
         self,
         brief: Brief,
         config: Mission,
-        tell: Callable[[Step], None] = lambda step: None,
+        on_step: Callable[[Step], None] = lambda step: None,
         id: str = "",
     ) -> None:
-        """
+        """Create the run; call `start` to begin it.
+
         Args:
-            tell: hears of every step when it is taken.
+            brief: the mission.
+            config: the `mission` section.
+            on_step: called with each new entry of the mission log.
+            id: the requester's name of the mission.
         """
         self.brief = brief
         self.id = id
         self.state = 0
         self.target = brief.targets[0]
+        self.places: dict[str, SE2 | None] = dict(brief.translation.places)
         self.word: tuple[str, ...] = ()
-        self.detected: frozenset[str] = frozenset()
+        self.detected: frozenset[str] = frozenset(self.places)
         self.reached: tuple[str, ...] = ()
         self.failed: frozenset[str] = frozenset()
         self.started = False
@@ -72,7 +81,7 @@ class MissionRun:
         self.steps: tuple[Step, ...] = ()
         self._instruction = one_line(brief.translation.instruction)
         self.config = config
-        self._tell = tell
+        self._on_step = on_step
         self._planner: Planner = (
             make_planner(config.planner, brief.automaton, brief.translation.instruction)
             if brief.steps is None
@@ -81,44 +90,44 @@ class MissionRun:
         self._distance_m: np.ndarray | None = None
         self._ended: Literal["idle", "reached", "failed"] | None = None
         self._why_failed: dict[str, str] = {}
-        self._newest: dict[str, int] = {}
+        self._newest: dict[str, int] = dict.fromkeys(self.places, 0)
         self._stale: dict[str, int] = {}
         self._pursued_s: dict[str, float] = {}
         self._last_ns: int | None = None
         self._last_pose: SE2 | None = None
         self.plan: Plan = self._planner.plan(self.state, self.knowledge)
 
-    # -- what others read -------------------------------------------------------------------
+    # -- properties -------------------------------------------------------------------------
 
     @property
     def done(self) -> bool:
-        """Nothing is, or is any more, to be done."""
+        """True if the mission has ended or has not been given yet."""
         return self._ended is not None
 
     @property
     def active(self) -> bool:
-        """True while something is pursued: the mission is neither over nor paused."""
+        """True while a target is pursued: the mission has neither ended nor paused."""
         return not (self.done or self.paused)
 
     @property
     def observed(self) -> bool:
-        """Whether `observe` was called: the mission's time runs."""
+        """True after the first `observe`: the mission's time is running."""
         return self._last_ns is not None
 
     @property
     def idle(self) -> bool:
-        """It only stands for the first one, which was not given yet."""
+        """True if this is a placeholder until the first mission is given."""
         return self._ended == "idle"
 
     @property
     def knowledge(self) -> Knowledge:
-        """The sets D, R and B (ViTL IV-A2), and metres where they are weights."""
+        """The sets D, R and B (ViTL IV-A2), and the distances if the planner uses them."""
         reached = frozenset(self.reached)
         return Knowledge(self.detected - reached, reached, self.failed, self._distance_m)
 
     @property
     def forbidden(self) -> tuple[str, ...]:
-        """Targets from which, reached now, success would be impossible."""
+        """Targets that would make success impossible if they were reached now."""
         automaton = self.brief.automaton
         return tuple(
             label
@@ -127,7 +136,7 @@ class MissionRun:
         )
 
     def status(self, phase: MissionPhase) -> MissionStatus:
-        """How the mission stands, given what the robot is at."""
+        """Return the status of the mission; `phase` applies while it is running."""
         if self._ended is not None:
             phase = self._ended
         elif self.paused:
@@ -138,8 +147,20 @@ class MissionRun:
 
     # -- time, path and limits ----------------------------------------------------------------
 
+    def locate(self, start: SE2, here: SE2) -> None:
+        """Set the poses that were not known when the mission was prepared.
+
+        Args:
+            start: the first pose of the service.
+            here: the robot's pose now.
+        """
+        for name, pose in (("start", start), ("here", here)):
+            if name in self.places and self.places[name] is None:
+                self.places[name] = pose
+                self.changes += 1
+
     def start(self, now_ns: int) -> None:
-        """Write the first steps of the story: what was understood, and where to go first."""
+        """Write the first log entries: the understood mission and the first target."""
         self.started = True
         if self.done:
             return
@@ -150,14 +171,15 @@ class MissionRun:
         self._note(now_ns, "start", "", f"{kind}: {brief.translation.understood}{formula}")
         for warning in brief.warnings:
             self._note(now_ns, "warning", "", warning)
-        self._replan(now_ns, anew=True)
+        self._replan(now_ns, retarget=True)
 
     def observe(self, pose: SE2 | None, now_ns: int, looking: bool = True) -> None:
-        """Count time, from the first call on, and path; a jump of the pose is not driving.
+        """Add elapsed time, counted from the first call, and driven path.
 
         Args:
-            pose: None while it is not known; time passes all the same.
-            looking: whether sensors see anything; else no target is being searched for.
+            pose: None while the pose is unknown; time counts in any case.
+            now_ns: time of the loop.
+            looking: False if the sensors see nothing. The time then does not count as search.
         """
         passed_s = 0.0 if self._last_ns is None else max(0, now_ns - self._last_ns) * 1e-9
         self._last_ns = now_ns
@@ -169,12 +191,12 @@ class MissionRun:
         if not self.active:
             return
         self.elapsed_s += passed_s
-        self.path_m += step_m if step_m < 1.0 else 0.0
+        self.path_m += step_m if step_m < 1.0 else 0.0  # a jump of the pose is not driving
         if looking:
             self._pursued_s[self.target] = self._pursued_s.get(self.target, 0.0) + passed_s
 
     def check_limits(self, now_ns: int) -> None:
-        """Fail at the time or path limit; a target sought for too long counts as failed."""
+        """Fail at the time or path limit; abandon a target at the search limit."""
         c = self.config
         if not self.active:
             return
@@ -186,15 +208,16 @@ class MissionRun:
             missed = "did not get to" if self.target in self.detected else "no"
             self.give_up(f"{missed} {self.target} within {c.search_limit_s:g} s", now_ns)
 
-    # -- what happens to it -------------------------------------------------------------------
+    # -- events -------------------------------------------------------------------------------
 
     def see(self, newest: Mapping[str, int], now_ns: int, keep: bool = False) -> None:
-        """What is known now gives the set D; replans when it changes.
+        """Update the set D from the known instances; plan again if it changes.
 
         Args:
-            newest: for each target of which an instance is known, the highest id of them. What
-                had failed is seen again only when there is a newer one than at that time.
-            keep: what was seen stays seen.
+            newest: the highest instance id of each target with a known instance. A failed target
+                counts as detected again only if its id is higher than at the time of failure.
+            now_ns: time of the loop.
+            keep: True keeps targets detected that `newest` does not contain.
         """
         newest = {**self._newest, **newest} if keep else newest
         if newest == self._newest or self.done:
@@ -212,43 +235,46 @@ class MissionRun:
         self._replan(now_ns)
 
     def survey(self, distance_m: np.ndarray, now_ns: int) -> None:
-        """Take new driving distances between the targets; see `Knowledge.distance_m`."""
+        """Use new driving distances between the targets; see `Knowledge.distance_m`."""
         if not self.done:
             self._distance_m = distance_m
             self._replan(now_ns)
 
     def forget_distances(self) -> None:
-        """The frame that they were measured in is gone; new ones come with the next survey."""
+        """Delete the distances because their map frame is gone; the next survey brings new ones."""
         self._distance_m = None
 
     def arrive(self, evidence: str, now_ns: int) -> None:
-        """The active target was reached: the one thing that moves the automaton."""
+        """Advance the automaton: the active target was reached.
+
+        No other event of a mission with a formula advances it, except steps without an object.
+        """
         label = self.target
         self._take(label)
         self.reached = tuple(dict.fromkeys((*self.reached, label)))
         self._pursued_s[label] = 0.0
         self._note(now_ns, "reached", label, f"reached: {label} ({evidence})")
         if not self._accept(evidence, now_ns):
-            self._replan(now_ns, anew=True)
+            self._replan(now_ns, retarget=True)
 
     def drove(self, steps: int, now_ns: int) -> None:
-        """The first `steps` steps of a task were driven; it is over with the last of them."""
-        told = self.brief.steps
-        assert told is not None
+        """Record that the first `steps` steps of a task were driven; the last one ends the task."""
+        task_steps = self.brief.steps
+        assert task_steps is not None
         while self.state < steps:
-            said = one_line(told[self.state].said, 60)
+            text = one_line(task_steps[self.state].said, 60)
             self._take(NOTHING)
             if not self._accept("driven to its end", now_ns):
-                self._note(now_ns, "trajectory", "", f"driven: {said}")
+                self._note(now_ns, "trajectory", "", f"driven: {text}")
         if not self.done:
             self._replan(now_ns)
 
     def tell(self, text: str, now_ns: int) -> None:
-        """A step of the story that moves no automaton: how a task's trajectory came about."""
+        """Add a log entry about a task's trajectory; the automaton does not move."""
         self._note(now_ns, "trajectory", "", text)
 
     def give_up(self, reason: str, now_ns: int) -> None:
-        """The active target could not be reached: it joins B, and the plan is made anew."""
+        """Add the active target to B because it could not be reached, and plan again."""
         label = self.target
         self.failed |= {label}
         self.detected -= {label}
@@ -256,23 +282,23 @@ class MissionRun:
         self._stale[label] = self._newest.get(label, -1)
         self._why_failed[label] = reason
         self._note(now_ns, "failed", label, f"failed: {label} ({reason})")
-        self._replan(now_ns, anew=True)
+        self._replan(now_ns, retarget=True)
 
     def warn(self, label: str, text: str, now_ns: int) -> None:
-        """Something that a person should know, such as a stop near what must not be reached."""
+        """Add a warning for the operator, such as a stop near a forbidden target."""
         self._note(now_ns, "warning", label, text)
 
     def pause(self, paused: bool) -> None:
-        """Stop or resume; the clock stands meanwhile."""
+        """Pause or resume the mission; time does not count while it is paused."""
         self.paused = paused
         self.changes += 1
 
     def wait(self) -> None:
-        """Do nothing: the first mission is yet to be given."""
+        """Become the idle placeholder until the first mission is given."""
         self._ended, self.reason = "idle", "waiting for a mission"
 
     def fail(self, reason: str, now_ns: int) -> None:
-        """Give up the whole mission; what is already over stays as it ended."""
+        """Fail the whole mission, unless it has already ended."""
         self._finish("failed", reason, now_ns)
 
     def restore(
@@ -284,7 +310,10 @@ class MissionRun:
         path_m: float,
         paused: bool,
     ) -> None:
-        """Go on where a mission of the same formula stopped; call it before `start`."""
+        """Continue from the saved state of a mission with the same formula.
+
+        Call it before `start`.
+        """
         for letter in word:
             self._take(letter)
         self.reached, self.failed = tuple(reached), frozenset(failed)
@@ -292,10 +321,13 @@ class MissionRun:
         self.elapsed_s, self.path_m, self.paused = elapsed_s, path_m, paused
 
     def overlook(self, newest: int) -> None:
-        """Instances up to this id were known before a restart: what had failed failed with them."""
+        """Mark the instances up to this id as known before a restart.
+
+        A failed target counts as detected again only with a newer instance.
+        """
         self._stale = dict.fromkeys(self.failed, newest)
 
-    # -- inside -------------------------------------------------------------------------------
+    # -- internals ----------------------------------------------------------------------------
 
     def _take(self, letter: str) -> None:
         self.state = self.brief.automaton.step(self.state, letter)
@@ -308,15 +340,16 @@ class MissionRun:
         self._finish("reached", ", then ".join(taken) if len(taken) > 1 else evidence, now_ns)
         return True
 
-    def _replan(self, now_ns: int, anew: bool = False) -> None:
-        """Plan from here; steps that reach nothing are taken at once.
+    def _replan(self, now_ns: int, retarget: bool = False) -> None:
+        """Plan from the current state; take planned steps without an object at once.
 
         Args:
-            anew: the present target is settled, and has no claim to be kept.
+            now_ns: time of the loop.
+            retarget: True if the present target is settled, so that the planner does not favour it.
         """
         self.changes += 1
         while True:
-            current = None if anew else self.target
+            current = None if retarget else self.target
             self.plan = self._planner.plan(self.state, self.knowledge, current)
             if not self.plan.feasible:
                 why = [why for label, why in self._why_failed.items() if label in self.failed]
@@ -328,8 +361,8 @@ class MissionRun:
             self._note(now_ns, "nothing", "", "a step in which nothing is reached")
         if self.done:
             return
-        # A task that has seen all sets out for nothing more.
-        if self.plan.steps and (anew or self.plan.target != self.target):
+        # The plan has no steps if a task has detected all objects that it needs.
+        if self.plan.steps and (retarget or self.plan.target != self.target):
             self.turns += 1
             self.target = self.plan.target
             self._note(now_ns, "target", self.target, f"target: {self.target}: {self.plan.reason}")
@@ -344,4 +377,4 @@ class MissionRun:
         self.changes += 1
         step = Step(now_ns, kind, label, self.state, text)
         self.steps = (*self.steps, step)[-MAX_STEPS:]
-        self._tell(step)
+        self._on_step(step)

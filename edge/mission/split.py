@@ -1,4 +1,4 @@
-"""A mission cut into parts that several robots may fulfil, each by itself and at any time."""
+"""Decomposition of a mission into parts for several robots, without coordination between them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from edge.text import one_line
 
 @dataclass(frozen=True)
 class Split:
-    """Parts, and what binds them together.
+    """The parts of a mission, one for each robot.
 
-    Whatever words fulfil the parts, one a robot, any interleaving of them fulfils the whole.
+    If each robot's trace fulfils its part, any interleaving of the traces fulfils the whole.
 
     Attributes:
-        parts: formulas for one robot each, every one with all avoidances in it; the whole alone
-            where it cannot be cut.
-        why_whole: why it cannot be, in one line; "" where it was.
+        parts: one formula for each robot, each with all avoidances. Only the whole formula if it
+            cannot be split.
+        why_whole: why the formula cannot be split, in one line; "" if it was split.
     """
 
     parts: tuple[Formula, ...]
@@ -31,18 +31,24 @@ class Split:
 
 
 def split(formula: Formula, limits: Mission | None = None) -> Split:
-    """Cut a conjunction between conjuncts that share no proposition.
+    """Split a conjunction between conjuncts that share no proposition.
 
-    Avoidances (`G !x`) are given to every part: a robot is kept from what it knows of only. All
-    else must not care about steps in which nothing of its own is reached, since the others'
-    steps are such to it: a part with `X` cannot be split off. What asks for nothing to be reached,
+    Every part gets all avoidances (`G !x`), because a robot respects only its own formula. A part
+    must not depend on steps in which none of its objects is reached: these include the steps
+    of other robots. So a part with `X` cannot be split off. A conjunct that requires no object,
     such as `!a W b` without `F b`, stays with the first part.
 
     Args:
-        limits: of compiling; the defaults where None.
+        formula: the mission.
+        limits: compiler limits; the defaults if None.
 
     Raises:
-        CompileError: a limit was passed.
+        CompileError: a limit was exceeded.
+
+    Example:
+        >>> from edge.mission.logic.ltl import parse
+        >>> [str(part) for part in split(parse("F bed & F sofa & G !dog")).parts]
+        ['F bed & G !dog', 'F sofa & G !dog']
     """
     conjuncts = formula.args if formula.op == "&" else (formula,)
     automata = [_compiled(part, limits or Mission()) for part in conjuncts]
@@ -51,10 +57,10 @@ def split(formula: Formula, limits: Mission | None = None) -> Split:
     for group in _sharing(a.formula for a in automata if not _avoids(a)):
         automaton = _compiled(ltl.conj(*group), limits or Mission())
         if not _heeds_own_steps_only(automaton):
-            return Split((formula,), f"{one_line(automaton.formula)} counts every step")
+            return Split((formula,), f"{one_line(automaton.formula)} counts other robots' steps")
         (idle if automaton.accepting[0] else parts).append(automaton.formula)
     if len(parts) < 2:
-        together = "its parts depend on each other" if len(conjuncts) > 1 else "it is of one part"
+        together = "its parts depend on each other" if len(conjuncts) > 1 else "it has one part"
         return Split((formula,), together)
     parts[0] = ltl.conj(parts[0], *idle)
     return Split(tuple(ltl.conj(part, *avoided) for part in parts))
@@ -65,7 +71,7 @@ def _compiled(formula: Formula, limits: Mission) -> Automaton:
 
 
 def _avoids(automaton: Automaton) -> bool:
-    """Whether it is fulfilled as long as certain things are not reached, and asks nothing else."""
+    """Return True if the automaton only forbids reaching some objects."""
     delta, accepting = automaton.delta, automaton.accepting
     return bool(
         accepting[0]
@@ -77,15 +83,15 @@ def _avoids(automaton: Automaton) -> bool:
 
 
 def _heeds_own_steps_only(automaton: Automaton) -> bool:
-    """Whether a step in which nothing of its own is reached changes nothing, wherever it is.
+    """Return True if a step that reaches none of the automaton's objects never changes its state.
 
-    The automaton is minimal, so that states which mean the same are the same.
+    The automaton is minimal, so equal meaning implies equal state.
     """
     return bool((automaton.delta[:, -1] == np.arange(automaton.n_states)).all())
 
 
 def _sharing(formulas: Iterable[Formula]) -> list[list[Formula]]:
-    """Formulas grouped by the propositions that they share, in order of first appearance."""
+    """Group formulas that share propositions, in order of first appearance."""
     given = list(formulas)
     groups: list[tuple[set[str], list[int]]] = []
     for k, formula in enumerate(given):
@@ -98,7 +104,7 @@ def _sharing(formulas: Iterable[Formula]) -> list[list[Formula]]:
 
 
 def asked_for(formula: Formula, limits: Mission | None = None) -> tuple[str, ...]:
-    """The propositions that may have to be reached: all but those that must never be."""
+    """Return the propositions that may have to be reached: all except the forbidden ones."""
     automaton = _compiled(formula, limits or Mission())
     alive = [q for q in range(automaton.n_states) if not automaton.dead(q)]
     return tuple(

@@ -1,4 +1,4 @@
-"""Driving distances for the planner, worked out beside the loop."""
+"""Driving distances for the planner, computed in the background."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ PERIOD_NS = 1_000_000_000
 
 
 class Surveyor:
-    """One survey at a time, a second after the last at the earliest.
+    """Background computation of driving distances: one at a time, at most one a second.
 
     Args:
-        inline: work it out inside `ask`, so that a run replays the same.
+        inline: compute inside `ask`, so that a replay gives identical results.
     """
 
     def __init__(self, inline: bool) -> None:
@@ -32,7 +32,7 @@ class Surveyor:
         self._asked_ns: int | None = None
 
     def through(self, beside: Callable[[str, Any], Any]) -> None:
-        """Let what the worker is asked and finds pass through `beside`."""
+        """Wrap the worker so that its inputs and results are logged or replayed by `beside`."""
         self._worker = beside("surveyor", self._worker)
 
     def step(
@@ -43,25 +43,34 @@ class Surveyor:
         pose: SE2,
         now_ns: int,
     ) -> None:
-        """Hand the mission the survey that is there, and begin one where it is due."""
+        """Pass a finished survey to the mission, and start another one if it is due."""
         if (found := self.poll()) is not None and not mission.paused:
             mission.survey(found, now_ns)
         if self.due(now_ns):
             letters = mission.brief.automaton.letters
-            xy_m = [[one.center_m[:2] for one in tracker.of(letter)] for letter in letters]
+            places = {name: at for name, at in mission.places.items() if at is not None}
+            xy_m = [
+                [(places[letter].x_m, places[letter].y_m)]
+                if letter in places
+                else [one.center_m[:2] for one in tracker.of(letter)]
+                for letter in letters
+            ]
             known = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
             self.ask(grid, pose, known, now_ns)
 
     def due(self, now_ns: int) -> bool:
-        """Whether it is time for another survey."""
+        """Return True if another survey may start."""
         rested = self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
         return rested and self._worker.idle
 
     def ask(self, grid: RollingMap, pose: SE2, positions: list[np.ndarray], now_ns: int) -> None:
-        """Begin a survey.
+        """Start a survey.
 
         Args:
-            positions: for each letter of the automaton the (m, 2) positions of its known instances.
+            grid: the map; the worker takes the snapshot.
+            pose: pose of the robot.
+            positions: for each letter of the automaton, (m, 2) positions of its known instances.
+            now_ns: time of the loop.
         """
         self._asked_ns = now_ns
 
@@ -71,23 +80,23 @@ class Surveyor:
         self._worker.submit(work)
 
     def poll(self) -> np.ndarray | None:
-        """The survey, once, when it is there."""
+        """Return a finished survey once; None if there is none."""
         return self._worker.poll()
 
     def forget(self) -> None:
-        """The survey under way is of targets that no longer are; its result is not wanted."""
+        """Discard the running survey because its targets have changed."""
         self._worker.forget()
         self._asked_ns = None
 
     def close(self) -> None:
-        """Begin nothing more; a survey under way is over within a tenth of a second."""
+        """Stop; a running survey ends within 0.1 s."""
         self._worker.close()
 
 
 def make_surveyor(
     planner: PlannerVitl | PlannerInOrder | PlannerOwn, inline: bool
 ) -> Surveyor | None:
-    """A surveyor, where metres are what the planner weighs by; else None."""
+    """Return a surveyor if the planner uses distances as weights, else None."""
     if not isinstance(planner, PlannerVitl) or planner.weights != "distance":
         return None
     return Surveyor(inline)

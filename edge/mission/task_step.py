@@ -1,4 +1,4 @@
-"""A step of a task."""
+"""The dataclass of one step of a task."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class TaskStep:
-    """A step of a task.
+    """One step of a task.
 
     Attributes:
         said: its part of the instruction.
-        names: those of the targets that have to be seen before it is driven.
-        joined: it speaks of the thing of the step before it, and is driven together with that.
+        names: targets that must be detected before the step is driven.
+        joined: True if the step refers to the object of the previous step; both are driven
+            together.
     """
 
     said: str

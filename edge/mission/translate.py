@@ -1,15 +1,16 @@
-"""From an instruction to a formula: one translator, which a configuration gives its reader."""
+"""Translation of an instruction to a formula, by the back end that the configuration names."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from edge.config import Translator as TranslatorConfig
 from edge.config import TranslatorLlm
+from edge.geometry import SE2
 from edge.mission.language import grammar
 from edge.mission.language.bans import bans_in, does_imply
 from edge.mission.language.beyond import refuse_beyond
@@ -30,7 +31,7 @@ from edge.text import one_line
 if TYPE_CHECKING:
     from edge.mission.language.model import SmallModel
 
-_UNDERSTOOD_CHARS = 1000  # English says in 300 characters what a formula says in 100
+_UNDERSTOOD_CHARS = 1000  # English needs about three times as many characters as a formula
 
 __all__ = [
     "AmbiguousError", "Read", "Reading", "Translation", "TranslationError", "Translator",
@@ -40,16 +41,19 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Translation:
-    """An instruction and what was understood.
+    """An instruction and its translation.
 
     Attributes:
+        instruction: the given text.
         formula: its text parses back to the same formula.
-        english: the formula in plain English, to be shown to whoever gave the instruction.
-        backend: the kind of translator that read it.
-        seconds: how long it took.
-        reading: which of the readings was taken, counted from 1; None: there is but one.
-        readings: all of an ambiguous instruction's readings in English; none of another's.
-        implied: the reading was taken unasked, since it implies all others.
+        english: the formula in plain English, for the person who gave the instruction.
+        backend: kind of the translator that read it.
+        seconds: duration of the translation.
+        reading: number of the chosen reading, from 1; None if there is only one.
+        readings: all readings of an ambiguous instruction in English, else empty.
+        implied: True if the reading was chosen without a question, because it implies all others.
+        places: propositions of the formula that are places, not things, with their poses; None for
+            a pose that is known only when the mission begins.
     """
 
     instruction: str
@@ -60,23 +64,24 @@ class Translation:
     reading: int | None = None
     readings: tuple[str, ...] = ()
     implied: bool = False
+    places: Mapping[str, SE2 | None] = field(default_factory=dict)
 
     @property
     def understood(self) -> str:
-        """`english` as it is shown: one line, of what is longer than any instruction the start."""
+        """`english` in one line, cut at `_UNDERSTOOD_CHARS` characters."""
         return one_line(self.english, _UNDERSTOOD_CHARS)
 
 
 @dataclass(frozen=True)
 class Read:
-    """What a translator made of an instruction.
+    """The result of a translator back end.
 
     Attributes:
-        formulas: that it may ask for, one or more, the likeliest first.
-        by: the kind of translator that read it.
-        sure: one formula may be carried out unasked, and of several the one that implies the
-            others where nobody can be asked.
-        doubts: of words, to be told with a question.
+        formulas: one or more possible formulas, the most likely first.
+        by: kind of the translator that read the instruction.
+        sure: True if one formula may be carried out without a question. Of several, the one that
+            implies the others may be used if nobody can be asked.
+        doubts: questions about single words, shown with the question.
     """
 
     formulas: Sequence[Formula]
@@ -86,12 +91,19 @@ class Read:
 
 
 Backend = Callable[[str], Read]
-"""Reads an instruction; raises TranslationError for what it does not understand."""
+"""Function that reads an instruction; raises TranslationError if it does not understand it."""
 
 
 @dataclass(frozen=True)
 class Translator:
-    """Turns instructions into formulas."""
+    """Translator of instructions to formulas.
+
+    Example:
+        >>> from edge.config import TranslatorGrammar
+        >>> read = make_translator(TranslatorGrammar()).translate("Go to the bed or the sofa.")
+        >>> str(read.formula), read.english
+        ('F (bed | sofa)', 'Reach either the bed or the sofa.')
+    """
 
     kind: str
     read: Backend
@@ -99,18 +111,19 @@ class Translator:
     def translate(
         self, instruction: str, reading: int | None = None, ask: bool = True
     ) -> Translation:
-        """The instruction's formula.
+        """Return the translation of an instruction.
 
         Args:
-            reading: which one an ambiguous instruction is to be given, counted from 1 in the order
-                in which `AmbiguousError` lists them; of an unambiguous one it can only be 1.
-            ask: whether somebody can be asked. If not, the reading that implies all others is
-                taken, where there is one.
+            instruction: English text, or a formula for the kind `ltl`.
+            reading: number of the chosen reading, from 1, in the order of `AmbiguousError`. For an
+                unambiguous instruction only 1 is valid.
+            ask: True if a person can choose. If False, the reading that implies all others is
+                taken, if there is one.
 
         Raises:
-            UserError: it cannot be translated; a TranslationError names the part.
-            AmbiguousError: it can be read in several ways, or in one that is not sure, and none
-                was chosen.
+            UserError: the instruction cannot be translated; a TranslationError names the part.
+            AmbiguousError: there are several readings, or one that is not sure, and none was
+                chosen.
         """
         began_s = time.monotonic()
         read = self.read(instruction)
@@ -139,7 +152,7 @@ class Translator:
 
 
 def validated(formula: Formula) -> Formula:
-    """The formula, once its text has been seen to parse back to it.
+    """Return the formula after checking that its text parses back to it.
 
     Raises:
         TranslationError: it does not.
@@ -154,19 +167,19 @@ def validated(formula: Formula) -> Formula:
 
 
 def make_translator(config: TranslatorConfig) -> Translator:
-    """The translator that a configuration names.
+    """Return the translator that a configuration names.
 
     Raises:
-        ChatError: the language model's URL or API key cannot be used.
-        ModelError: the small model's card or file is not there or not sound; `auto` says so of the
-            first instruction that the grammar refuses.
+        ChatError: the URL or the API key of the language model cannot be used.
+        ModelError: the card or the file of the small model is missing or damaged. `auto` raises it
+            later, at the first instruction that the grammar refuses.
     """
     readers: dict[str, Callable[[], Backend]] = {
         "grammar": lambda: _by_grammar,
         "ltl": lambda: lambda text: Read((ltl.parse(text),), "ltl"),
         "llm": lambda: _by_llm(config),
         "model": lambda: by_model(_small_model(config.card)),
-        # Opened when the grammar has refused something: most instructions need no network.
+        # The model is loaded at the first refusal by the grammar: most instructions need none.
         "auto": lambda: by_all(
             lambda text: by_model(_small_model(config.card))(text),
             config.llm and _by_llm(config.llm),
@@ -197,7 +210,7 @@ def _small_model(card: str) -> SmallModel:
 
 
 def by_model(model: SmallModel) -> Backend:
-    """The small model alone."""
+    """Return a back end that uses only the small model."""
 
     def read(instruction: str) -> Read:
         refuse_beyond(Reader(instruction))
@@ -208,12 +221,17 @@ def by_model(model: SmallModel) -> Backend:
 
 
 def heeding(instruction: str, read: Read) -> Read:
-    """Return what a model read, if it heeds the bans that the rules read in the instruction.
+    """Return a model's result, checked against the bans that the grammar rules find.
 
-    If it does not, it is asked about: with these bans, and as it is.
+    If the result misses a ban, it becomes a question with two groups of formulas: with the bans,
+    and as the model wrote them.
+
+    Args:
+        instruction: the text that the model read.
+        read: the model's result.
 
     Raises:
-        TranslationError: nothing fulfils it together with the bans.
+        TranslationError: no formula can be fulfilled together with the bans.
     """
     bans = [
         ban
@@ -225,15 +243,15 @@ def heeding(instruction: str, read: Read) -> Read:
     strict = [ltl.conj(formula, *bans) for formula in read.formulas]
     strict = [formula for formula in strict if is_possible(formula)]
     if not strict:
-        told = " ".join(describe(ban) for ban in bans)
-        raise TranslationError(f"instruction: understood only this: {one_line(told, 300)}")
+        found = " ".join(describe(ban) for ban in bans)
+        raise TranslationError(f"instruction: understood only this: {one_line(found, 300)}")
     return replace(read, formulas=(*strict, *read.formulas), sure=False)
 
 
 def by_all(small: Backend, large: Backend | None) -> Backend:
-    """The grammar first, then the small model, then a language model: see `TranslatorAuto`.
+    """Return a back end: grammar, then small model, then language model (see `TranslatorAuto`).
 
-    What the grammar knows to be no order, or to be unclear, none of the others is asked.
+    If the grammar is certain that a text is no order, or is unclear, no model is asked.
     """
 
     def read(instruction: str) -> Read:
@@ -250,12 +268,13 @@ def by_all(small: Backend, large: Backend | None) -> Backend:
 def _unread(
     instruction: str, refusal: TranslationError, small: Backend, large: Backend | None
 ) -> Read:
-    """What the others make of what the grammar refused.
+    """Ask the models about an instruction that the grammar refused.
 
-    A language model's formula is taken where the small one offers it too, or has none to offer.
+    The language model's formula is trusted if the small model offers the same one, or none.
 
     Raises:
-        TranslationError: they refuse it as well; the grammar tells best what to change.
+        TranslationError: the models refuse it too. The grammar's error is raised, because it gives
+            the best advice.
     """
     try:
         offered = small(instruction)
@@ -266,9 +285,9 @@ def _unread(
     if offered.sure or large is None:
         return offered
     try:
-        told = large(instruction)
+        answer = large(instruction)
     except TranslationError:
         return offered
-    if any(same(told.formulas[0], formula) for formula in offered.formulas):
-        return told
-    return Read((*told.formulas, *offered.formulas), "llm", False, offered.doubts)
+    if any(same(answer.formulas[0], formula) for formula in offered.formulas):
+        return answer
+    return Read((*answer.formulas, *offered.formulas), "llm", False, offered.doubts)

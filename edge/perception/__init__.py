@@ -1,4 +1,4 @@
-"""What the camera shows: detectors, scorers, their models, and instances in the map.
+"""Perception: detectors, scorers, the runtime of their models, and objects fused over time.
 
-No map is updated and no goal chosen here.
+Nothing here updates the occupancy map or selects a goal.
 """

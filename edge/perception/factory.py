@@ -1,4 +1,4 @@
-"""Which detectors there are, and the one that a configuration names."""
+"""Registry of detectors, and the detector that a configuration names."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from edge.perception.detection.sim import SimDetector, TruthAt
 from edge.perception.runtime.cards import ModelError, load_detector_card
 from edge.perception.runtime.health import Tell, log_progress
 
-if TYPE_CHECKING:  # what the other needs is not loaded
+if TYPE_CHECKING:  # load only the backend in use
     from edge.perception.detection.onnx import OnnxDetector
     from edge.perception.detection.remote import RemoteDetector
 
@@ -20,7 +20,16 @@ if TYPE_CHECKING:  # what the other needs is not loaded
 def open_detector(
     detector: config.DetectorOnnx, prompts: Sequence[str], progress: Tell = log_progress
 ) -> OnnxDetector | RemoteDetector:
-    """The detector of a card, on this computer or on the card's server; see both."""
+    """Open the detector of a card, on this computer or on the card's server.
+
+    Args:
+        detector: names the card.
+        prompts: what to look for.
+        progress: called every few seconds while a TensorRT engine is built.
+
+    Raises:
+        PromptError, ModelError: see `OnnxDetector` and `RemoteDetector`.
+    """
     card = load_detector_card(detector.model)
     if card.server is not None:
         from edge.perception.detection.remote import RemoteDetector
@@ -47,10 +56,10 @@ REGISTRY = {"onnx": _onnx, "sim": _sim}
 
 
 def _on_a_server(detector: config.DetectorOnnx | config.DetectorSim) -> bool:
-    """Such a model is isolated as it is."""
+    """Return True if a server runs the model: such a model needs no process here."""
     try:
         return detector.kind == "onnx" and load_detector_card(detector.model).server is not None
-    except ModelError:  # whoever loads it says so
+    except ModelError:  # the caller that loads the card reports it
         return False
 
 
@@ -62,17 +71,25 @@ def make_detector(
     cancelled: threading.Event | None = None,
     truth: TruthAt | None = None,
 ) -> Detector:
-    """The detector that the configuration names, ready to use.
+    """Make the detector that the configuration names, ready to use.
 
     Args:
-        progress: told every few seconds while a TensorRT engine is built, which takes minutes.
-        cancelled: once set, a model's process that is not ready yet is ended, which is a
-            ModelError; without isolation the model is loaded to its end.
-        truth: what `kind: sim` takes for seen.
+        perception: the configuration.
+        prompts: what to look for.
+        progress: called every few seconds while a TensorRT engine is built, which takes minutes.
+        cancelled: once set, a model process that is not ready yet is ended, which raises
+            ModelError. Without process isolation the model is loaded to the end.
+        truth: ground truth for `kind: sim`.
 
     Raises:
         PromptError: see `Detector.set_prompts`.
-        ModelError: the model cannot be loaded, or not with the providers asked for.
+        ModelError: the model cannot be loaded, or not with the configured providers.
+
+    Example:
+        >>> from edge.config import DetectorSim, Perception
+        >>> detector = make_detector(Perception(detector=DetectorSim()), ["chair"])
+        >>> detector.prompts
+        ('chair',)
     """
     if perception.isolation == "process" and not _on_a_server(perception.detector):
         from edge.perception.detection.process import ProcessDetector

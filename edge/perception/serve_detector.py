@@ -1,4 +1,4 @@
-"""The program of a process with a detector, started by `process/link.py` only."""
+"""Program of a process that runs a detector, started by `process/link.py` only."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ Make = Callable[[config.Perception, Sequence[str], Tell], Detector]
 
 
 def main(make: Make = make_detector) -> int:
-    """Read from stdin what to do, load the model, answer until told to end.
+    """Read the request from stdin, load the model, and answer until the service ends this process.
 
     Args:
         make: makes the detector.
     """
-    told, images, control, frames = begin()
+    request, images, control, frames = begin()
     speaking = threading.Lock()
 
-    def progress(health: Health) -> None:  # from any thread, but only until `make` returns
+    def progress(health: Health) -> None:  # on any thread, but only until `make` returns
         with speaking:
             control.send(wire.encode(health=health))
 
     try:
-        perception = config.Perception.model_validate(told["perception"])
-        detector = make(perception, told["prompts"], progress)
+        perception = config.Perception.model_validate(request["perception"])
+        detector = make(perception, request["prompts"], progress)
         _run_empty(detector)
     except Exception as error:
         control.send(wire.encode_error(error))
@@ -52,20 +52,20 @@ def main(make: Make = make_detector) -> int:
         answer_images(images, detector, frames)
     except BaseException:
         log.exception("model %s: its process ends", detector.name)
-        os._exit(1)  # the thread above waits for ever
+        os._exit(1)  # `check_prompts` blocks in recv for ever
     return 0
 
 
 def _run_empty(detector: Detector) -> None:
-    """One image before the first: what compiles kernels on its way would look like a hang."""
+    """Detect in one image before the first: compiling kernels would look like a hang."""
     detector.detect(Observation(0, 0, np.eye(4), rgb=np.zeros((64, 64, 3), np.uint8)))
-    detector.invalid_boxes = 0  # this image is no camera's
+    detector.invalid_boxes = 0  # this image is not from a camera
 
 
 def check_prompts(control: socket.socket, detector: Detector) -> None:
-    """Answer whether prompts can be looked for, while images are being looked at."""
-    while said := control.recv(wire.MAX_BYTES):
-        request = read_json_object(said)
+    """Answer prompt checks on `control`, while `answer_images` runs."""
+    while message := control.recv(wire.MAX_BYTES):
+        request = read_json_object(message)
         try:
             detector.set_prompts(request["prompts"])
             control.send(wire.encode(id=request["id"]))
@@ -74,9 +74,9 @@ def check_prompts(control: socket.socket, detector: Detector) -> None:
 
 
 def answer_images(images: socket.socket, detector: Detector, frames: FrameView) -> None:
-    """Answer every image with what is found in it, or what was raised."""
-    while said := images.recv(wire.MAX_BYTES):
-        request = read_json_object(said)
+    """Answer every image with its detections, or with the error that was raised."""
+    while message := images.recv(wire.MAX_BYTES):
+        request = read_json_object(message)
         seq, prompts = request["seq"], tuple(request["prompts"])
         try:
             if prompts != detector.prompts:
@@ -84,7 +84,7 @@ def answer_images(images: socket.socket, detector: Detector, frames: FrameView) 
             rgb = frames.read(seq, request["hw"])
             found = detector.detect(Observation(seq, 0, np.eye(4), rgb=rgb))
             if not frames.is_whole(seq):
-                raise ValueError(f"frame {seq}: torn, another was written meanwhile")
+                raise ValueError(f"frame {seq}: torn, overwritten by a newer frame")
         except Exception as error:
             images.send(wire.encode_error(by_kind(error), seq=seq))
         else:

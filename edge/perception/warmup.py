@@ -1,4 +1,4 @@
-"""Compile the perception kernels before the first image needs them."""
+"""Compilation of the perception kernels, before the first image needs them."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from edge.types import Detections, Observation
 
 
 def warmup(lifts: Sequence[str] = ("depth", "cloud")) -> None:
-    """Run every kernel once with the types it is called with; cached on disk afterwards.
+    """Run every kernel once, with the types of its calls; the disk caches the result.
 
     Args:
-        lifts: what boxes are projected through.
+        lifts: sources of 3-D points to warm up, as in `perception.lift`.
     """
     rgb = np.zeros((16, 16, 3), np.uint8)
     kernels.to_planes(rgb, np.float32(1 / 255), 0, 0, np.zeros((3, 16, 16), np.float32))
@@ -72,7 +72,7 @@ def _lift(lifts: Sequence[Literal["depth", "cloud"]]) -> None:
     tracker = InstanceTracker(perception)
     tracker.update(lifted, 0)
     tracker.expire(seen, detections.prompts)
-    # What an instance that is seen again needs; nothing here was clear enough to found one.
+    # Kernels for an instance that is seen again: no detection above is strong enough to make one.
     points_m = np.zeros((1, 3), np.float32)
     support = np.ones(1, np.int32)
     instance_kernels.merge_points(points_m, support, points_m, perception.voxel_m, MAX_POINTS)

@@ -1,4 +1,4 @@
-"""Models beside the loop: the detector, and scorers that may take long to answer."""
+"""Models in the background of the loop: the detector, and scorers that may answer slowly."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Closable(Protocol):
     """A model that a worker runs.
 
     Attributes:
-        name: what it is, for people.
+        name: shown to people.
     """
 
     @property
@@ -37,16 +37,16 @@ Result = TypeVar("Result")
 
 
 class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
-    """Runs a model that another one may take the place of.
+    """A worker whose model can be replaced while it runs.
 
     Args:
+        what, work, more: see `Worker`; `work` calls `_use` for the model to run.
         model: runs on the next item.
-        what, work, more: see `Worker`; `work` runs the model that it gets from `_use`.
 
     Attributes:
         model: runs on the next item.
-        watch: called with the model, the item and what came of it (a result, None or an
-            exception), on the worker's thread; what it raises is only logged.
+        watch: called with the model, the item and the outcome (a result, None or an exception), on
+            the worker's thread. What it raises is logged and ignored.
     """
 
     def __init__(
@@ -59,13 +59,13 @@ class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
         super().__init__(what, work, **more)
 
     def exchange(self, model: Model) -> Model:
-        """Have another model run on the next item; return the one before, still open."""
+        """Run another model from the next item on; return the model before it, still open."""
         with self._hand:
             before, self.model = self.model, model
         return before
 
     def uses(self, model: Model) -> bool:
-        """Whether it may be running now, or will be: such a one must not be closed yet."""
+        """Return True if a model may be running or will run: it must not be closed yet."""
         with self._hand:
             return model is self.model or model is self._using
 
@@ -76,7 +76,7 @@ class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
         return self._using
 
     def _used(self, item: Item, outcome: object) -> None:
-        """Tell `watch` what came of the item."""
+        """Call `watch` with the outcome of the item."""
         model, self._using = self._using, None
         if (watch := self.watch) is not None:
             try:
@@ -86,17 +86,20 @@ class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
 
 
 class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
-    """Runs a detector, and a segmenter on what it finds; lets another detector take its place.
+    """Runs a detector, and a segmenter on its boxes; another detector can replace the first.
 
-    Observations are held (`Observation.hold`) while they wait and while they are detected in.
-    Whoever polls detections owns that hold: call `detections.observation.release()` when done.
+    Observations are held (`Observation.hold`) while they wait and while the detector runs. The
+    caller that polls detections takes over the hold: call `detections.observation.release()` when
+    done.
 
     Args:
+        detector: runs on the next image.
         inline: see `Worker`.
-        masker: makes masks; None: there are none.
+        masker: adds masks to detections; None: no masks.
 
     Attributes:
-        spare: the one before, kept until the present one has proved itself; None otherwise.
+        spare: the detector before a swap, kept open until the new one has passed its probation;
+            None otherwise.
     """
 
     def __init__(
@@ -114,43 +117,42 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
 
     @property
     def detector(self) -> Detector:
-        """Runs on the next image."""
+        """The detector that runs on the next image."""
         return self.model
 
     def submit(self, observation: Observation) -> None:
-        """Detect in this next. Never blocks, unless inline.
+        """Detect in this observation next; never block, unless inline.
 
-        An observation without a picture, as a LiDAR's sweeps between two of them, is left out.
+        An observation without an image, such as a LiDAR sweep between two images, is skipped.
         """
         if getattr(observation, getattr(self.detector, "looks_at", "rgb")) is not None:
             observation.hold()
             super().submit(observation)
 
     def close(self) -> None:
-        """Finish the image at hand, release every observation still held."""
+        """Finish the current image, then release every observation that is still held."""
         super().close()
         self.detector.close()
         if self.masker is not None:
             self.masker.close()
 
     def set_prompts(self, prompts: Sequence[str]) -> None:
-        """Look for something else from the next image on; see `Detector.set_prompts`.
+        """Use other prompts from the next image on; see `Detector.set_prompts`.
 
         Raises:
-            PromptError, ModelError: the detector, or the spare one, cannot; nothing has changed
-                then.
+            PromptError, ModelError: the detector or the spare cannot use them; nothing has changed.
         """
         spare = self.spare
         if spare is None:
             self.detector.set_prompts(prompts)
             return
-        # First the one that does not detect: where it fails, nothing at work need be undone.
+        # First the spare, which does not detect: if it fails, the running detector is unchanged.
         before = spare.prompts
         try:
             spare.set_prompts(prompts)
         except UserError as error:
             raise type(error)(
-                f"{spare.name}, kept until {self.detector.name} has proved itself: {error}; "
+                f"{spare.name}, kept until {self.detector.name} passes its probation: {error}; "
                 "try again after that"
             ) from None
         try:
@@ -160,7 +162,7 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
             raise
 
     def _detect(self, observation: Observation) -> Detections:
-        """What the detector finds; a failure lets the observation go."""
+        """Return the detections; release the observation if the detector fails."""
         detector = self._use()
         outcome: Detections | Exception
         try:
@@ -174,13 +176,13 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
         return outcome if self.masker is None else self.masker.add(outcome)
 
     def _failed(self, error: Exception, excused: bool = False) -> None:
-        """See `Worker`; excused is a detector that itself says that it is not `ok`."""
+        """See `Worker`; a failure is excused if the detector's own health is not `ok`."""
         self._what = f"detector {self.detector.name}"
         super()._failed(error, excused=self.detector.health().state != "ok")
 
 
 class Question(Protocol):
-    """What a scorer is asked; its observation is held until the scorer has looked at it."""
+    """The input of a scorer; its observation is held until `Scorer.look` returns."""
 
     @property
     def observation(self) -> Observation: ...
@@ -191,34 +193,36 @@ A = TypeVar("A")
 
 
 class Scorer(Protocol[Q, A]):
-    """A model beside the loop, in two steps so that a frame is not held while a server thinks.
+    """A model in the background, in two steps: a slow server must not hold up a frame.
 
     Attributes:
-        name: what it is, for people.
+        name: shown to people.
     """
 
     name: str
 
     def look(self, question: Q) -> Any:
-        """Everything that needs the observation's arrays; may raise anything."""
+        """Read everything that needs the observation's arrays; may raise anything."""
         ...
 
     def answer(self, looked: Any) -> A | None:
-        """The rest, which may take long but not for ever; may raise anything."""
+        """Compute the result, which may take long but must end; may raise anything."""
         ...
 
     def close(self) -> None:
-        """Give up at once, if that can be, what is being answered in another thread."""
+        """Abort an `answer` that runs on another thread, if possible."""
         ...
 
 
 class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
-    """Puts questions to a scorer, one at a time, and leaves it alone for a while after a failure:
-    a server that refuses at once must not be asked at the loop's rate.
+    """Runs a scorer on one question at a time.
+
+    After a failure it pauses: a server that refuses at once must not be asked at the loop's rate.
 
     Args:
-        kind: what the scorer is for, in messages.
-        inline, rest_s, pause_s: see `Worker`.
+        kind: purpose of the scorer, for messages.
+        scorer: answers the next question.
+        rest_s, inline, pause_s: see `Worker`.
     """
 
     def __init__(
@@ -236,23 +240,23 @@ class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
 
     @property
     def name(self) -> str:
-        """Of the scorer that is asked next."""
+        """Name of the scorer that gets the next question."""
         return self.model.name
 
     def submit(self, question: Q) -> None:
-        """Answer this, unless another is being answered, or rested from."""
+        """Put this question, unless the worker is busy or pauses."""
         if self.idle:
             question.observation.hold()
             super().submit(question)
 
     def close(self) -> None:
-        """Give up what is being answered."""
+        """Abort the current answer and stop."""
         self.stop()
         self.model.close()
         super().close()
 
     def counts(self) -> dict[str, object]:
-        """For the status message."""
+        """Return counts for the status message."""
         s = self.stats
         return {
             "model": self.name, "asked": s.submitted, "answered": s.done, "failed": s.failed,
@@ -277,6 +281,6 @@ class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
         return outcome
 
     def _failed(self, error: Exception, excused: bool = False) -> None:
-        """See `Worker`; what is given up has not failed."""
+        """See `Worker`; an answer that `close` aborted is no failure."""
         if not self._closed:
             super()._failed(error, excused)

@@ -1,8 +1,8 @@
-"""Goal choice: one small file a policy, one interface (`edge.policies.base`), and algorithm 2.
+"""Goal selection: policies that score candidates, and VL-Nav algorithm 2 that picks one.
 
-`policy.kind` names one of `REGISTRY`, or one's own by `module:Class` (docs/policies.md). A new
-one of ours is a file with a class that scores candidates, a section in `edge/config/policy.py`
-and a line in `REGISTRY`. Nothing here sends a goal or knows who asks.
+`policy.kind` names an entry of `REGISTRY`, or a plugin as `module:Class` (docs/policies.md).
+To add a policy: write a class with the interface of `edge.policies.base`, add its section to
+`edge/config/policy.py` and a line to `REGISTRY`. This package sends no goals.
 """
 
 from __future__ import annotations
@@ -29,13 +29,14 @@ REGISTRY = {
 def find_policy(
     config: Any, path: str = "<defaults>", given: Mapping[str, Any] = MappingProxyType({})
 ) -> Callable[[], Policy]:
-    """What makes the policy that a configuration's `policy` section names.
+    """Return a function that makes the policy of a configuration's `policy` section.
 
-    One of ours is given the section, one's own its options.
+    A policy of this package gets the section. A plugin gets its options.
 
     Args:
-        path: of the configuration, for errors.
-        given: what one's own may ask for besides its options, by the name of the parameter.
+        config: the `policy` section.
+        path: path of the configuration file, for error messages.
+        given: arguments that a plugin may request in addition to its options, by parameter name.
 
     Raises:
         ConfigError: see `edge.config.named.find_named`.
@@ -51,5 +52,11 @@ def find_policy(
 def make_policy(
     config: Any, path: str = "<defaults>", given: Mapping[str, Any] = MappingProxyType({})
 ) -> Policy:
-    """See `find_policy`."""
+    """Make the policy of a configuration's `policy` section; see `find_policy`.
+
+    Example:
+        >>> from edge.config import PolicyNearest
+        >>> type(make_policy(PolicyNearest())).__name__
+        'NearestFrontier'
+    """
     return find_policy(config, path, given)()

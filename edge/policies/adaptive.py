@@ -1,4 +1,4 @@
-"""ApexNav's rule: follow the values where they tell frontiers apart, else geometry."""
+"""ApexNav's policy: use the value map if its values differ between frontiers, else geometry."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from edge.policies.base import Context, Why
 from edge.policies.by_value import count_frontiers, values_near
 
 LEAST_SPREAD, LEAST_RATIO = 0.030, 1.2
-"""Values tell frontiers apart if their standard deviation, and the best over the mean, are more."""
+"""The values decide if their standard deviation and their ratio of maximum to mean exceed these."""
 MAX_STOPS = 8
-"""The shortest tour through more is not sought: the nearest of them are taken."""
+"""Largest number of stops in a tour; of more stops the nearest are used (cost is exponential)."""
 _FIRST, _STEP = 2.0, 0.05
-"""Score of a tour's first stop, and how much less each later one has; all else is below 1."""
+"""Score of a tour's first stop, and the decrement for each later stop. Other scores are below 1."""
 
 
 class Adaptive:
-    """Scores frontiers by nearness, or by their place in a tour through the promising ones.
+    """Policy that scores frontiers by nearness, or by their place in a tour of promising frontiers.
 
-    With fewer than two frontiers that can be gone to and near which something was said, there is
-    nothing to tell apart: then, and where values differ too little, it is the nearest by path.
+    Nearness is by path length. It decides if the values differ too little, or if fewer than two
+    reachable frontiers have a value.
     """
 
     def __init__(self, config: PolicyAdaptive) -> None:
         self.config = config
         self._make_room(0)
-        shortest_tour(np.ones(2), np.ones((2, 2), np.float32))  # compile it
+        shortest_tour(np.ones(2), np.ones((2, 2), np.float32))  # compile the kernel now
 
     def score(self, context: Context) -> np.ndarray:
         """See `Policy.score`."""
@@ -53,13 +53,13 @@ class Adaptive:
         return score
 
     def reset(self, why: Why) -> None:
-        """It remembers nothing: the value maps are the map's."""
+        """Do nothing: this policy has no memory. The value maps belong to the map."""
 
     def _judge(self, context: Context, n: int) -> None:
-        """The values of the first n candidates; NaN where nothing was said.
+        """Write the values of the first n candidates; NaN if there is no value.
 
-        A lift L counts as L / (1 + L), the probability that it gives to even odds: as the values
-        of the maps it lies between 0 and 1.
+        A likelihood ratio L becomes L / (1 + L), the posterior probability from even prior odds. It
+        then lies between 0 and 1, like the values of the value maps.
         """
         value = self._value
         if self.config.by != "prior":
@@ -71,7 +71,7 @@ class Adaptive:
             value[:n] /= 1.0 + value[:n]
 
     def _promising(self, scored: np.ndarray) -> np.ndarray:
-        """Which of the scored frontiers a tour is to go through; none where geometry decides."""
+        """Return the scored frontiers for the tour; none if geometry decides."""
         c, value = self.config, self._value[scored]
         if len(scored) < 2 or value.std() <= LEAST_SPREAD:
             return scored[:0]
@@ -85,17 +85,17 @@ class Adaptive:
 
 @njit(nogil=True, cache=True)
 def shortest_tour(path_m, xy_m):
-    """The order of the shortest open tour from the robot through all stops, exactly.
+    """Return the order of the shortest open tour from the robot through all stops (exact).
 
-    Between two stops the way is taken to be as long as the straight line, or as the difference of
-    the ways to them, whichever is longer: it is at least that.
+    The distance between two stops is estimated by a lower bound: the straight line, or the
+    difference of their path lengths from the robot, whichever is longer.
 
     Args:
-        path_m: (k,) float64, the robot's way to each stop; at most `MAX_STOPS`.
-        xy_m: (k, 2) their places.
+        path_m: (k,) float64, path length from the robot to each stop; k is at most `MAX_STOPS`.
+        xy_m: (k, 2) positions of the stops.
 
     Returns:
-        (k,) int64 indices; of equally short tours one that begins with the lower index.
+        (k,) int64 indices. Of equally short tours, the one that begins with the lowest index.
     """
     k = len(path_m)
     full = 1 << k
@@ -104,8 +104,8 @@ def shortest_tour(path_m, xy_m):
         for j in range(k):
             straight = math.hypot(xy_m[i, 0] - xy_m[j, 0], xy_m[i, 1] - xy_m[j, 1])
             between[i, j] = max(straight, abs(path_m[i] - path_m[j]))
-    # cost[set, last]: the shortest way through the set's stops that begins with `last` and goes
-    # on through the others; built from the end of the tour.
+    # cost[stops, i]: length of the shortest path that begins at stop i and visits all of `stops`.
+    # The tour is built from its end (Held-Karp).
     cost, after = np.full((full, k), np.inf), np.zeros((full, k), np.int64)
     for i in range(k):
         cost[1 << i, i] = 0.0

@@ -1,4 +1,4 @@
-"""What a policy is, and what it sees."""
+"""The interface of a policy: its input (`Context`, `Candidates`) and its methods (`Policy`)."""
 
 from __future__ import annotations
 
@@ -17,29 +17,30 @@ from edge.types import Detections, Observation
 
 FRONTIER, INSTANCE, LOOK = 0, 1, 2
 SNAP_M = np.array([0.6, 1.5, 0.0])
-"""How far from a candidate of each kind its goal cell may lie: a frontier borders free space, an
-instance's surface is behind inflation and often on a table, and a look is from where one stands."""
+"""Largest distance of a goal cell from its candidate, by kind. A frontier borders free space. The
+surface of an instance is behind inflation and often on a table. A look turns on the spot."""
 
 
 class Candidates:
-    """Where to go, parallel arrays of which the first `n` entries count: frontiers first, then
-    instances, then at most one look, which is a turn on the spot.
+    """Candidate goals as parallel arrays of which the first `n` entries are valid.
+
+    Frontiers come first, then instances, then at most one look (a turn on the spot).
 
     Attributes:
-        stamp_ns: of the observation that they were gathered from.
-        xy_m: (capacity, 2) float32 in `map`; a look's lies a metre from the robot, where the robot
-            is to face.
+        stamp_ns: stamp of the observation from which the candidates were gathered.
+        xy_m: (capacity, 2) float32 in `map`. The position of a look is one metre from the robot,
+            in the direction that the robot should face.
         kind: (capacity,) int8, `FRONTIER`, `INSTANCE` or `LOOK`.
-        id: (capacity,) int64. A frontier's is never given again once it is gone; an instance's is
-            that of the instance, and may be a frontier's as well.
+        id: (capacity,) int64. A frontier's id is never used again after the frontier is gone. An
+            instance's id is the id of the instance; a frontier may have the same id.
         first_seen_ns: (capacity,) int64, on the clock of `stamp_ns`.
-        confidence: (capacity,) float32 in [0, 1], the detector's; 0 for frontiers.
-        sure: (capacity,) bool, instances that the detector has confirmed.
-        blocked: (capacity,) bool, discarded for a while.
-        path_m: (capacity,) float32, driving distance from the robot, inf where it does not get
-            to; of a look what its turn is worth as way (`edge.loop.candidates.TURN_M_PER_RAD`).
-        gain_m2: (capacity,) float32, unknown area that frontiers and looks are expected to show
-            (`edge.mapping.gain`); 0 for instances. A frontier's may be some ticks old.
+        confidence: (capacity,) float32 in [0, 1], from the detector; 0 for frontiers.
+        sure: (capacity,) bool, True for instances that the detector has confirmed.
+        blocked: (capacity,) bool, True while a candidate is discarded.
+        path_m: (capacity,) float32, driving distance from the robot, inf if unreachable. For a
+            look, its turn as metres (`edge.loop.candidates.TURN_M_PER_RAD`).
+        gain_m2: (capacity,) float32, unknown area that a frontier or a look is expected to show
+            (`edge.mapping.gain`); 0 for instances. A frontier's value may be some ticks old.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -55,7 +56,10 @@ class Candidates:
         self.gain_m2 = np.zeros(capacity, np.float32)
 
     def read_only(self) -> Candidates:
-        """The same arrays, for those who may not write there; whoever writes renews the counts."""
+        """Return a view of the same arrays that cannot be written.
+
+        The counts `n` and `stamp_ns` are copied: the owner makes a new view when they change.
+        """
         shown = copy(self)
         for name, value in vars(self).items():
             if isinstance(value, np.ndarray):
@@ -63,13 +67,13 @@ class Candidates:
         return shown
 
     def index_of(self, kind: int, candidate_id: int) -> int:
-        """Where a candidate stands now, or -1 when it is gone."""
+        """Return the index of a candidate, or -1 if it is gone."""
         n = self.n
         found = np.flatnonzero((self.id[:n] == candidate_id) & (self.kind[:n] == kind))
         return int(found[0]) if len(found) else -1
 
     def nearest(self, kind: int, xy_m: tuple[float, float], within_m: float) -> int:
-        """The candidate of a kind that is nearest to a point, or -1 when none is so near."""
+        """Return the index of the nearest candidate of a kind within a range of a point, or -1."""
         n = self.n
         apart = np.hypot(self.xy_m[:n, 0] - xy_m[0], self.xy_m[:n, 1] - xy_m[1])
         apart[self.kind[:n] != kind] = np.inf
@@ -80,10 +84,12 @@ class Candidates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Similarity:
-    """How well one image goes with each target of the mission.
+    """Similarity of one image to each target of the mission.
 
     Attributes:
-        stamp_ns: of the observation, `pose` is where the robot stood then.
+        stamp_ns: stamp of the observation.
+        pose: pose of the robot at that observation.
+        targets: the targets that were compared.
         score: (n,) float32, one for each target; see `SimilarityScorer.score` for the scale.
     """
 
@@ -95,11 +101,14 @@ class Similarity:
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What the scorers last said of this map and mission; None: nothing yet.
+    """The newest outputs of the scorers for this map and mission; None if there is none yet.
 
-    VLFM goes by `similarity`, over the whole field of view, and ViTL by `choice`, by frontier:
-    `Choice.ids` are ids of candidates, and those that are no candidates any more are stale.
-    Either may be seconds old, or never come.
+    An output may be seconds old, or never come.
+
+    Attributes:
+        similarity: over the whole field of view, used by VLFM.
+        choice: for each frontier, used by ViTL. `Choice.ids` are candidate ids; an id that is no
+            candidate any more is stale.
     """
 
     similarity: Similarity | None = None
@@ -107,39 +116,47 @@ class Answers:
 
 
 class Prior(Protocol):
-    """Where a target may be, by what was seen."""
+    """An estimate of where a target may be, given the objects seen so far."""
 
     def lift(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
-        """P(target near a place | what was seen) / P(target near an average place), into out[:n].
+        """Write the likelihood ratio of the target near each position into out[:n].
+
+        The ratio is P(target near position | objects seen) / P(target near an average position).
 
         Args:
+            target: name of the target.
             xy_m: (n or more, 2) float32 in `map`.
-            out: (n or more,) float32; 1: no opinion.
+            n: number of positions.
+            out: (n or more,) float32; 1 means that the prior has no information.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
-    """All that a policy may go by at one moment, to be read: what lasts is read-only.
+    """The input of a policy for one observation.
+
+    Policies only read it. Arrays that outlive the call are read-only.
 
     Attributes:
-        observation: the newest, with image, depth or cloud, and camera. Its arrays are good until
-            `score` returns.
-        pose: of the robot at that observation.
-        map: as it is now; its `snapshot` and `known_m2` are too dear for every tick.
+        observation: the newest one, with image, depth or cloud, and camera. Its arrays are valid
+            until `score` returns.
+        pose: pose of the robot at that observation.
+        map: the current map. `snapshot` and `known_m2` are too expensive for every tick.
         changed: half-open rectangle (x0, y0, x1, y1) of the world cells whose state this
-            observation changed; cell (x, y) begins at (x, y) * `map.resolution_m`. All zero where
-            none did.
+            observation changed; cell (x, y) begins at (x, y) * `map.resolution_m`. All zero if no
+            cell changed.
         candidates: frontiers, and instances of the active target.
-        detections: what the detector found meanwhile, boxes of targets that nothing else explains
-            better, with the observation they were found in; `class_id` counts `targets`, and
-            `context` has the boxes of all else. None where nothing new came.
-        answers: of the scorers that run beside the loop.
-        targets: all of the mission's; `target` is the active one.
-        now_ns: the loop's time.
-        sightings: what was seen where so far, targets and all else; None: nobody keeps it.
-        prior: tells where a target may be; None: none is configured.
+        detections: new boxes of targets that no other class explains better, with the observation
+            in which they were found. `class_id` indexes `targets`; `detections.context` has the
+            boxes of all other objects. None if there are no new detections.
+        answers: outputs of the scorers, which run in the background.
+        targets: all targets of the mission.
+        target: the active one.
+        now_ns: time of the loop.
+        sightings: positions of all objects seen so far, targets and others; None if they are not
+            recorded.
+        prior: estimate of where a target may be; None if none is configured.
     """
 
     observation: Observation
@@ -162,10 +179,14 @@ class Context:
 
 
 def distances_m(context: Context, how: Literal["path", "straight"]) -> np.ndarray:
-    """Metres from the robot to each candidate, along the path or as the crow flies.
+    """Return the distance in metres from the robot to each candidate.
+
+    Args:
+        context: the input of the policy.
+        how: "path" for driving distance, "straight" for the straight line.
 
     Returns:
-        (n,) float32; inf where no path leads.
+        (n,) float32; inf if there is no path.
     """
     candidates, pose, n = context.candidates, context.pose, context.candidates.n
     if how == "path":
@@ -178,62 +199,71 @@ Why = Literal["mission", "pose", "map rolled"]
 
 
 class Policy(Protocol):
-    """Scores candidates; `edge.policies.select` picks among them by that."""
+    """Interface that scores candidates; `edge.policies.select` picks one by the scores.
+
+    Example:
+        >>> class Nearest:
+        ...     def score(self, context):
+        ...         return 1.0 / (1.0 + context.candidates.path_m)
+        ...     def reset(self, why):
+        ...         pass
+    """
 
     def score(self, context: Context) -> np.ndarray:
-        """How good it would be to go to each candidate; more is better.
+        """Return a score for each candidate; higher is better.
 
-        Called for every observation, and again for the same one when the plan has turned to
-        another target. It may not block, and is timed as the stage `score`.
+        Called for every observation, and again for the same one if the plan has changed the target.
+        It must not block; its time counts as the stage `score`.
 
         Returns:
-            (n,) float32 or more than `n`, all finite, one for each candidate; read until the next
-            call. Instances are compared with instances only, and frontiers with frontiers.
+            At least n finite float32 scores, one for each candidate. The caller reads them until
+            the next call. Instances are compared with instances only, frontiers with frontiers.
         """
         ...
 
     def reset(self, why: Why) -> None:
-        """What was remembered is void, or moved.
+        """Forget or move what was stored.
 
         Args:
-            why: "mission": there are other targets; map and candidates stay. "pose": the pose
-                jumped, and the map begins anew. "map rolled": `map.window` moved, and what fell
-                out of it is forgotten; candidates keep their ids.
+            why: "mission": the targets changed; map and candidates stay. "pose": the pose jumped
+                and the map starts empty. "map rolled": `map.window` moved, and cells outside are
+                lost; candidates keep their ids.
         """
         ...
 
 
 @runtime_checkable
 class Remembers(Protocol):
-    """A policy whose memory is in the checkpoint: one that has these is asked."""
+    """A policy whose state is saved in the checkpoint: any policy with these two methods."""
 
     def state_dict(self) -> dict[str, np.ndarray]:
-        """Return what it remembers, in arrays of its own of numbers; some megabytes at most."""
+        """Return the state as copied numeric arrays, a few megabytes at most."""
         ...
 
     def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
-        """Go on with a `state_dict` of the same kind of policy for the same targets; candidates
-        have the ids that they had.
+        """Restore a `state_dict` of the same policy class and the same targets.
+
+        Candidates have the same ids as before.
 
         Raises:
-            ValueError: it is no such memory.
+            ValueError: the state is invalid.
         """
         ...
 
 
 def scores_of(policy: Policy, context: Context) -> np.ndarray:
-    """What a policy makes of the candidates there are.
+    """Return a policy's scores for the current candidates, checked.
 
     Returns:
         (n,) float32.
 
     Raises:
-        ValueError: the policy did not give one finite number for each candidate.
+        ValueError: the policy did not return one finite number for each candidate.
     """
     score, n = np.asarray(policy.score(context), np.float32), context.candidates.n
     if score.ndim != 1 or len(score) < n or not np.isfinite(score[:n]).all():
         raise ValueError(
-            f"policy {type(policy).__name__}: scores of shape {score.shape} for {n} candidates, "
-            "expected one finite number for each"
+            f"policy {type(policy).__name__}: scores of shape {score.shape} for {n} candidates; "
+            "score() must return one finite number for each"
         )
     return score[:n]

@@ -1,7 +1,7 @@
-"""The frontier with the best value near it: VLFM's choice, and ViTL's (eq. 9).
+"""Policy of VLFM and ViTL (eq. 9): choose the frontier with the best value near it.
 
-The two differ by what the value maps are written from (`Config.value_source`): whole-view
-similarity, weighted towards the middle of the view, or directional scores, spread over it.
+The two differ in the source of the value maps (`Config.value_source`). VLFM writes whole-view
+similarity, weighted towards the centre of the view. ViTL spreads directional scores over the view.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from edge.policies.base import FRONTIER, Candidates, Context, Why
 
 
 class ByValue:
-    """Scores a frontier by the highest value within `radius_m` of it.
+    """Policy that scores a frontier by the highest value within `radius_m` of it.
 
-    A frontier near which nothing was said has value 0. `config.nearness` over a metre more than the
-    path is added: the smaller it is, the more it only makes the nearest of equals the best, so that
-    the robot explores as a nearest-frontier searcher while nothing was said at all.
+    Without a value nearby, a frontier has value 0. The score adds `config.nearness` / (1 + path
+    length). A small `nearness` only breaks ties between equal values. Without any values, the robot
+    therefore explores the nearest frontier.
     """
 
     def __init__(self, config: PolicyVlfm | PolicyDirectional) -> None:
@@ -37,14 +37,14 @@ class ByValue:
         return score
 
     def reset(self, why: Why) -> None:
-        """It remembers nothing: the value maps are the map's."""
+        """Do nothing: this policy has no memory. The value maps belong to the map."""
 
 
 def count_frontiers(candidates: Candidates) -> int:
-    """How many of the candidates are frontiers; they come first."""
+    """Return the number of frontiers; they come first among the candidates."""
     return int(np.count_nonzero(candidates.kind[: candidates.n] == FRONTIER))
 
 
 def values_near(context: Context, n: int, radius_m: float, out: np.ndarray) -> None:
-    """Values of the active target near the first n candidates, into out[:n]; NaN: nothing said."""
+    """Write values of the active target near the first n candidates to out[:n]; NaN if none."""
     context.map.values.best(context.active, context.candidates.xy_m, n, radius_m, out)

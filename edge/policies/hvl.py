@@ -14,22 +14,21 @@ from edge.policies.base import FRONTIER, Context, Why, distances_m
 from edge.types import Detections
 
 SIGMA_RAD = 0.1
-"""Of eq. 3: how far from its direction a box speaks."""
+"""Standard deviation in eq. 3: angular width of a detection's evidence."""
 UNKNOWN_K, UNKNOWN_RADIUS_M = 2.0, 1.0
-"""Of eq. 6, and the circle that its share is of."""
+"""Constant k of eq. 6, and radius of the circle in which the unknown ratio is measured."""
 
 
 class Hvl:
-    """Scores by eq. 8: what was seen in a frontier's direction, how near, how unknown.
+    """Policy that scores by eq. 8: detections in a frontier's direction, distance and unknown area.
 
-    Eq. 3 takes every detection: a box of a target speaks for it by its score, and the one of
-    anything else by that times how much the two have to do with each other (`relatedness`). Of
-    what is no target the box that speaks most in a direction is taken, and not the sum: ten
-    pillows say no more of a bed than one.
+    Eq. 3 uses every detection. A box of a target counts by its score. A box of another object
+    counts by its score times its relation to the target (`relatedness`). Of the other objects, only
+    the strongest evidence in a direction counts, not the sum: ten pillows are no better evidence
+    of a bed than one.
 
-    A frontier's VL scores stay as they were at its first sight (VL-Nav III.D). It has one for each
-    target of the mission (ViTL eq. 3), so that nothing that was seen is lost when the plan turns
-    to another target.
+    A frontier keeps the VL scores of its first observation (VL-Nav III.D). It has one for each
+    target of the mission (ViTL eq. 3), so no evidence is lost when the plan changes the target.
     """
 
     def __init__(self, config: PolicyHvl) -> None:
@@ -40,7 +39,10 @@ class Hvl:
         self._remember(0, 0)
 
     def score(self, context: Context) -> np.ndarray:
-        """See `Policy.score`. The VL score stays from first sight; the rest is of now."""
+        """Return S_HVL of each candidate; see `Policy.score`.
+
+        A VL score keeps its first value. The other terms are current.
+        """
         c, candidates = self.config, context.candidates
         xy_m, kind, n = candidates.xy_m, candidates.kind, candidates.n
         if self._vl.shape != (len(context.targets), len(kind)):
@@ -69,7 +71,7 @@ class Hvl:
     def _speaking(
         self, seen: Detections, targets: tuple[str, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Bearing of each box, those of targets first, and what it says for each target.
+        """Return the bearing of each box, targets first, and its evidence for each target.
 
         Returns:
             mu (k,) float64 radians, alpha (k, targets) float64.
@@ -86,28 +88,31 @@ class Hvl:
             alpha = np.concatenate((alpha, said))
             middle = np.append(middle, 0.5 * (around.xyxy_px[:, 0] + around.xyxy_px[:, 2]))
         camera = seen.observation.camera
-        assert camera is not None  # it is what was detected in
+        assert camera is not None  # the caller checked
         return camera.bearing_of(middle), alpha
 
     def reset(self, why: Why) -> None:
-        """Another mission has other targets, and another map other frontiers."""
+        """Forget all frontiers, unless only the map window moved."""
         if why != "map rolled":
             self._n = 0
 
     def state_dict(self) -> dict[str, np.ndarray]:
-        """Return the first sights; see `edge.policies.base.Remembers`."""
+        """Return the first VL score of each frontier; see `edge.policies.base.Remembers`."""
         return {"id": self._id[: self._n].copy(), "vl": self._vl[:, : self._n].copy()}
 
     def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
-        """Restore them; see `edge.policies.base.Remembers`."""
+        """Restore the first VL scores; see `edge.policies.base.Remembers`."""
         ids, vl = state["id"], state["vl"]
         if ids.ndim != 1 or vl.ndim != 2 or vl.shape[1] != len(ids) or np.isinf(vl).any():
-            raise ValueError("no first sights")
+            raise ValueError("no first VL scores of frontiers")
         self._remember(len(vl), len(ids))
         self._id[:], self._vl[:], self._n = ids, vl, len(ids)
 
     def _remember(self, targets: int, capacity: int) -> None:
-        """Room for the VL scores of so many frontiers; those of as many targets stay."""
+        """Allocate VL scores for `capacity` frontiers.
+
+        Old scores are kept if the number of targets is the same.
+        """
         n = min(self._n, capacity) if len(self._vl) == targets else 0
         known, vl = self._id[:n], self._vl[:, :n]
         self._id, self._old_id = (np.zeros(capacity, np.int64) for _ in range(2))
@@ -119,12 +124,12 @@ class Hvl:
 
 
 def relatedness(words: tuple[str, ...], targets: tuple[str, ...]) -> np.ndarray:
-    """How much a word has to do with a target: 1 - 1 / lift, 0 where the lift is at most 1.
+    """Return the relation of words to targets: 1 - 1 / lift, or 0 if the lift is at most 1.
 
-    Lift is how much likelier a room holds one where it holds the other.
+    Lift is the likelihood ratio of a room containing one object, given that it contains the other.
 
     Returns:
-        (words, targets) float64 in [0, 1); 0 for what the table of co-occurrence lacks.
+        (words, targets) float64 in [0, 1); 0 for words outside the co-occurrence table.
     """
     known = table.load()
     lift = np.array([[known.lift((word, target))[0, 1] for target in targets] for word in words])
@@ -133,16 +138,20 @@ def relatedness(words: tuple[str, ...], targets: tuple[str, ...]) -> np.ndarray:
 
 @njit(nogil=True, cache=True)
 def carry_over(kind, ids, n, known, n_known, vl, old, old_vl):
-    """Bring what is remembered of frontiers into the order of the candidates, in place.
+    """Reorder the stored frontiers into the order of the candidates, in place.
 
     Args:
-        kind, ids: (cap,) int8 and int64, of `n` candidates, frontiers first.
-        known: (cap,) int64, the frontiers that the first `n_known` columns of `vl` are of.
-        vl: (targets, cap) float32; what is not remembered becomes NaN.
-        old, old_vl: scratch, like `known` and `vl`.
+        kind: (cap,) int8 of `n` candidates, frontiers first.
+        ids: (cap,) int64 of the candidates.
+        n: number of candidates.
+        known: (cap,) int64, ids of the frontiers in the first `n_known` columns of `vl`.
+        n_known: number of stored frontiers.
+        vl: (targets, cap) float32; a frontier that was not stored gets NaN.
+        old: scratch, like `known`.
+        old_vl: scratch, like `vl`.
 
     Returns:
-        How many frontiers there are.
+        The number of frontiers.
     """
     old[:n_known] = known[:n_known]
     old_vl[:, :n_known] = vl[:, :n_known]
@@ -153,7 +162,7 @@ def carry_over(kind, ids, n, known, n_known, vl, old, old_vl):
         count += 1
         known[i] = ids[i]
         vl[:, i] = np.nan
-        # The order hardly ever changes: the search begins behind the one found last.
+        # The order rarely changes, so the search begins after the last match.
         for _ in range(n_known):
             j = j + 1 if j + 1 < n_known else 0
             if old[j] == ids[i]:
@@ -164,18 +173,25 @@ def carry_over(kind, ids, n, known, n_known, vl, old, old_vl):
 
 @njit(nogil=True, cache=True)
 def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma, vl):
-    """S_VL of frontiers that no detector has looked at yet (VL-Nav eq. 2-4), in place.
+    """Write S_VL of frontiers that no image covered yet (VL-Nav eq. 2-4), in place.
 
-    One score a target, all from the same look: an image without any box of a target says that
-    the target is not there.
+    All targets of a frontier get their score from the same image. An image without any box of a
+    target is evidence that the target is not there.
 
     Args:
-        xy: (cap, 2) float32 map positions, `n` frontiers first; first_seen: (cap,) int64 stamps.
-        x, y, yaw, stamp: pose and stamp of the image that was searched.
+        xy: (cap, 2) float32 map positions, `n` frontiers first.
+        first_seen: (cap,) int64 stamps.
+        n: number of frontiers.
+        x: position of the robot when the image was taken.
+        y: position of the robot when the image was taken.
+        yaw: heading of the camera when the image was taken.
+        stamp: stamp of the image.
         fov: horizontal field of view in radians.
-        mu: (k,) float64, bearing of each detection; alpha: (k, targets) float64, what it says for
-            each target. The first `boxes` are of targets and are summed (eq. 3); of the others the
-            one that says most counts.
+        mu: (k,) float64, bearing of each detection.
+        alpha: (k, targets) float64, evidence of each detection for each target.
+        boxes: the first `boxes` detections are of targets and are summed (eq. 3). Of the others,
+            only the strongest counts.
+        sigma: standard deviation of eq. 3 in radians.
         vl: (targets, cap) float32; NaN entries inside the field of view are filled.
     """
     for i in range(n):
@@ -203,13 +219,18 @@ def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma,
 
 @njit(nogil=True, cache=True)
 def hvl_scores(kind, confidence, vl, ratio, away, n, w_dist, w_vl, k, heuristics, score):
-    """S_HVL of frontiers (VL-Nav eq. 5, 7, 8); an instance's VL score is its confidence. In place.
+    """Write S_HVL of frontiers (VL-Nav eq. 5, 7, 8), in place; an instance scores its confidence.
 
     Args:
-        kind: (cap,) int8; confidence: (cap,) float32 of instances.
+        kind: (cap,) int8.
+        confidence: (cap,) float32 of instances.
         vl: (cap,) float32 of frontiers, for the active target; NaN counts as 0.
-        ratio: (cap,) float32, share of unknown cells around each candidate (eq. 6).
-        away: (n,) float32, metres to each; inf where there is no way.
+        ratio: (cap,) float32, ratio of unknown cells around each candidate (eq. 6).
+        away: (n,) float32, distance in metres to each; inf if unreachable.
+        n: number of candidates.
+        w_dist: weight of the distance term.
+        w_vl: weight of the VL term.
+        k: constant of eq. 6.
         heuristics: False scores frontiers by S_VL alone (table I, "w/o Heuristics").
         score: (cap,) float32 output.
     """

@@ -1,4 +1,4 @@
-"""The classical baseline: instances by confidence, frontiers by nearness alone."""
+"""Classical baseline: instances by confidence, frontiers by nearness alone."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from edge.policies.base import INSTANCE, Context, Why, distances_m
 
 
 class NearestFrontier:
-    """Scores a frontier by eq. 5 of VL-Nav only."""
+    """Policy that scores a frontier by eq. 5 of VL-Nav only."""
 
     def __init__(self, config: PolicyNearest) -> None:
         self.config = config
@@ -21,4 +21,4 @@ class NearestFrontier:
         return np.where(candidates.kind[:n] == INSTANCE, candidates.confidence[:n], near)
 
     def reset(self, why: Why) -> None:
-        """It remembers nothing."""
+        """Do nothing: this policy has no memory."""

@@ -1,4 +1,4 @@
-"""Our search: what a place would show, over the way there, times where the target is likely."""
+"""Exploration policy of this project: expected new area over path length, times the prior."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from edge.config import PolicySearch
 from edge.policies.base import FRONTIER, INSTANCE, Context, Why
 
 START_M = 1.0
-"""No place is so near that it is worth any area."""
+"""Added to every path length, so that the score of a near candidate stays finite."""
 
 
 class Search:
-    """Scores frontiers and looks by the root of the area that they show, over their way.
+    """Policy that scores frontiers and looks by sqrt(gain) / (path length + `START_M`).
 
-    An area under a root, since the more a place shows, the less each part of it is worth the way:
-    sqrt(gain) / (way + start). A frontier's is times the prior's lift, a mild factor, and without
-    an opinion the best explorer by geometry remains.
+    The square root gives diminishing returns: each additional square metre is worth less. A
+    frontier's score is multiplied by the prior's likelihood ratio. Without a prior, the policy
+    explores by geometry.
     """
 
     def __init__(self, config: PolicySearch) -> None:
@@ -38,8 +38,10 @@ class Search:
         return np.where(kind == INSTANCE, self._of_instances(context), score)
 
     def _of_instances(self, context: Context) -> np.ndarray:
-        """(n,) the root of how sure each candidate is, over the way there: the nearer will do,
-        unless it is much less sure."""
+        """Return (n,) scores: the square root of the confidence over the path length.
+
+        A nearer instance wins unless its confidence is much lower.
+        """
         candidates, pose = context.candidates, context.pose
         n = candidates.n
         xy_m, path_m = candidates.xy_m[:n], candidates.path_m[:n]
@@ -48,4 +50,4 @@ class Search:
         return np.sqrt(candidates.confidence[:n]) / (START_M + way_m)
 
     def reset(self, why: Why) -> None:
-        """It remembers nothing."""
+        """Do nothing: this policy has no memory."""

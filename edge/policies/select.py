@@ -1,7 +1,7 @@
-"""Algorithm 2 of VL-Nav (III.E): from scored candidates to the one to go to. No state of its own.
+"""Algorithm 2 of VL-Nav (III.E): choose one of the scored candidates. It has no state.
 
-Whatever the policy, instances come before frontiers, and what the robot is under way to stays
-unless something else is clearly better.
+With any policy, instances come before frontiers. The current goal stays unless another candidate
+is clearly better.
 """
 
 from __future__ import annotations
@@ -16,16 +16,17 @@ from edge.geometry import SE2
 from edge.policies.base import FRONTIER, INSTANCE, LOOK, SNAP_M, Candidates, Context
 from edge.types import CandidateKind, Goal, Instance
 
-# A frontier that vanished while another stands this near was merely redrawn.
+# A frontier within this distance of a vanished one replaces it.
 _HEIR_M = 1.0
 STOP_M = (0.7, 0.85)
-"""The robot stops as soon as it is so near to an instance; what stands far back on a table it may
-not get nearer to."""
-# A goal's cell may move so far, or by this share of the way there, before it is chosen anew.
+"""Stopping distances from an instance, in order of preference. The second one is for an object far
+back on a table, which the robot cannot get nearer to."""
+# The best cell may move by this distance, or by this share of the robot's distance to the cell,
+# before the goal is replaced.
 _MOVE_M, _MOVE_SHARE = 0.3, 0.25
 ENOUGH, MOST_POINTS = 0.2, 10
-"""So many points of its surface, as a share and at most, are to be so near: a few may be another
-thing's, that stands before it."""
+"""Surface points that must lie within the stopping distance: a share of all points, and an upper
+limit. Fewer points may belong to another object in front."""
 
 _GOAL_KIND: dict[int, CandidateKind] = {FRONTIER: "frontier", INSTANCE: "instance", LOOK: "look"}
 
@@ -34,11 +35,12 @@ InstanceOf = Callable[[int], Instance | None]
 
 
 class Held(NamedTuple):
-    """What the robot is under way to.
+    """The goal that the robot is driving to.
 
     Attributes:
-        peak: the best score of the goal's candidate so far.
-        fickle: whether the robot has often left this place for another, before it came there.
+        goal: the goal.
+        peak: best score of the goal's candidate so far.
+        fickle: returns True if the robot has often left this candidate before it arrived.
     """
 
     goal: Goal
@@ -49,17 +51,17 @@ class Held(NamedTuple):
 def ranked(
     candidates: Candidates, score: np.ndarray, pose: SE2, delta_reached_m: float
 ) -> np.ndarray:
-    """Indices of the candidates in the order algorithm 2 would take them.
+    """Return the indices of the candidates in the order of algorithm 2.
 
-    Instances come before all frontiers, confirmed ones first, each by score; frontiers within
-    `delta_reached_m` of the robot, and discarded candidates, are left out.
+    Instances come before frontiers, confirmed instances first, then by score. Blocked candidates
+    and frontiers within `delta_reached_m` of the robot are left out.
 
     Returns:
         (k,) int64.
     """
     n, kind = candidates.n, candidates.kind
     dx, dy = candidates.xy_m[:n, 0] - pose.x_m, candidates.xy_m[:n, 1] - pose.y_m
-    # An instance is never "too close": the mission verifies it on the spot instead.
+    # An instance is never too close: the mission verifies it at its position.
     far = (dx * dx + dy * dy > delta_reached_m**2) | (kind[:n] != FRONTIER)
     alive = np.flatnonzero(far & ~candidates.blocked[:n])
     order = np.lexsort(
@@ -76,18 +78,20 @@ def choose(
     margin: float,
     instance_of: InstanceOf,
 ) -> tuple[Goal, float, bool] | None:
-    """The best candidate that can be reached, or the present one where that is about as good.
+    """Return the best reachable candidate, or the current one if it is about as good.
 
     Args:
+        context: the input of the policy.
         score: (n,) float32, of the context's candidates.
-        order: as from `ranked`.
-        margin: how much better another must be, as a fraction of the present one's score.
-        instance_of: the instance of an id; None where there is none any more.
+        order: result of `ranked`.
+        held: the current goal, if any.
+        margin: how much better another candidate must be, as a fraction of the current score.
+        instance_of: returns the instance with an id, or None if it is gone.
 
     Returns:
-        A goal on a free cell that the robot can reach, facing its candidate, the same object as
-        before while that serves; the best score of its candidate so far; and whether that is the
-        candidate from before.
+        A goal, the best score of its candidate so far, and True if the candidate is unchanged.
+        The goal is a reachable free cell that faces the candidate; it is the same object as before
+        while it is still valid. None if no candidate is reachable.
     """
     present = -1 if held is None else _index_of(held.goal, context.candidates)
     may_stay = present in order
@@ -116,11 +120,12 @@ def choose(
 def _beats(
     index: int, present: int, context: Context, score: np.ndarray, held: Held, margin: float
 ) -> bool:
-    """Whether a better-ranked candidate is worth a change of goal.
+    """Return True if a better-ranked candidate is worth a change of goal.
 
-    An instance is seen through: its score falls while the robot comes too near to see it whole,
-    and must not make it turn to another, whose score then falls, and back. So is a frontier that
-    was left often: the way to it may lead past where the other scores better.
+    The robot completes its approach to an instance: the score of an instance falls when the robot
+    is too near to see it whole. Without this rule, the robot would turn to another instance, and
+    back. It also completes its approach to a frontier that it left often: the path there may lead
+    past places where another frontier scores better.
     """
     kind, sure = context.candidates.kind, context.candidates.sure
     instances = kind[index] == INSTANCE, kind[present] == INSTANCE
@@ -134,7 +139,7 @@ def _beats(
 
 
 def _index_of(goal: Goal, candidates: Candidates) -> int:
-    """A goal's candidate: by identity, or a frontier that took its place; -1: it has none."""
+    """Return the index of a goal's candidate, or of the frontier that replaced it; -1 if none."""
     if goal.kind == "look":
         return candidates.n - 1 if candidates.kind[candidates.n - 1] == LOOK else -1
     if goal.kind == "instance":
@@ -144,9 +149,9 @@ def _index_of(goal: Goal, candidates: Candidates) -> int:
 
 
 def _serves(goal: Goal, cell: Cell, context: Context) -> bool:
-    """Whether a goal still serves its candidate, whose best cell is `cell` now.
+    """Return True if a goal is still valid for its candidate, whose best cell is now `cell`.
 
-    A cell far ahead may move farther before the controller need hear of it.
+    The tolerance grows with the distance, so a far goal is not resent for small changes.
     """
     if goal.kind == "look":
         return context.candidates.index_of(LOOK, goal.candidate_id) >= 0
@@ -156,14 +161,14 @@ def _serves(goal: Goal, cell: Cell, context: Context) -> bool:
 
 
 def _cell(context: Context, index: int, instance_of: InstanceOf) -> Cell | None:
-    """The reachable free cell to stand on for a candidate."""
+    """Return the reachable free cell for a candidate; None if there is none."""
     candidates, pose = context.candidates, context.pose
     kind, xy_m = int(candidates.kind[index]), candidates.xy_m[index]
     if kind == LOOK:
         return pose.x_m, pose.y_m
     if kind == INSTANCE:
         instance = instance_of(int(candidates.id[index]))
-        if instance is None or instance.state == "refuted":  # since they were gathered
+        if instance is None or instance.state == "refuted":  # changed since it was gathered
             return None
         enough = max(1, min(MOST_POINTS, int(ENOUGH * len(instance.points_m))))
         for points in (enough, 1):
@@ -182,7 +187,7 @@ def _cell(context: Context, index: int, instance_of: InstanceOf) -> Cell | None:
 
 
 def _way_through(candidates: Candidates, xy_m: np.ndarray) -> int:
-    """The frontier through which the way to a place that is not known yet is the shortest; -1."""
+    """Return the index of the frontier on the shortest path to an unmapped position; -1 if none."""
     n = candidates.n
     there = np.hypot(candidates.xy_m[:n, 0] - xy_m[0], candidates.xy_m[:n, 1] - xy_m[1])
     way = candidates.path_m[:n] + there

@@ -23,6 +23,7 @@ from edge.loop.journal import Input
 from edge.loop.map_checkpoint import MAP
 from edge.loop.prior import Rooms
 from edge.loop.result import TickResult
+from edge.memory import Site, site_of
 from edge.mission.checkpoint import MISSION
 from edge.mission.logic import ltl
 from edge.mission.translate import Translation
@@ -204,6 +205,7 @@ def _translation(t: Translation) -> dict[str, Any]:
     return {
         "instruction": t.instruction, "formula": str(t.formula), "english": t.english,
         "backend": t.backend, "reading": t.reading, "readings": t.readings, "implied": t.implied,
+        "places": {name: _pose(pose) for name, pose in t.places.items()},
     }  # fmt: skip
 
 
@@ -212,6 +214,10 @@ def _translation_of(said: dict[str, Any]) -> Translation:
         said["instruction"], ltl.parse(said["formula"]), said["english"], said["backend"],
         reading=said.get("reading"), readings=tuple(said.get("readings", ())),
         implied=said.get("implied", False),
+        places={
+            name: None if pose is None else SE2(*pose)
+            for name, pose in said.get("places", {}).items()
+        },
     )  # fmt: skip
 
 
@@ -223,6 +229,7 @@ def _start(fields: dict[str, Any]) -> dict[str, Any]:
     }
     return {
         **fields,
+        "site": fields["site"].geojson(),
         "translation": _translation(fields["translation"]),
         **{name: None if b is None else base64.b64encode(b).decode() for name, b in files.items()},
     }
@@ -230,7 +237,8 @@ def _start(fields: dict[str, Any]) -> dict[str, Any]:
 
 def _start_of(said: dict[str, Any]) -> dict[str, Any]:
     files = {name: _file_of(said[name]) for name in ("saved", "places")}
-    return {**said, "translation": _translation_of(said["translation"]), **files}
+    site = site_of(said["site"]) if "site" in said else Site()
+    return {**said, "translation": _translation_of(said["translation"]), "site": site, **files}
 
 
 def _file_of(said: str | None) -> bytes | None:
@@ -422,6 +430,7 @@ _ENCODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     "fail": _SAME,
     "config": lambda fields: {"config": config_text(fields["config"])},
     "jump": _SAME,
+    "site": lambda fields: {**fields, "site": fields["site"].geojson()},
 }  # fmt: skip
 _DECODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     **dict.fromkeys(_ENCODE, _SAME),
@@ -429,6 +438,7 @@ _DECODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     "answer": _answer_of,
     "mission": lambda said: {**said, "translation": _translation_of(said["translation"])},
     "config": lambda said: {"config": config_of(said["config"])},
+    "site": lambda said: {**said, "site": site_of(said["site"])},
     "idle": lambda said: {
         "now_ns": said["now_ns"], "pose": None if said["pose"] is None else SE2(*said["pose"])
     },

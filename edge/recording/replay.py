@@ -26,6 +26,7 @@ from edge.loop.result import TickResult
 from edge.loop.scorers import Scorers, make_scorers
 from edge.loop.service import INGEST, Service
 from edge.loop.stages import STAGES
+from edge.memory import Site, SiteFile
 from edge.mission.brief import brief_again
 from edge.perception.detection.detector import Detector
 from edge.perception.factory import make_detector
@@ -169,6 +170,7 @@ class _Run:
         saved: bytes | None,
         places: bytes | None,
         idle: bool,
+        site: Site,
         task: Any = None,
     ) -> None:
         config = self.config
@@ -183,11 +185,11 @@ class _Run:
                     "model with --config, or EDGE__PERCEPTION__DETECTOR__KIND=onnx"
                 )
             masker = make_masker(config.perception, timed=False)
-            detector = make_detector(config.perception, brief.targets)
+            detector = make_detector(config.perception, brief.prompts)
             anew = detector.detect if masker is None else lambda o: masker.add(detector.detect(o))
         self._worker = worker = DetectorWorker(detector, inline=True)
         self._stack.callback(worker.close)
-        scorers = self._scorers(brief.targets)
+        scorers = self._scorers(brief.prompts)
         own = ()
         if self._other:
             by_prior = isinstance(config.perception.choice, ChoiceCooccurrence)
@@ -197,7 +199,7 @@ class _Run:
         policy = make_policy(config.policy, config.path)
         self.service = Service(
             config, brief, worker, policy, [self.sink], checkpoint, scorers,
-            idle=idle, journal=self._journal,
+            idle=idle, journal=self._journal, site=SiteFile(site=site),
         )  # fmt: skip
         self._stack.callback(self.service.close)
 
@@ -286,6 +288,7 @@ _DO: dict[str, Callable[..., None]] = {
     "idle": _Run._idle,
     "answer": lambda run, _, answer: run.service.goal_answered(answer),
     "mission": _Run._begin,
+    "site": lambda run, _, site, now_ns: run.service.change_site(site, now_ns),
     "pause": lambda run, _, paused, now_ns: run.service.pause(paused, now_ns),
     "fail": lambda run, _, reason, now_ns: run.service.fail(reason, now_ns),
     "config": _Run._reconfigure,

@@ -1,5 +1,5 @@
-"""Tasks in free language, and the trajectories that do them (OpenNav): what is around is described,
-a language model or the rules write a coarse trajectory, a map of values refines it.
+"""Tasks in free language and the trajectories that carry them out (OpenNav).
 
-Beside the loop: nothing here runs in a tick, and nothing here drives.
+Perception builds a scene. A language model or the grammar rules write a coarse trajectory through
+it. A value map refines this trajectory. Nothing here runs inside a tick, and nothing here drives.
 """

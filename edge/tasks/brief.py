@@ -1,4 +1,4 @@
-"""From a task in words to a mission that can be run, or to one line that says why not."""
+"""Preparation of every mission before it runs: a task in words, or a target or formula."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 
 from edge import names
 from edge.config import Config, WriterModel
+from edge.memory import Site
 from edge.mission.brief import Brief, MissionError, brief_of_task, prepare
 from edge.mission.logic import ltl
 from edge.mission.task_step import TaskStep
@@ -13,38 +14,47 @@ from edge.mission.translate import Translation
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS
 from edge.tasks.reading import named, task_steps
 
+_NO_SITE = Site()
 _MOST_WORDS = 4
-"""Of a name that is looked for in an instruction."""
+"""Largest number of words in a name that `known_names` looks for."""
 
 
-def prepared(config: Config, task: str | None = None, **mission: str | int | None) -> Brief:
-    """A task, or else a mission as `edge.mission.brief.prepare` makes it.
+def prepared(
+    config: Config, task: str | None = None, site: Site = _NO_SITE, **mission: str | int | None
+) -> Brief:
+    """Prepare a task if there is one, else the mission that `mission` describes.
+
+    Args:
+        config: of the service.
+        task: instruction in words; None: prepare a mission.
+        site: places that a mission may name.
+        **mission: arguments of `edge.mission.brief.prepare`.
 
     Raises:
         UserError: see `prepare_task` and `edge.mission.brief.prepare`.
     """
     if task is not None:
         return prepare_task(config, task)
-    return prepare(config.mission, **mission)
+    return prepare(config.mission, site=site, **mission)
 
 
 def prepare_task(config: Config, task: str) -> Brief:
-    """Find out what a task names, before anything moves.
+    """Prepare a task: find the objects that it names, before the robot moves.
 
-    With the rules, what a step names has to be seen before it is driven. A model may do without,
-    and does the whole in one step: words of the instruction that are names of things are looked
-    for, and none has to be seen. Where there is nothing to look for, the detector looks for the
-    configuration's own target.
+    The rules split a task into steps; the objects of a step must be seen before the step is driven.
+    A model does the whole task in one step. In that case the detector looks for the known names in
+    the instruction, but none of them has to be seen. If the task names no object, the detector
+    looks for the target of the configuration.
 
     Raises:
-        TranslationError: the rules do not understand it; it names the part.
-        MissionError: it is empty, too long, or names too much.
+        TranslationError: the rules do not understand the task; the error names the part.
+        MissionError: the task is empty, too long, or names too many objects.
     """
     if not task.strip():
-        raise MissionError("task: it is empty; say where to go")
+        raise MissionError("task: empty; say where to go")
     if len(task) > MOST_INSTRUCTION_CHARS:
         raise MissionError(
-            f"task: it has {len(task)} characters, at most {MOST_INSTRUCTION_CHARS} are taken"
+            f"task: {len(task)} characters, the limit is {MOST_INSTRUCTION_CHARS}; shorten it"
         )
     if isinstance(config.tasks.planner, WriterModel):
         steps = (TaskStep(task),)
@@ -56,8 +66,9 @@ def prepare_task(config: Config, task: str) -> Brief:
 
 
 def known_names(text: str) -> tuple[str, ...]:
-    """Names of things in a text that the alias table has, the longest first at each word; each
-    thing once.
+    """Return the object names in a text that the alias table knows, each object once.
+
+    At each word the longest name wins.
 
     >>> known_names("Pass the potted plants, then the couch; the sofa is not it.")
     ('potted plant', 'couch')

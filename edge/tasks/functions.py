@@ -1,7 +1,7 @@
-"""What a writer of trajectories may call: the only things that a script reaches (OpenNav III-A1).
+"""Functions that a writer of trajectories may call: all that a script can reach (OpenNav III-A1).
 
-Every argument is taken as if an attacker had chosen it, and everything given back is plain numbers,
-texts, lists and dictionaries of the caller's own.
+Every argument is treated as hostile. Every result is made of new numbers, texts, lists and
+dictionaries, so a script cannot change the scene.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ MOST_CAPTION_CHARS = 200
 MOST_SHOWN = 10
 MOST_PATH_POINTS = 1000
 BESIDE_M = 1.0
-"""How far from a thing's outline one passes it, where nothing is said."""
+"""Default distance from an object's outline when the robot passes it."""
 SIDES_RAD = {"behind": 0.0, "left": math.pi / 2, "right": -math.pi / 2, "in front of": math.pi}
-"""Where the sides of a thing are, seen from its middle, against the direction that one looks."""
+"""Direction of each side from the object's centre, relative to the direction of view."""
 TURNS = {"left": -1.0, "right": 1.0}
-"""Which way round a thing leads past a side of it: 1.0 counter-clockwise, seen from above."""
+"""Sense of rotation around an object that leads past its side: 1.0 is counter-clockwise."""
 _ARC_STEP_RAD, _ARC_OFF_M = math.radians(3), 0.1
 _NEAR_STEP_M = 0.5
 _FARTHEST_BESIDE_M = 50.0
@@ -46,11 +46,13 @@ class CallError(TrajectoryError, ValueError):
 
 @dataclass(slots=True, eq=False)
 class Functions:
-    """The functions over one scene, and what was handed over through them.
+    """The functions over one scene, and what a script handed over through them.
 
     Attributes:
-        given: the trajectory, once `give_trajectory` had one that may be driven.
-        seen: what `visual_3d` was asked to show, (n, 2 or 3) float64 each.
+        ground: the ground of the scene.
+        limits: limits of trajectories.
+        given: the trajectory, once `give_trajectory` received one that may be driven.
+        seen: trajectories that `visual_3d` was asked to show, (n, 2 or 3) float64 each.
     """
 
     ground: Ground
@@ -59,11 +61,11 @@ class Functions:
     seen: list[np.ndarray] = field(default_factory=list)
 
     def table(self) -> dict[str, Callable[..., Any]]:
-        """By the name that a script calls them."""
+        """Return the functions by the names that scripts use."""
         return {name: getattr(self, name) for name in NAMES}
 
     def det_object(self, name: Any = None) -> list[dict[str, Any]]:
-        """Objects that a name or a kind of thing is said of, the nearest first; None: all."""
+        """Return the objects with a name or of a kind, the nearest first; None: all objects."""
         found = list(self._scene.objects.values())
         if name is not None:
             if not isinstance(name, str) or not names.is_name(name):
@@ -73,7 +75,7 @@ class Functions:
         return [described(thing) for thing in found]
 
     def a_star_plan(self, start: Any, end: Any, regions: Any = ()) -> list[Point]:
-        """The cheapest way over open ground; the end may be off it by half a metre."""
+        """Return the cheapest path over open ground; the end may be off it by half a metre."""
         start_m, end_m = self._point(start, "start"), self._point(end, "end")
         chosen = self._regions(regions)
         goal_m = self.ground.nearest(*end_m, within_m=_NEAR_STEP_M)
@@ -81,14 +83,14 @@ class Functions:
             raise CallError(f"a_star_plan: the end {_text(end_m)} cannot be reached")
         found = self.ground.plan(start_m, goal_m, chosen, 0.5 * self.limits.max_jump_m)
         if not found.ok:
-            raise CallError(f"a_star_plan: no way from {_text(start_m)} to {_text(end_m)}: "
+            raise CallError(f"a_star_plan: no path from {_text(start_m)} to {_text(end_m)}: "
                             f"{found.reason}")  # fmt: skip
         if len(found.path_m) > MOST_PATH_POINTS:
-            raise CallError(f"a_star_plan: the way has more than {MOST_PATH_POINTS} points")
+            raise CallError(f"a_star_plan: the path has more than {MOST_PATH_POINTS} points")
         return _points(found.path_m)
 
     def visual_3d(self, points: Any) -> None:
-        """Show a trajectory beside the scene; it stays one that is only shown."""
+        """Show a trajectory in the scene, without driving it."""
         if len(self.seen) == MOST_SHOWN:
             raise CallError(f"visual_3d: {MOST_SHOWN} trajectories are shown already")
         self.seen += coarse_of(points, (), None, self.limits).segments
@@ -104,16 +106,16 @@ class Functions:
         self.given = coarse
 
     def robot(self) -> dict[str, Any]:
-        """Where the robot stands."""
+        """Return the robot's position and heading."""
         pose = self._scene.pose
         return {"position": (pose.x_m, pose.y_m), "heading_rad": pose.yaw_rad}
 
     def is_free(self, at: Any) -> bool:
-        """Whether the robot can be there, and get there."""
+        """Return True if the robot can be at a point and can get there."""
         return self.ground.is_free(*self._point(at, "at"))
 
     def nearest_reachable(self, at: Any, region: Any = None) -> Point:
-        """The reachable point nearest to another."""
+        """Return the reachable point nearest to another."""
         at_m = self._point(at, "at")
         wanted = None if region is None else next(iter(self._regions([region])))
         found = self.ground.nearest(*at_m, region=wanted)
@@ -122,20 +124,20 @@ class Functions:
         return found
 
     def region_at(self, at: Any) -> int:
-        """The id of the drivable region there; 0: none."""
+        """Return the id of the drivable region at a point; 0 = none."""
         return self.ground.region_at(*self._point(at, "at"))
 
     def distance(self, a: Any, b: Any) -> float:
-        """Metres between two points."""
+        """Return the distance between two points in metres."""
         return math.dist(self._point(a, "a"), self._point(b, "b"))
 
     def heading(self, a: Any, b: Any) -> float:
-        """The direction from one point to another in radians, counter-clockwise from x."""
+        """Return the direction from one point to another in radians, counter-clockwise from x."""
         (ax, ay), (bx, by) = self._point(a, "a"), self._point(b, "b")
         return math.atan2(by - ay, bx - ax)
 
     def line(self, a: Any, b: Any) -> list[Point]:
-        """A straight line, its points near enough to each other for a trajectory."""
+        """Return points on a straight line, close enough to each other for a trajectory."""
         ends = np.array([self._point(a, "a"), self._point(b, "b")])
         steps = math.ceil(2.0 * float(np.hypot(*(ends[1] - ends[0]))) / self.limits.max_jump_m)
         if steps > MOST_PATH_POINTS:
@@ -146,7 +148,10 @@ class Functions:
     def offset(
         self, id: Any, side: Any, distance_m: Any = BESIDE_M, seen_from: Any = None
     ) -> Point:
-        """The point so far from a thing's outline, on a side as seen from a point (the robot)."""
+        """Return a point on a side of an object, at a distance from its outline.
+
+        The side is as seen from `seen_from`, by default from the robot.
+        """
         thing = self._object(id)
         if not isinstance(side, str) or side not in SIDES_RAD:
             raise CallError(f"offset: side: expected {_choices(SIDES_RAD)}, got {shown(side)}")
@@ -156,8 +161,11 @@ class Functions:
     def arc(
         self, id: Any, start: Any, end: Any, side: Any, distance_m: Any = BESIDE_M
     ) -> list[Point]:
-        """Round a thing from near one point to near another, past the side that is seen from the
-        first; all round where they are in the same direction."""
+        """Return points around an object from near one point to near another.
+
+        The arc leads past the side that is seen from the first point. It is a full circle if both
+        points are in the same direction.
+        """
         thing = self._object(id)
         if not isinstance(side, str) or side not in TURNS:
             raise CallError(f"arc: side: expected {_choices(TURNS)}, got {shown(side)}")
@@ -175,9 +183,9 @@ class Functions:
         return _points(resample(corners_m, 0.5 * self.limits.max_jump_m))
 
     def stopping_point(self, id: Any, coming_from: Any = None) -> Point:
-        """Where one who comes from a point (the robot) stops at a thing.
+        """Return the point where the robot stops at an object if it comes from a point.
 
-        See `edge.tasks.ground.Ground.stop`.
+        By default it comes from its present place. See `edge.tasks.ground.Ground.stop`.
         """
         pose = self._scene.pose
         here = (pose.x_m, pose.y_m)
@@ -212,7 +220,7 @@ class Functions:
         return x_m, y_m
 
     def _looking(self, thing: SceneObject, seen_from: Any) -> float:
-        """The direction in which one looks at a thing."""
+        """Return the direction of view from a point to an object, by default from the robot."""
         pose = self._scene.pose
         from_m = (pose.x_m, pose.y_m) if seen_from is None else self._point(seen_from, "seen_from")
         return self.heading(from_m, tuple(thing.position_m[:2].tolist()))
@@ -232,7 +240,7 @@ NAMES = (
 
 
 def signature(function: Callable[..., Any]) -> inspect.Signature:
-    """A function's parameters and what they are by default, as scripts and prompts have them.
+    """Return a function's parameters and their defaults without types, for scripts and prompts.
 
     >>> signature(Functions.region_at)
     <Signature (self, at)>
@@ -243,7 +251,7 @@ def signature(function: Callable[..., Any]) -> inspect.Signature:
 
 
 def described(thing: SceneObject) -> dict[str, Any]:
-    """A thing as scripts and prompts have it (OpenNav III-A2: caption, position, size, NRP)."""
+    """Return an object as scripts and prompts see it (OpenNav III-A2)."""
     return {
         "id": thing.id,
         "label": one_line(thing.label, MOST_CAPTION_CHARS),

@@ -1,5 +1,7 @@
-"""From a coarse trajectory to one that can be driven (OpenNav III-A4): A* over the value map, a
-spline, headings, speeds and times."""
+"""Refinement of a coarse trajectory into one that can be driven (OpenNav III-A4).
+
+It runs A* over the value map, fits a spline, and adds headings, speeds and times.
+"""
 
 from __future__ import annotations
 
@@ -21,30 +23,33 @@ from edge.trajectory.pursuit import MotionLimits
 from edge.trajectory.spline import b_spline
 
 SPACING_M = 0.1
-"""Points of a refined trajectory are at most as far apart."""
+"""Largest distance between two points of a refined trajectory."""
 CONTROL_M = (2.0, 1.0, 0.5, 0.25)
-"""Distances of a spline's control points, the smoothest first."""
-DEARER = 1.05
-"""A spline may cost this times what the path does that it smooths; over ground that was not chosen
-it may lead no farther."""
+"""Distances between a spline's control points; the first gives the smoothest spline."""
+MOST_COST_RATIO = 1.05
+"""A spline may cost this factor more than the path that it smooths.
+
+It must not be longer over ground that was not chosen.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
-    """A trajectory to drive, and how it was come by.
+    """A trajectory to drive, and how it was made.
 
     Attributes:
         poses: (n, 4) float64: x, y, z [m] and heading [rad] in `map`, n >= 1.
-        speeds_mps: (n,) float64; 0 at the last.
-        times_s: (n,) float64, from 0 where the robot faces along the path.
+        speeds_mps: (n,) float64; 0 at the last pose.
+        times_s: (n,) float64, from 0 when the robot faces along the path.
         leg: (n,) int64, index into `legs`.
-        legs: what was refined, and `drivable`: the regions chosen for it.
-        cost_m: of the path in metres of the tube's ground (`value_map`).
-        control_m: distance of the spline's control points; 0: the path is A*'s own, since every
-            spline of `CONTROL_M` entered a closed cell or was too dear (`DEARER`).
-        heading_rad: asked for at the end; None: as it comes.
-        off_region_m: how much of it leads over ground that was not chosen.
-        notes: what became otherwise than it was asked for, a line each.
+        legs: legs of the coarse trajectory that were refined.
+        drivable: ids of the regions chosen for it.
+        heading_rad: requested heading at the end; None: along the path.
+        cost_m: cost of the path in metres of the tube's ground (`value_map`).
+        control_m: distance between the spline's control points; 0: the path is A*'s own, because
+            every spline of `CONTROL_M` entered a closed cell or cost too much (`MOST_COST_RATIO`).
+        off_region_m: length of the path over ground that was not chosen.
+        notes: differences from the request, a line each.
     """
 
     poses: np.ndarray
@@ -69,20 +74,23 @@ def refine(
     speed_mps: float = 0.0,
     heading_rad: float | None = None,
 ) -> Refined:
-    """A* over the value map through the ends of the coarse segments, then a spline.
+    """Run A* over the value map through the ends of the coarse segments, then fit a spline.
 
-    A* runs once from the end of each segment to the end of the next; where a segment bends it is
-    cut there too (`legs.cut`), so that a way around something is not cut short. The spline is the
-    smoothest of `CONTROL_M` that enters no closed cell.
+    A* runs once from the end of each segment to the end of the next. A segment that bends is also
+    cut at its bends (`legs.cut`), so that A* does not shorten a detour around something. The spline
+    is the smoothest of `CONTROL_M` that enters no closed cell.
 
     Args:
-        segments: each (n, 2 or 3) float64 in `map`; the height is 0 where there is none.
+        scene: what is around the robot.
+        segments: each (n, 2 or 3) float64 in `map`; points without a height get 0.
         drivable: ids of the regions chosen; empty: any.
-        speed_mps: of the robot at this instant.
-        heading_rad: of the last pose; None: as the path comes.
+        body: clearance, and radius of the tube around the coarse trajectory.
+        limits: highest speeds and accelerations.
+        speed_mps: current speed of the robot.
+        heading_rad: heading of the last pose; None: along the path.
 
     Raises:
-        RefineError: points that are none, an end that nothing leads to, a robot shut in.
+        RefineError: points are invalid, an end cannot be reached, or the robot is shut in.
     """
     legs = cut(segments, (scene.pose.x_m, scene.pose.y_m), body.tube_m)
     chosen = frozenset(drivable) or frozenset(scene.regions)
@@ -97,13 +105,12 @@ def refine_again(
     limits: MotionLimits,
     speed_mps: float = 0.0,
 ) -> Refined:
-    """What is left of a trajectory, from where the robot stands, on the map of this instant.
+    """Refine the rest of a trajectory, from the robot's place, on the current map.
 
-    Args:
-        index: of the pose in `before` that the robot has come to (`follow.goal_ahead`).
+    `index` is the pose in `before` that the robot has reached (`follow.goal_ahead`).
 
     Raises:
-        RefineError: as `refine`.
+        RefineError: see `refine`.
     """
     first, *rest = before.legs[before.leg[index] :]
     away = np.hypot(*(first.points_m[:, :2] - (scene.pose.x_m, scene.pose.y_m)).T)
@@ -121,7 +128,7 @@ def refine_legs(
     speed_mps: float,
     heading_rad: float | None,
 ) -> Refined:
-    """`refine`, of a trajectory that is cut already."""
+    """Refine a trajectory that is already cut into legs; see `refine`."""
     pose = scene.pose
     coarse = np.concatenate([[(pose.x_m, pose.y_m)], *(leg.points_m[:, :2] for leg in legs)])
     costmap = value_map(scene.occupancy, scene.regions_grid, drivable, coarse, body)
@@ -129,18 +136,18 @@ def refine_legs(
     costmap.weight[~_reachable(costmap, begin)] = 0
     notes: list[str] = []
     if (gone := math.dist(begin, (pose.x_m, pose.y_m))) > 0.0:
-        notes.append(f"the robot stands too near to something: led {gone:.1f} m away from it first")
+        notes.append(f"the robot is too close to an obstacle: moves {gone:.1f} m away first")
     kept, ends = _ends(costmap, legs, body.tube_m, notes)
     paths = _search(costmap, begin, ends)
     points, leg, control_m = _smooth(costmap, paths, kept)
     if not control_m:
         notes.append(
-            "not smoothed: every spline came too near to something, or left the ground chosen"
+            "not smoothed: every spline came too close to an obstacle, or left the chosen ground"
         )
     cost_m = smoothing.polyline_cost_m(costmap, points)
     off_m = _length_at_m(costmap, points, HIGH)
     if off_m > 0.0:
-        notes.append(f"{off_m:.1f} m of it lead over ground that was not chosen")
+        notes.append(f"{off_m:.1f} m of the path are over ground that was not chosen")
     if gone > 0.0:
         points, leg = np.concatenate([[(pose.x_m, pose.y_m)], points]), np.append(leg[:1], leg)
     heights_m = _heights_m(points, leg, kept)
@@ -164,28 +171,31 @@ def refine_legs(
 
 
 def _begin(costmap: CostMap, scene: Scene, body: Body) -> tuple[float, float]:
-    """Where the search begins: at the robot, or at the nearest open cell beside it, if nothing
-    stands in between."""
+    """Return the start of the search: the robot's place, or the nearest open cell in view of it."""
     here = scene.pose.x_m, scene.pose.y_m
     cell = costmap.cell_of(*here)
     if cell is None:
-        raise RefineError(f"the robot at {_place(here)} is outside the map: wait for a newer map")
+        raise RefineError(f"the robot at {_place(here)} is outside the map; wait for a newer map")
     if costmap.weight[cell]:
         return here
     nearest = astar.nearest_open(costmap, cell, here, ESCAPE_M)
     solid = closed_cells(scene.occupancy, 0.0)
     bare = from_weights(replace(scene.occupancy, cells=np.where(solid, 0, 1).astype(np.uint8)))
-    bare.weight[cell] = 1  # where the robot is, nothing else can be
+    bare.weight[cell] = 1  # the robot itself is there, so the cell is not an obstacle
     if nearest is None or not smoothing.line_is_free(bare, here, _centre(costmap, nearest)):
         raise RefineError(
-            f"the robot at {_place(here)} is shut in: nothing within {ESCAPE_M} m of it is "
-            f"{body.clearance_m:g} m away from everything: drive it clear, or set less clearance"
+            f"the robot at {_place(here)} is shut in: no place within {ESCAPE_M} m is "
+            f"{body.clearance_m:g} m clear of obstacles; drive it away from them, or set a smaller "
+            "clearance"
         )
     return _centre(costmap, nearest)
 
 
 def _reachable(costmap: CostMap, begin: tuple[float, float]) -> np.ndarray:
-    """Bool, as `costmap.weight`: cells with a way to `begin` (no corner cut: 4-connected)."""
+    """Return the cells with a path to `begin`, bool as `costmap.weight`.
+
+    Paths are 4-connected, because A* cuts no corners.
+    """
     is_open = (costmap.weight != 0).view(np.uint8)
     _, part = cv2.connectedComponents(is_open, connectivity=4)
     return part == part[costmap.cell_of(*begin)]
@@ -194,9 +204,9 @@ def _reachable(costmap: CostMap, begin: tuple[float, float]) -> np.ndarray:
 def _ends(
     costmap: CostMap, legs: Sequence[Leg], tube_m: float, notes: list[str]
 ) -> tuple[tuple[Leg, ...], list[tuple[float, float]]]:
-    """Where each leg ends: as asked, or at the nearest open cell within the tube.
+    """Return the legs and their ends: the last point, or the nearest open cell in the tube.
 
-    A leg whose end is shut and has not to be reached becomes part of the next.
+    A leg whose end is closed and need not be reached becomes part of the next leg.
     """
     kept: list[Leg] = []
     ends: list[tuple[float, float]] = []
@@ -210,12 +220,12 @@ def _ends(
             continue
         if end is None:
             raise RefineError(
-                f"no way to {_place(asked)}: nothing within {tube_m:g} m of it can be reached: "
-                "name another place, or wait until the way is free"
+                f"no path to {_place(asked)}: no place within {tube_m:g} m of it can be reached; "
+                "name another place, or wait until the path is free"
             )
         if end != asked and leg.ends_segment:
             moved = math.dist(end, asked)
-            notes.append(f"{_place(asked)} is too near to something: stops {moved:.1f} m beside it")
+            notes.append(f"{_place(asked)} is too close to an obstacle: stops {moved:.1f} m away")
         kept.append(Leg(points, leg.ends_segment))
         ends.append(end)
         before = np.empty((0, 3))
@@ -225,8 +235,10 @@ def _ends(
 def _nearest_open(
     costmap: CostMap, xy_m: tuple[float, float], within_m: float
 ) -> tuple[float, float] | None:
-    """The point itself where its cell is open, else the nearest open cell's middle; None where
-    there is none, and outside the map.
+    """Return the point itself if its cell is open, else the centre of the nearest open cell.
+
+    Returns:
+        None if no open cell is near enough, or the point is outside the map.
     """
     cell = costmap.cell_of(*xy_m)
     if cell is None or costmap.weight[cell]:
@@ -238,13 +250,13 @@ def _nearest_open(
 def _search(
     costmap: CostMap, begin: tuple[float, float], ends: Sequence[tuple[float, float]]
 ) -> list[np.ndarray]:
-    """A path (n, 2) for each leg."""
+    """Return a path (n, 2) for each leg."""
     paths, workspace = [], astar.Workspace()
     for start, end in zip([begin, *ends[:-1]], ends, strict=True):
         plan = astar.plan(costmap, start, end, workspace)
         if not plan.ok:
             raise RefineError(
-                f"no way from {_place(start)} to {_place(end)}: {plan.reason}: name a nearer place"
+                f"no path from {_place(start)} to {_place(end)}: {plan.reason}; name a nearer place"
             )
         paths.append(plan.path_m)
     return paths
@@ -253,9 +265,9 @@ def _search(
 def _smooth(
     costmap: CostMap, paths: Sequence[np.ndarray], legs: Sequence[Leg]
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """(points (n, 2), the leg of each, distance of the control points or 0)."""
+    """Return (points (n, 2), leg of each point, distance between the control points or 0)."""
     plain, leg = _joined([smoothing.smooth(costmap, path, SPACING_M) for path in paths])
-    most_m = DEARER * smoothing.polyline_cost_m(costmap, plain)
+    most_m = MOST_COST_RATIO * smoothing.polyline_cost_m(costmap, plain)
     most_off_m = _length_at_m(costmap, plain, HIGH)
     for control_m in CONTROL_M:
         control, of_control = _through_ends(
@@ -266,13 +278,13 @@ def _smooth(
             smoothing.polyline_cost_m(costmap, curve) <= most_m
             and _length_at_m(costmap, curve, HIGH) <= most_off_m
         ):
-            # A leg begins behind the point where the one before it ends.
+            # A leg begins after the point where the previous leg ends.
             return curve, of_control[np.minimum(at + 1, len(control) - 1)], control_m
     return plain, leg, 0.0
 
 
 def _joined(paths: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """One polyline without points twice in a row, and for each point the index of its path."""
+    """Return one polyline without repeated points, and for each point the index of its path."""
     points = np.concatenate(paths)
     leg = np.repeat(np.arange(len(paths)), [len(path) for path in paths])
     moved = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-9)
@@ -282,14 +294,19 @@ def _joined(paths: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 def _through_ends(
     control_m: np.ndarray, leg: np.ndarray, legs: Sequence[Leg]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Repeat the control points at the ends of segments, and of legs that double back there: a
-    spline leads through a point that counts three times, and would else cut the tip of a hairpin.
+    """Repeat the control points at the ends of segments, and at legs that double back.
+
+    A spline leads through a point that counts three times. Otherwise it would cut the tip of a
+    hairpin.
 
     Args:
-        leg: (n,) of each control point.
+        control_m: (n, 2) control points.
+        leg: (n,) leg of each control point.
+        legs: the legs.
 
     Returns:
-        The same with those points; the last of three counts to the leg that comes next.
+        The control points and their legs, with these repetitions. The last of three equal points
+        belongs to the next leg.
     """
     segment = np.cumsum([0, *(leg.ends_segment for leg in legs)])[leg]
     ends = np.append(np.diff(segment) > 0, False)
@@ -302,14 +319,14 @@ def _through_ends(
 
 
 def _length_at_m(costmap: CostMap, points_m: np.ndarray, weight: int) -> float:
-    """How much of a polyline lies in cells of a weight."""
+    """Return the length of a polyline in cells of a weight."""
     cells = costmap.grid_of(0.5 * (points_m[:-1] + points_m[1:])).astype(np.int64)
     legs = np.hypot(*np.diff(points_m, axis=0).T)
     return float(legs[costmap.weight[cells[:, 1], cells[:, 0]] == weight].sum())
 
 
 def _heights_m(points_m: np.ndarray, leg: np.ndarray, legs: Sequence[Leg]) -> np.ndarray:
-    """(n,): heights of the coarse trajectory, by the share of each leg that is behind."""
+    """Return the heights (n,) of the coarse trajectory, by the share of each leg that is done."""
     heights = np.zeros(len(points_m))
     before = legs[0].points_m[:1]
     for k, coarse in enumerate(legs):
@@ -322,7 +339,7 @@ def _heights_m(points_m: np.ndarray, leg: np.ndarray, legs: Sequence[Leg]) -> np
 
 
 def _shares(points_m: np.ndarray) -> np.ndarray:
-    """(n,) from 0 to 1: which part of a polyline's length lies before each point."""
+    """Return the share (n,) of a polyline's length that lies before each point, from 0 to 1."""
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m, axis=0).T)))
     return along / max(along[-1], 1e-9)
 

@@ -1,7 +1,7 @@
-"""Planner `rules`: instructions that a small grammar knows (`edge.tasks.reading`), turned into the
-calls that a model's script would make. No server, and nothing is guessed.
+"""Planner `rules`: instructions of a small grammar (`edge.tasks.reading`), without a model.
 
-The sides of a thing are those that the robot sees as it comes to it.
+It makes the calls that a model's script would make, and guesses nothing. The sides of an object are
+those that the robot sees when it comes to the object.
 """
 
 from __future__ import annotations
@@ -30,27 +30,31 @@ from edge.text import one_line
 from edge.trajectory.smoothing import resample
 
 SNAP_M = 1.0
-"""How far a point of a way may be moved to where the robot can be."""
+"""Largest distance by which a point of a path is moved to a place that the robot can reach."""
 BEYOND_RAD = math.radians(45)
-"""A thing is past when it is so far behind the side that the robot passes it on."""
+"""An object is passed when it lies this angle behind the side on which the robot passes it."""
 SNAPPED_RAD = math.radians(20)
-"""By so much less a thing may be past where points were moved to where the robot can be."""
+"""Tolerance of `BEYOND_RAD`, because points may have been moved to reachable places."""
 PAST_RAD = math.pi / 2 + BEYOND_RAD - SNAPPED_RAD
-"""How far a way has come around a thing when it has passed it, see `_turned_rad`."""
+"""Angle by which a path has turned around an object that it has passed; see `_turned_rad`."""
 
 
 def carry_out(instruction: str, functions: Functions, which: slice = slice(None)) -> list[Step]:
-    """Hand over the trajectory that an instruction, or some of its steps, asks for.
+    """Hand over the trajectory for an instruction, or for some of its steps, to `functions`.
+
+    The trajectory has one segment for each step.
 
     Args:
-        which: of its steps; see `edge.tasks.reading.read`.
+        instruction: the task in words.
+        functions: the functions over the scene; they receive the trajectory.
+        which: steps to do; see `edge.tasks.reading.read`.
 
     Returns:
-        What was understood; each step became one segment.
+        The steps that were understood.
 
     Raises:
-        TranslationError: the instruction is not understood; it names the part.
-        TrajectoryError: it is understood, and cannot be done.
+        TranslationError: the instruction is not understood; the error names the part.
+        TrajectoryError: the instruction is understood, but cannot be carried out.
     """
     steps = read(instruction, functions.ground.scene, which)
     pose = functions.ground.scene.pose
@@ -72,7 +76,7 @@ def carry_out(instruction: str, functions: Functions, which: slice = slice(None)
 
 
 def _facing(last: Step, at: Point) -> float | None:
-    """The direction in which the robot looks at the end: at what it was sent to."""
+    """Return the robot's heading at the end: towards the object it was sent to, else None."""
     if last.kind not in ("to", "beside") or at == centre_m(last.things[0]):
         return None
     (x, y), (tx, ty) = at, centre_m(last.things[0])
@@ -82,26 +86,25 @@ def _facing(last: Step, at: Point) -> float | None:
 def _segment(
     step: Step, following: Step | None, here: SE2, functions: Functions, part: bool = False
 ) -> list[list[Point]]:
-    """The way of one step, in one segment from `here`.
+    """Return the path of one step from `here`, as one segment.
 
-    Args:
-        part: the instruction goes on with what is not known yet; the robot has to be past a thing
-            before, else it may have to turn back later.
+    `part` is True if unknown steps follow. The robot must then be completely past an object, or it
+    may have to turn back later.
     """
     at = (here.x_m, here.y_m)
     match step.kind:
         case "straight":
             most_m = 0.5 * MOST_PATH_POINTS * functions.limits.max_jump_m
             if step.distance_m > most_m:
-                raise CallError(f"a way straight on has at most {most_m:g} m")
+                raise CallError(f"a path straight on has at most {most_m:g} m")
             end = here.ahead(step.distance_m)
             way = functions.line(at, end)
             blocked = next((p for p in way[1:] if not functions.is_free(p)), None)
             if blocked is not None:
                 gone_m = math.dist(at, blocked)
                 unseen = functions.ground.is_unseen(*blocked)
-                what = "was not seen any farther than" if unseen else "is blocked after"
-                raise CallError(f"the way straight on {what} {gone_m:.1f} m")
+                what = "was seen only up to" if unseen else "is blocked after"
+                raise CallError(f"the path straight on {what} {gone_m:.1f} m")
             return [way]
         case "to":
             points = [functions.stopping_point(step.things[0].id, at)]
@@ -121,9 +124,9 @@ def _segment(
 def _round(
     step: Step, following: Step | None, at: Point, functions: Functions, part: bool
 ) -> list[Point]:
-    """Past a thing or around it: the shortest way that does not turn back.
+    """Return the shortest path past an object or around it that does not turn back.
 
-    Where no side is said, on either; past a thing that is long, as far as around it.
+    Without a given side, try both. Past a long object, the path may go as far as one around it.
     """
     why: list[str] = []
     for kind in dict.fromkeys((step.kind, "around")):
@@ -153,24 +156,22 @@ def _check_side(
     functions: Functions,
     part: bool,
 ) -> None:
-    """See that a way keeps to a side of a thing, and so does what follows.
+    """Check that a path keeps to one side of an object, also with the next step.
 
-    The way past a side may be closed behind it: it would only touch that side, turn back, and pass
-    the thing on the other.
+    The path past a side may be closed behind that side. The path would then touch the side, turn
+    back, and pass the object on the other side.
 
     Raises:
-        TrajectoryError: it does not.
+        TrajectoryError: it does not keep to the side.
     """
     thing = step.things[0]
     turned_rad = _turned_rad(thing, side, way)
     if turned_rad.min() < -PAST_RAD:
         raise CallError(
-            f"the robot gets to the {side} of {called(thing)} only past its {OTHER[side]}"
+            f"the robot can reach the {side} of {called(thing)} only past its {OTHER[side]}"
         )
     if part and turned_rad[-1] < PAST_RAD:
-        raise CallError(
-            f"it is not known yet whether the robot gets past the {side} of {called(thing)}"
-        )
+        raise CallError(f"it is not known yet if the robot can pass the {side} of {called(thing)}")
     asked = following and following.things == step.things and following.side == OTHER[side]
     if following is None or asked:
         return
@@ -179,7 +180,7 @@ def _check_side(
     try:
         (onward,) = _segment(following, None, here, functions)
     except TrajectoryError:
-        return  # which is said of that step
+        return  # reported when that step is planned
     if _turned_rad(thing, side, [*way, *onward]).min() < -PAST_RAD:
         raise CallError(
             f"from the {side} of {called(thing)} the robot would have to turn back and pass its "
@@ -189,16 +190,20 @@ def _check_side(
 
 _FINE_M = 0.1
 DETOUR = 4.0
-"""Points on an arc lie side by side: the way between two that is so many times longer goes back."""
+"""A path this many times longer than the distance between two neighbours on an arc goes back."""
 
 
 def _is_past(thing: SceneObject, side: str, way: Sequence[Point]) -> bool:
+    """Return True if a path ends past an object."""
     return bool(_turned_rad(thing, side, way)[-1] >= PAST_RAD)
 
 
 def _turned_rad(thing: SceneObject, side: str, way: Sequence[Point]) -> np.ndarray:
-    """(n,): how far a way has come around the middle of a thing since its begin, positive towards
-    the side; so it is a quarter turn abeam of that side, and half a turn behind the thing."""
+    """Return the angle (n,) by which a path has turned around an object's centre since its start.
+
+    It is positive towards `side`: pi / 2 when the robot is abeam on that side, pi when it is behind
+    the object.
+    """
     fine = resample(np.array(way), _FINE_M) - centre_m(thing)
     angle_rad = np.unwrap(np.arctan2(fine[:, 1], fine[:, 0]))
     return TURNS[side] * (angle_rad - angle_rad[0])
@@ -207,11 +212,11 @@ def _turned_rad(thing: SceneObject, side: str, way: Sequence[Point]) -> np.ndarr
 def _beside_points(
     step: Step, following: Step | None, at: Point, side: str, functions: Functions
 ) -> list[Point]:
-    """Points on the arc past a side of a thing: past it till `BEYOND_RAD` behind that side, around
-    it till what comes next, or its far side.
+    """Return points on the arc past a side of an object.
 
-    The point at the side itself must be there, and on that side; others are left out where the
-    robot cannot be.
+    "past" goes to `BEYOND_RAD` behind the side. "around" goes to the next step's object, or to the
+    far side. The point at the side itself must be reachable and on that side. Other points are left
+    out if the robot cannot be there.
     """
     thing = step.things[0]
     abeam = functions.offset(thing.id, side, BESIDE_M, at)
@@ -239,10 +244,9 @@ def _through(
     functions: Functions,
     enough: Callable[[list[Point]], bool] = lambda way: False,
 ) -> list[Point]:
-    """The cheapest way through points.
+    """Return the cheapest path through points.
 
-    Args:
-        enough: whether the way so far may end where the next point is only a long detour away.
+    `enough` returns True if the path so far may end, in case the next point needs a long detour.
     """
     way = [at]
     for k, point in enumerate(points):
@@ -254,8 +258,10 @@ def _through(
 
 
 def _beside(thing: SceneObject, side: str, seen_from: Point, functions: Functions) -> Point:
-    """Where the robot can be on a side of a thing, with nothing in between: at `BESIDE_M` from it,
-    or nearer."""
+    """Return a place for the robot on a side of an object, with a clear view of it.
+
+    The place is `BESIDE_M` from the object, or nearer.
+    """
     looking_rad = functions.heading(seen_from, centre_m(thing))
     wanted = [functions.offset(thing.id, side, k * BESIDE_M, seen_from) for k in (1.0, 0.6, 0.3)]
     for point in wanted:
@@ -268,23 +274,22 @@ def _beside(thing: SceneObject, side: str, seen_from: Point, functions: Function
 
 
 def _no_room(where: str, points: Sequence[Point], functions: Functions) -> CallError:
-    """The error for a place where the robot cannot be.
+    """Return the error for a place where the robot cannot be.
 
-    Args:
-        points: where it was to be, the nearest to the thing first: what is seen to be occupied
-            hides what lies behind it.
+    `points` are the places that were tried, the nearest to the object first. An occupied place
+    hides the places behind it.
     """
     ground = functions.ground
     for point in points:
         if ground.is_occupied(*point):
             break
         if ground.is_unseen(*point):
-            return CallError(f"nobody has seen yet whether there is room for the robot {where}")
+            return CallError(f"not seen yet if there is room for the robot {where}")
     return CallError(f"there is no room for the robot {where}")
 
 
 def _middle(step: Step, functions: Functions) -> Point:
-    """Half way between the outlines of two things."""
+    """Return the point half way between the outlines of two objects."""
     a, b = step.things
     angle_rad = functions.heading(centre_m(a), centre_m(b))
     (px, py) = functions.ground.outline(a).beside(angle_rad, 0.0)

@@ -1,7 +1,7 @@
-"""A model's Python, run where nothing of the host can be reached (OpenNav III-A3).
+"""Sandbox for a model's Python script: it cannot reach anything of the host (OpenNav III-A3).
 
-The interpreter, `pydantic-monty`, knows neither files, processes nor sockets, and runs in a process
-of its own that ends with the script. What it can call are the functions it is given.
+The interpreter `pydantic-monty` has no files, processes or sockets. It runs in its own process,
+which ends with the script. A script can only call the functions that it is given.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from edge.text import one_line, printable_lines
 log = logging.getLogger(__name__)
 
 MOST_ERROR_CHARS = 300
-_PRINTED_BYTES = 1 << 18  # more than that ends the script
-_GRACE_S = 5.0  # after which a script that ignores its limits ends with its process
+_PRINTED_BYTES = 1 << 18  # a script that prints more is stopped
+_GRACE_S = 5.0  # the process of a script that ignores its limits is ended after this time
 _EPOCH = datetime(2000, 1, 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a script; the trajectory it gave is in `Functions.given`.
+    """Result of a script; the trajectory it gave is in `Functions.given`.
 
     Attributes:
-        printed: without control characters, cut to the limit.
-        error: one line; "" when it ran to its end.
+        printed: output without control characters, cut to the limit.
+        error: one line; "" if the script ran to its end.
     """
 
     printed: str = ""
@@ -45,9 +45,9 @@ class ScriptLimits:
     """Limits of a model's script.
 
     Attributes:
-        time_s: of computing; after twice that no call of it is answered.
-        max_calls: calls of the functions, and each name that is looked up for one.
-        max_printed_chars: how much of what it prints goes back to the model.
+        time_s: computing time; after twice this time no call is answered.
+        max_calls: calls of functions, and look-ups of their names.
+        max_printed_chars: length of the output that goes back to the model.
     """
 
     time_s: float = 2.0
@@ -59,10 +59,11 @@ class ScriptLimits:
 
 
 def run(code: str, functions: Functions, limits: ScriptLimits) -> Outcome:
-    """Run a script; whatever it does, this returns.
+    """Run a script. It ends within its limits, and its errors become a result.
 
-    Time stands still, sleeping takes none, and chance is the same each time, so a script does the
-    same on every machine. `functions` holds what it handed over, even where it failed later.
+    The clock stands still, sleeping takes no time, and random numbers are the same each time, so a
+    script does the same on every machine. `functions` keeps a trajectory that was handed over, even
+    if the script failed later.
 
     Raises:
         UnavailableError: the interpreter is not installed, or does not start.
@@ -71,23 +72,25 @@ def run(code: str, functions: Functions, limits: ScriptLimits) -> Outcome:
         return Outcome(error=f"the script has {len(code)} characters, at most {limits.max_chars}")
     deadline_s = time.monotonic() + 2.0 * limits.time_s
     called = {name: _guarded(name, f, deadline_s) for name, f in functions.table().items()}
-    return _fed(code, called, limits)
+    return _run_sandboxed(code, called, limits)
 
 
 def version() -> str:
-    """The interpreter's, once it has run a script on this computer.
+    """Return the interpreter's version, after it has run a script on this computer.
 
     Raises:
-        UnavailableError: as `run`.
+        UnavailableError: the interpreter is not installed, or does not run.
     """
-    if error := _fed("pass", {}, ScriptLimits()).error:
+    if error := _run_sandboxed("pass", {}, ScriptLimits()).error:
         raise UnavailableError(
             f"pydantic-monty does not run here: {error}; choose tasks.planner.kind: rules"
         )
     return metadata.version("pydantic-monty")
 
 
-def _fed(code: str, called: dict[str, Callable[..., Any]], limits: ScriptLimits) -> Outcome:
+def _run_sandboxed(
+    code: str, called: dict[str, Callable[..., Any]], limits: ScriptLimits
+) -> Outcome:
     monty = _interpreter()
     printed = monty.CollectString(max_bytes=_PRINTED_BYTES)
     bounds = {
@@ -107,7 +110,7 @@ def _fed(code: str, called: dict[str, Callable[..., Any]], limits: ScriptLimits)
             session.feed_run(code, print_callback=printed, external_lookup=called)
             error = ""
     except monty.MontyError as raised:
-        error = _told(raised)
+        error = _error_line(raised)
     except (OSError, RuntimeError) as raised:
         why = one_line(raised, MOST_ERROR_CHARS)
         raise UnavailableError(
@@ -118,12 +121,12 @@ def _fed(code: str, called: dict[str, Callable[..., Any]], limits: ScriptLimits)
 
 
 def _guarded(name: str, function: Callable[..., Any], deadline_s: float) -> Callable[..., Any]:
-    """The function as a script calls it: in time, with arguments that it has."""
+    """Wrap a function for scripts: check its arguments and the deadline, and hide its traceback."""
     parameters = signature(function)
 
     def call(*args: Any, **kwargs: Any) -> Any:
         if time.monotonic() > deadline_s:
-            raise TimeoutError(f"{name}: the script's time is over")
+            raise TimeoutError(f"{name}: the script ran out of time")
         try:
             bound = parameters.bind(*args, **kwargs)
         except TypeError as error:
@@ -139,8 +142,8 @@ def _guarded(name: str, function: Callable[..., Any], deadline_s: float) -> Call
     return call
 
 
-def _told(raised: Any) -> str:
-    """One line: the error, and the line of the script where it was."""
+def _error_line(raised: Any) -> str:
+    """Return the error in one line, with the line of the script that raised it."""
     frames = raised.traceback() if hasattr(raised, "traceback") else []
     where = f"line {frames[-1].line}: " if frames else ""
     return one_line(f"{where}{raised}", MOST_ERROR_CHARS)

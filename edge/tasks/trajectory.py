@@ -1,6 +1,6 @@
-"""Coarse trajectories, and what has to hold before anything moves along one (OpenNav III-A3).
+"""Coarse trajectories, and the checks that they must pass before the robot moves (OpenNav III-A3).
 
-Whoever wrote it is not trusted: a model that was misled by a sign, or one that errs.
+The writer of a trajectory is not trusted: a model may err, or a sign may mislead it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MAX_POINTS, MAX_SEGMENTS = 5_000, 50  # of a trajectory that a script hands over
 
 
 class TrajectoryError(UserError):
-    """A trajectory that must not be driven; the message is for whoever wrote it as well."""
+    """A trajectory that must not be driven; the message is also sent to the writer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,10 +35,10 @@ class Coarse:
     """A trajectory as it is meant, before it is refined.
 
     Attributes:
-        segments: (n, 2) or (n, 3) float64 each, in `map`, n >= 1; each goes on from the one before.
-        regions: ids of the drivable regions that it is to keep to; empty: any.
-        speed_mps: what was asked for; None: as the robot is used to.
-        heading_rad: at its end, such as towards what it leads to; None: as it comes.
+        segments: (n, 2) or (n, 3) float64 each, in `map`, n >= 1; each continues the one before.
+        regions: ids of the drivable regions that it keeps to; empty: any.
+        speed_mps: requested speed; None: the robot's usual speed.
+        heading_rad: heading at the end, such as towards the goal object; None: along the path.
     """
 
     segments: tuple[np.ndarray, ...]
@@ -48,20 +48,24 @@ class Coarse:
 
     @property
     def points_m(self) -> np.ndarray:
-        """(n, 2) float64, all of it in a row."""
+        """All points in a row, (n, 2) float64."""
         return np.concatenate([np.empty((0, 2)), *(points[:, :2] for points in self.segments)])
 
 
 def coarse_of(
     segments: Any, regions: Any, speed_mps: Any, limits: TrajectoryLimits, heading_rad: Any = None
 ) -> Coarse:
-    """A trajectory out of what a script hands over, which may be anything.
+    """Make a trajectory from the values that a script hands over, which may be anything.
 
     Args:
-        segments: lists of points, or one such list.
+        segments: lists of points, or one list of points.
+        regions: ids of regions; None: any.
+        speed_mps: a number or None.
+        limits: limits of trajectories.
+        heading_rad: a number or None.
 
     Raises:
-        TrajectoryError: it is none.
+        TrajectoryError: the values are not a trajectory.
     """
     segments = _items(segments, "segments", MAX_POINTS)
     if segments and _is_point(segments[0]):
@@ -89,15 +93,16 @@ def coarse_of(
 
 
 def check(coarse: Coarse, ground: Ground, limits: TrajectoryLimits) -> None:
-    """See that a trajectory may be refined and driven.
+    """Check that a trajectory may be refined and driven.
 
-    Each point is finite, in the map, reachable and clear of what is occupied; the first follows
-    the robot's place, and each other the one before it, within `max_jump_m` and with nothing
-    occupied in between. Where the robot
-    stands already, within `ESCAPE_M`, it may be closer to something than it may drive.
+    Each point must be finite, in the map, reachable, and clear of occupied cells. The step from the
+    robot to the first point, and each step between points, must be at most `max_jump_m` long with
+    nothing occupied in between. Within `ESCAPE_M` of the robot, points may be closer to an
+    obstacle.
 
     Raises:
-        TrajectoryError: it may not; one line that names the first point that is wrong.
+        TrajectoryError: the trajectory must not be driven; one line that names the first wrong
+            point.
     """
     scene = ground.scene
     if not coarse.segments or not all(map(len, coarse.segments)):
@@ -108,7 +113,7 @@ def check(coarse: Coarse, ground: Ground, limits: TrajectoryLimits) -> None:
         there = ", ".join(map(str, scene.regions)) or "none"
         raise TrajectoryError(f"there is no region {unknown[0]} (there: {there})")
     speed_mps = coarse.speed_mps
-    # NaN is not within, either.
+    # NaN fails this comparison too.
     if speed_mps is not None and not CREEP_MPS <= speed_mps <= limits.max_speed_mps:
         raise TrajectoryError(
             f"a speed of {speed_mps:g} m/s is not within {CREEP_MPS:g} to "
@@ -136,24 +141,24 @@ def check(coarse: Coarse, ground: Ground, limits: TrajectoryLimits) -> None:
 
 
 def number(value: Any, name: str, largest: float = FARTHEST_M) -> float:
-    """A finite number out of what a script gave, as a float.
+    """Return a finite number from a script as a float.
 
     Raises:
-        TrajectoryError: it is none, or larger than `largest`.
+        TrajectoryError: it is not a number, or it is larger than `largest`.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise TrajectoryError(f"{name}: expected a number, got {shown(value)}")
-    if not abs(value) <= largest:  # false for NaN; holds for whole numbers of any length
+    if not abs(value) <= largest:  # also rejects NaN, and integers that no float can hold
         what = f"{value:g}" if isinstance(value, float) else "a whole number"
         raise TrajectoryError(f"{name}: {what} is not within {largest:g}")
     return float(value)
 
 
 def point(value: Any, name: str) -> tuple[float, ...]:
-    """A point (x, y) or (x, y, z) in `map` out of what a script gave, in metres.
+    """Return a point (x, y) or (x, y, z) in `map` from a script, in metres.
 
     Raises:
-        TrajectoryError: it is none.
+        TrajectoryError: it is not a point.
     """
     if not _is_point(value):
         raise TrajectoryError(f"{name}: expected a point (x, y), got {shown(value)}")
@@ -196,7 +201,7 @@ def _instead(ground: Ground, x_m: float, y_m: float) -> str:
 
 
 def _place(segments: Sequence[np.ndarray], index: int) -> str:
-    """What the point of that index over all segments is called."""
+    """Return the name of a point, from its index over all segments."""
     named = chain.from_iterable(
         (f"point {i} of segment {k}" for i, _ in _counted(points))
         for k, points in _counted(segments)
@@ -225,7 +230,7 @@ def _items(value: Any, name: str, most: int) -> list[Any]:
 
 
 def shown(value: Any) -> str:
-    """What a value from a script is, in a few words: it may be of any size and depth."""
+    """Describe a value from a script in a few words; it may have any size and depth."""
     if isinstance(value, str):
         return repr(one_line(value, _SHOWN))
     return str(value) if isinstance(value, (float, bool)) or value is None else type(value).__name__

@@ -1,4 +1,4 @@
-"""From an instruction and a scene to a coarse trajectory that may be driven (OpenNav III-A3)."""
+"""Writing of a coarse trajectory for an instruction, by rules or by a model (OpenNav III-A3)."""
 
 from __future__ import annotations
 
@@ -25,18 +25,20 @@ _BLOCK = re.compile(r"```[ \t]*(\w*)[ \t]*\n(.*?)(?:^[ \t]*```|\Z)", re.DOTALL |
 _LANGUAGES = ("", "py", "python", "python3")
 _THOUGHTS = re.compile(r"\A\s*<think>.*?</think>", re.DOTALL)
 _REFUSED = re.compile(r"^\W*REFUSED\b\W*(.*)", re.MULTILINE)
-_KEPT_CHARS = 20_000  # of a wrong answer, in the conversation
+_KEPT_CHARS = 20_000  # of a wrong answer that stays in the conversation
 NO_CODE = "the answer has no ```python block"
 NO_TRAJECTORY = "the script called no give_trajectory"
 
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """One answer of the model, and what came of it.
+    """One answer of the model and its result.
 
     Attributes:
-        answer: all that it said; `code`: the script in it, "" without one.
-        error: one line; "" where it gave a trajectory.
+        answer: the whole answer.
+        code: the script in the answer; "" if there is none.
+        printed: output of the script.
+        error: one line; "" if the script gave a trajectory.
     """
 
     answer: str
@@ -47,17 +49,19 @@ class Round:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Written:
-    """A trajectory and how it came about.
+    """A trajectory and how it was written.
 
     Attributes:
-        understood: what the rules read, in words; "" of a model.
-        rounds: of a model; the last one gave the trajectory.
-        prompt: version of the model's prompt; "" of the rules.
-        ground: what the trajectory was checked on.
-        stops_at: number of the thing that the rules read it to end at, wherever one gets nearest;
-            None: it ends elsewhere, or a model wrote it.
-        stops: for each step of the rules the numbers of the things that the robot stops at;
-            empty of a model.
+        instruction: the text that was given.
+        coarse: the trajectory.
+        ground: the ground on which the trajectory was checked.
+        understood: interpretation by the rules, in words; "" for a model.
+        rounds: answers of a model; the last one gave the trajectory.
+        prompt: version of the model's prompt; "" for the rules.
+        stops_at: id of the object that the rules' trajectory ends at, as near as the robot gets;
+            None if it ends elsewhere or a model wrote it.
+        stops: for each step of the rules the ids of the objects that the robot stops at; empty for
+            a model.
     """
 
     instruction: str
@@ -71,10 +75,10 @@ class Written:
 
 
 class WriteError(UserError):
-    """No trajectory was written; the message says why.
+    """No trajectory was written; the message gives the reason.
 
     Attributes:
-        rounds: what the model said.
+        rounds: answers of the model.
     """
 
     def __init__(self, message: str, rounds: tuple[Round, ...] = ()) -> None:
@@ -86,30 +90,48 @@ def write(
     instruction: str,
     scene: Scene,
     config: Tasks,
-    told: Callable[[Round], None] = lambda round: None,
+    on_answer: Callable[[Round], None] = lambda round: None,
     why: str = "",
     make: Callable[[Ground, TrajectoryLimits], Functions] = Functions,
     which: slice = slice(None),
 ) -> Written:
-    """The trajectory that an instruction asks for, checked, by the writer that is configured.
+    """Write and check the trajectory for an instruction, with the configured planner.
 
     Args:
-        told: each round of a model as it ends, for who watches.
-        why: another one is needed than was written before, for a model.
-        make: what the writer may call; evaluations take some of it away.
-        which: of the instruction's steps, for the rules; a model does it whole.
+        instruction: the task in words.
+        scene: what is around the robot.
+        config: the settings of tasks.
+        on_answer: called with each answer of a model as soon as it is there, for display.
+        why: reason why the previous trajectory has to be replaced, sent to the model; "" for the
+            first.
+        make: makes the functions that a script may call; evaluations pass a reduced set.
+        which: steps of the instruction to do, for the rules only; a model does the whole
+            instruction.
 
     Raises:
-        UserError: there is none: `TranslationError` (the rules name the part), `WriteError`,
-            `TrajectoryError`, `ChatError` (the server), `UnavailableError` (the interpreter).
+        UserError: there is no trajectory: `TranslationError` (the rules name the part),
+            `WriteError`, `TrajectoryError`, `ChatError` (the server), `UnavailableError` (the
+            interpreter).
+
+    Example:
+        >>> import numpy as np
+        >>> from edge.geometry import SE2, Grid
+        >>> from edge.tasks.scene import Region
+        >>> free, floor = np.zeros((100, 100), np.int8), np.ones((100, 100), np.uint8)
+        >>> occupancy, regions = (Grid(cells, (-5.0, -5.0), 0.1) for cells in (free, floor))
+        >>> pose, hall = SE2(0.0, 0.0, 0.0), {1: Region(1, "floor", 100.0)}
+        >>> scene = Scene(0, pose, {}, hall, occupancy, regions, None, None, None, {})
+        >>> written = write("go straight for 3 metres", scene, Tasks())
+        >>> written.coarse.points_m[-1].tolist()
+        [3.0, 0.0]
     """
     check_instruction(instruction)
     ground = ground_of(scene, config.trajectory.clearance_m)
     if not ground.reachable.any():
-        raise WriteError("nothing around the robot is known to be free; drive it to open ground")
+        raise WriteError("no free ground is known around the robot; drive it to open ground")
     functions = make(ground, config.trajectory)
     if isinstance(config.planner, WriterModel):
-        rounds = _ask(instruction, functions, config.planner, told, why)
+        rounds = _ask(instruction, functions, config.planner, on_answer, why)
         assert functions.given is not None
         return Written(instruction, functions.given, ground, "", rounds, version())
     steps = rules.carry_out(instruction, functions, which)
@@ -117,7 +139,7 @@ def write(
     understood = "; ".join(map(str, steps))
     stops_at = steps[-1].things[0].id if steps[-1].kind == "to" else None
     stops = [_stops(step) for step in steps]
-    if which.stop is None:  # at the end of all steps the robot stops
+    if which.stop is None:  # the robot stops after the last step of the instruction
         stops[-1] = tuple(thing.id for thing in steps[-1].things)
     return Written(
         instruction, functions.given, ground, understood, stops_at=stops_at, stops=tuple(stops)
@@ -125,23 +147,23 @@ def write(
 
 
 def _stops(step: Step) -> tuple[int, ...]:
-    """The numbers of the things that the robot stops at with a step."""
+    """Return the ids of the objects that the robot stops at in a step."""
     stops = step.kind in ("to", "beside", "between")
     return tuple(thing.id for thing in step.things) if stops else ()
 
 
 def check_instruction(instruction: str) -> None:
-    """See that there is an instruction, of a length that is taken.
+    """Check that an instruction is not empty and not too long.
 
     Raises:
-        WriteError: there is none.
+        WriteError: it is.
     """
     if not instruction.strip():
         raise WriteError("the instruction is empty; say where to go")
     if len(instruction) > MOST_INSTRUCTION_CHARS:
         raise WriteError(
-            f"the instruction has {len(instruction)} characters, at most {MOST_INSTRUCTION_CHARS} "
-            "are taken"
+            f"the instruction has {len(instruction)} characters, the limit is "
+            f"{MOST_INSTRUCTION_CHARS}; shorten it"
         )
 
 
@@ -149,10 +171,10 @@ def _ask(
     instruction: str,
     functions: Functions,
     config: WriterModel,
-    told: Callable[[Round], None],
+    on_answer: Callable[[Round], None],
     why: str,
 ) -> tuple[Round, ...]:
-    """Algorithm 1 of OpenNav: scripts are run and errors go back until one gives a trajectory."""
+    """Ask the model until a script gives a trajectory; send errors back (OpenNav algorithm 1)."""
     client, begin_s = client_of(config), time.monotonic()
     talk = messages(instruction, functions.ground.scene, functions.limits, config.picture, why)
     rounds: list[Round] = []
@@ -163,22 +185,22 @@ def _ask(
         except CutOffError as error:
             answer, cut = error.answer, "the answer was cut off; write a shorter one"
         rounds.append(_round(answer, cut, functions))
-        told(rounds[-1])
+        on_answer(rounds[-1])
         if not rounds[-1].error:
             return tuple(rounds)
         if why := _REFUSED.search(_THOUGHTS.sub("", answer)) if not rounds[-1].code else None:
-            said = one_line(why[1]) or "it gave no reason"
-            raise WriteError(f"{client.url}: the model refused: {said}", tuple(rounds))
+            reason = one_line(why[1]) or "no reason given"
+            raise WriteError(f"{client.url}: the model refused: {reason}", tuple(rounds))
         talk += _repair(rounds[-1])
     raise WriteError(
-        f"{client.url}: no trajectory in {len(rounds)} answers, the last time: "
-        f"{rounds[-1].error}; say it in other words, or use a larger model",
+        f"{client.url}: no trajectory in {len(rounds)} answers, last error: "
+        f"{rounds[-1].error}; rephrase the instruction or use a larger model",
         tuple(rounds),
     )
 
 
 def _round(answer: str, cut: str, functions: Functions) -> Round:
-    """Run what an answer holds. A trajectory counts where its script ran to the end."""
+    """Run the script in an answer. Its trajectory counts only if the script runs to its end."""
     code = script_in(answer)
     if cut or not code:
         return Round(answer, code, "", cut or NO_CODE)
@@ -189,7 +211,7 @@ def _round(answer: str, cut: str, functions: Functions) -> Round:
 
 
 def script_in(answer: str) -> str:
-    """The script in an answer: its last block of code.
+    """Return the script in an answer: its last block of Python code, or "".
 
     >>> script_in("Straight on.\\n```python\\nprint(1)\\n```\\nDone.")
     'print(1)'
@@ -200,7 +222,7 @@ def script_in(answer: str) -> str:
 
 
 def _repair(last: Round) -> list[dict[str, Any]]:
-    """The messages that send an error back, and what was printed."""
+    """Return the messages that send the error and the printed output back to the model."""
     printed = f"It printed:\n{last.printed.strip()}\n" if last.printed else ""
     wanted = f"{printed}No trajectory yet: {last.error}. Write the whole corrected script."
     return [

@@ -1,4 +1,4 @@
-"""From a map and a goal to a smooth path: cost maps, A*, splines.
+"""From a map and a goal to a smooth path: cost maps, A*, splines, pure pursuit.
 
-Arrays in, paths out: nothing here drives, publishes or remembers a goal.
+Pure functions of arrays: no publishing, and no state between calls.
 """

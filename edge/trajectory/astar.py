@@ -1,4 +1,4 @@
-"""Paths over a cost map: A* with a workspace that is used again from call to call."""
+"""Shortest paths over a cost map: A* with reusable arrays."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ Reason = Literal[
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """A path, or why there is none.
+    """A path, or the reason why there is none.
 
     Attributes:
         path_m: (n, 2) float64 in `map`, from the start to the goal; (0, 2) without a path.
-        cost_m: the path's cost in metres of free ground; inf without a path.
-        reason: empty when there is a path.
-        expansions: cells that the search looked at.
-        escape_m: how far the start was from the cell where the search began (the start
-            itself was closed); 0 when it was open.
+        cost_m: cost of the path in metres of free ground; inf without a path.
+        reason: empty if there is a path.
+        expansions: number of cells that the search expanded.
+        escape_m: distance from a start in a closed cell to the cell where the search began; 0 if
+            the start was in an open cell.
     """
 
     path_m: np.ndarray
@@ -43,6 +43,7 @@ class Plan:
 
     @property
     def ok(self) -> bool:
+        """True if there is a path."""
         return not self.reason
 
 
@@ -52,10 +53,10 @@ def _no_path(reason: Reason, expansions: int = 0) -> Plan:
 
 @dataclass(slots=True, eq=False)
 class Workspace:
-    """The search's arrays; grows to the largest map it has seen. One thread at a time.
+    """Arrays of the search. They grow to the largest map so far. Use one workspace per thread.
 
-    Between searches every g is UNSEEN and every bucket empty: a search clears what it touched,
-    so a short path on a large map costs as little as on a small one.
+    Between searches every entry of `g` is UNSEEN and every bucket is empty. A search clears only
+    the cells that it touched, so a short path on a large map costs as little as on a small one.
     """
 
     g: np.ndarray = field(default_factory=lambda: np.empty(0, np.int32))
@@ -69,17 +70,18 @@ class Workspace:
     )
 
     def fit(self, cells: int, width: int) -> None:
+        """Prepare the arrays for a map of this size."""
         if self.g.size < cells:
             self.g = np.full(cells, kernels.UNSEEN, np.int32)
         if self.width != width:
             self.width, self.tables = width, kernels.step_tables(width)
 
     def search(self, costmap: CostMap, start: int, goal: int) -> tuple[int, np.ndarray, int]:
-        """(status, flat indices of the path from the goal back, expansions)."""
+        """Return (status, flat indices of the path from the goal back to the start, expansions)."""
         weight, width = costmap.weight.ravel(), costmap.width
         self.fit(weight.size, width)
         shift = max(kernels.STRAIGHT * costmap.min_weight, 1).bit_length() - 1
-        # A bucket at least this wide keeps the largest step inside one turn of the ring.
+        # The largest step must fit into the ring of buckets, so widen the buckets until it does.
         reach = kernels.DIAGONAL * (255 + costmap.min_weight)
         while reach >> shift > kernels.BUCKETS - 3:
             shift += 1
@@ -114,16 +116,29 @@ def plan(
     *,
     escape_m: float = 0.6,
 ) -> Plan:
-    """The cheapest path between two points, 8-connected, no corner cut.
+    """Find the cheapest path between two points, 8-connected, without cutting corners.
 
-    Entering a cell costs its weight times the step's length; the cost is within 0.1 % of the
-    least (steps are whole numbers of 1/29 cell).
+    Entering a cell costs its weight times the length of the step. The cost is within 0.1 % of the
+    optimum, because steps are whole multiples of 1/29 cell.
 
     Args:
-        start_xy_m, goal_xy_m: points in `map`.
-        workspace: arrays to use again; one of its own by default.
-        escape_m: when the start's cell is closed, the search begins at the nearest open cell
-            within this distance, and the path leads straight there.
+        costmap: the weights.
+        start_xy_m: (x, y) in `map`.
+        goal_xy_m: (x, y) in `map`.
+        workspace: arrays to reuse; None makes new ones.
+        escape_m: if the start's cell is closed, the search begins at the nearest open cell within
+            this distance, and the path leads straight to that cell.
+
+    Returns:
+        The path. Without a path, `Plan.ok` is False and `Plan.reason` gives the cause.
+
+    Example:
+        >>> from edge.geometry import Grid
+        >>> from edge.trajectory.costmap import from_occupancy
+        >>> free = Grid(np.zeros((20, 20), np.int8), (0.0, 0.0), 0.1)
+        >>> found = plan(from_occupancy(free), (0.25, 0.25), (1.75, 0.25))
+        >>> found.ok, round(found.cost_m, 2)
+        (True, 1.5)
     """
     workspace = workspace or Workspace()
     start, goal = costmap.cell_of(*start_xy_m), costmap.cell_of(*goal_xy_m)
@@ -154,7 +169,7 @@ def _found(
     escaped: bool,
     expansions: int,
 ) -> Plan:
-    """The path in metres: cell centres, the exact start and goal at its ends."""
+    """Convert the path to metres: cell centres, with the exact start and goal at its ends."""
     rows, columns = np.divmod(flat.astype(np.int64), costmap.width)
     path = costmap.metres_of(np.stack([columns + 0.5, rows + 0.5], axis=1))
     cost = path_cost_m(costmap, path)
@@ -172,10 +187,11 @@ def _found(
 
 
 def path_cost_m(costmap: CostMap, path_m: np.ndarray) -> float:
-    """What the search minimises: weight of each cell entered times the step, in metres.
+    """Return the cost of a path in metres of free ground, as the search counts it.
 
     Args:
-        path_m: (n, 2) cell centres, neighbours in the 8-connected grid.
+        costmap: the weights.
+        path_m: (n, 2) cell centres, each a neighbour of the last in the 8-connected grid.
     """
     if len(path_m) < 2:
         return 0.0
@@ -187,7 +203,7 @@ def path_cost_m(costmap: CostMap, path_m: np.ndarray) -> float:
 def nearest_open(
     costmap: CostMap, cell: tuple[int, int], xy_m: tuple[float, float], within_m: float
 ) -> tuple[int, int] | None:
-    """The open cell whose centre is nearest to a point, or None within `within_m`."""
+    """Return the open cell with its centre nearest to a point, or None if none is `within_m`."""
     reach = math.ceil(within_m / costmap.grid.resolution_m)
     row, column = max(cell[0] - reach, 0), max(cell[1] - reach, 0)
     window = costmap.weight[row : cell[0] + reach + 1, column : cell[1] + reach + 1]

@@ -1,4 +1,4 @@
-"""From an occupancy grid to what each cell costs to drive over."""
+"""Cost maps: the cost of driving over each cell, from an occupancy grid."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 from edge.geometry import Grid
 from edge.trajectory.kernels import MAX_SIDE
 
-OCCUPIED = 50  # cells from here on are closed
-H_PAYS = 3.0  # a heuristic below a third of the mean weight costs more than it saves
+OCCUPIED = 50  # occupancy from which a cell is closed
+H_PAYS = 3.0  # a heuristic below a third of the mean weight costs more time than it saves
 UNIT = 16  # weight of a free cell far from obstacles; weights are UNIT times the cost factor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CostMap:
-    """Integer traversal weights over a piece of the `map` frame.
+    """Integer weights of the cells of a rectangle in `map`.
 
     Attributes:
-        weight: (h + 2, w + 2) uint8 with a border of zeros; 0 = not to be entered. Entering a
-            cell costs weight / unit times the length of the step.
+        weight: (h + 2, w + 2) uint8 with a border of zeros; 0 = closed. Entering a cell costs
+            weight / unit times the length of the step.
         grid: the weights inside the border.
-        min_weight: the least weight above 0.
-        h_weight: what the search's heuristic takes for every cell ahead: `min_weight`, or 0
-            (no heuristic) where weights are so much higher that it would not pay.
-        unit: the weight whose cost is 1 a metre.
+        min_weight: the smallest weight above 0.
+        h_weight: weight that the heuristic of the search assumes for each cell: `min_weight`, or 0
+            (no heuristic) if the mean weight is so high that the heuristic would not pay.
+        unit: the weight that costs 1 per metre.
     """
 
     weight: np.ndarray
@@ -37,36 +37,40 @@ class CostMap:
 
     @property
     def width(self) -> int:
-        """Cells in a row, border included."""
+        """Number of cells in a row, border included."""
         return self.weight.shape[1]
 
     def grid_of(self, xy_m: np.ndarray) -> np.ndarray:
-        """Points (…, 2) in cells of `weight`: cell (r, c) spans [c, c + 1) x [r, r + 1)."""
+        """Convert points (…, 2) from `map` to cells of `weight`.
+
+        Cell (r, c) spans [c, c + 1) x [r, r + 1).
+        """
         return self.grid.of_metres(xy_m) + 1.0
 
     def metres_of(self, grid_xy: np.ndarray) -> np.ndarray:
-        """The inverse of `grid_of`."""
+        """Convert points (…, 2) from cells of `weight` to `map`: the inverse of `grid_of`."""
         return self.grid.to_metres(grid_xy - 1.0)
 
     def cell_of(self, x_m: float, y_m: float) -> tuple[int, int] | None:
-        """(row, column) in `weight`; None outside the map."""
+        """Return (row, column) in `weight`, or None outside the map."""
         inside = self.grid.cell_of(x_m, y_m)
         return None if inside is None else (inside[0] + 1, inside[1] + 1)
 
     def is_free(self, x_m: float, y_m: float) -> bool:
-        """Whether the cell may be entered; False outside the map."""
+        """Return True if the cell is open; False outside the map."""
         cell = self.cell_of(x_m, y_m)
         return cell is not None and self.weight[cell] != 0
 
 
 def from_weights(grid: Grid, unit: int = UNIT) -> CostMap:
-    """A cost map of given weights.
+    """Make a cost map from given weights.
 
     Args:
-        grid: uint8, 0 = not to be entered.
+        grid: uint8, 0 = closed.
+        unit: the weight that costs 1 per metre.
 
     Raises:
-        ValueError: not a grid of uint8, or a side too long for the search.
+        ValueError: the grid is not uint8, or a side is too long for the search.
     """
     weights = grid.cells
     if weights.ndim != 2 or weights.dtype != np.uint8:
@@ -90,19 +94,21 @@ def from_occupancy(
     near_cost: float = 4.0,
     unknown_cost: float | None = 3.0,
 ) -> CostMap:
-    """Weights of an occupancy grid: obstacles closed, cells near them dearer.
+    """Make a cost map from an occupancy grid: obstacles are closed, cells near them cost more.
 
-    The cost factor is 1 on free and `unknown_cost` on unknown cells, plus
-    near_cost (1 - d / near_m)^2 within near_m of the closed cells.
+    The cost factor is 1 on free and `unknown_cost` on unknown cells, plus near_cost (1 - d /
+    near_m)^2 within `near_m` of the closed cells.
 
     Args:
-        grid: an occupancy grid; 50 and above count as occupied.
-        clearance_m: closes cells whose centre is nearer than this to an occupied cell's centre;
-            0 where the map is inflated already.
-        unknown_cost: cost factor of the unknown; None closes it.
+        grid: int8 occupancy; 50 and above count as occupied.
+        clearance_m: closes cells whose centre is nearer than this to the centre of an occupied
+            cell; 0 if the map is inflated already.
+        near_m: distance from closed cells within which the cost is higher.
+        near_cost: cost factor that is added next to a closed cell.
+        unknown_cost: cost factor of unknown cells; None closes them.
 
     Raises:
-        ValueError: not a grid of int8, or a side too long for the search.
+        ValueError: the grid is not int8, or a side is too long for the search.
     """
     cells, resolution_m = grid.cells, grid.resolution_m
     if cells.ndim != 2 or cells.dtype != np.int8:
@@ -116,7 +122,7 @@ def from_occupancy(
         open_mask = np.logical_not(closed).view(np.uint8)
         distance = cv2.distanceTransform(open_mask, cv2.DIST_L2, 5)
         distance *= resolution_m
-    # Two tables, for known and unknown cells, over the distance in sixteenths of a cell.
+    # One table of weights for known and one for unknown cells, by distance in 1/16 cells.
     step_m = resolution_m / 16
     entries = int((clearance_m + near_m) / step_m) + 2
     at_m = np.arange(entries) * step_m

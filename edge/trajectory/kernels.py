@@ -1,13 +1,13 @@
 """A* on a weighted grid: the search kernel.
 
-Weights are integers and a step costs the weight of the cell it enters times its length, so keys
-are integers too and a queue of buckets needs no heap. Two facts make it fast:
+Weights are integers. A step costs the weight of the entered cell times the length of the step, so
+keys are integers too, and a queue of buckets needs no heap. Two properties make the search fast:
 
-- a neighbour that the parent reaches at no greater step length is never reached better through
-  the child (entering a cell costs the same weight from anywhere), so each cell looks at five
-  neighbours, those within 90 degrees of the way it was entered;
-- a bucket is a stack, so of two entries of a cell the newest, which has the smallest key, comes
-  out first; later ones find the cell closed. A cell that improves again is opened again, which
+- Entering a cell costs the same weight from every side. So if a parent reaches a neighbour in a
+  step no longer than the child's, the child cannot improve that neighbour. Each cell therefore
+  expands only five neighbours: those within 90 degrees of the direction in which it was entered.
+- A bucket is a stack. Of two entries for a cell, the newer one has the smaller key and is popped
+  first; the older one then finds the cell closed. A closed cell that improves is opened again. This
   keeps the result exact although a bucket is not sorted.
 """
 
@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numba import int64, njit, uint32
 
-# Step lengths in units of 1/29 cell: 41/29 is sqrt(2) but for 0.03 %.
+# Step lengths in units of 1/29 cell: 41/29 is sqrt(2) within 0.03 %.
 STRAIGHT = 29
 DIAGONAL = 41
 BUCKETS = 1024
@@ -26,7 +26,7 @@ MAX_SIDE = 1 << 14
 
 FOUND, UNREACHABLE, POOL_FULL, TOO_FAR = 0, 1, 2, 3
 
-# Directions counter-clockwise from +x, so that odd ones are diagonals.
+# Directions counter-clockwise from +x: the odd ones are diagonals.
 _DX = (1, 1, 0, -1, -1, -1, 0, 1)
 _DY = (0, 1, 1, 1, 0, -1, -1, -1)
 _XY = (1 << 14) - 1
@@ -34,7 +34,11 @@ _CELL = (1 << 28) - 1
 
 
 def step_tables(width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For each direction: change of the flat index, of the packed cell, and twice the length."""
+    """Return three tables by direction, (8,) each, for a grid of this width.
+
+    They hold the change of the flat index, the change of the packed cell, and twice the step
+    length.
+    """
     dx, dy = np.array(_DX), np.array(_DY)
     packed = (dy << 14) + dx + (np.arange(8) << 28)
     length = np.where(np.arange(8) % 2 == 0, 2 * STRAIGHT, 2 * DIAGONAL)
@@ -43,7 +47,7 @@ def step_tables(width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @njit(nogil=True, cache=True)
 def _heuristic(cell, goal_x, goal_y, h_long, h_short):
-    """Octile distance at the least weight: never more than the cost to go."""
+    """Return the octile distance at the smallest weight; it never exceeds the cost to go."""
     dx = abs((cell & _XY) - goal_x)
     dy = abs(((cell >> 14) & _XY) - goal_y)
     return h_long * max(dx, dy) + h_short * min(dx, dy)
@@ -51,19 +55,19 @@ def _heuristic(cell, goal_x, goal_y, h_long, h_short):
 
 @njit(nogil=True, cache=True)
 def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, packed, length, out):
-    """A* from `start` to `goal`.
+    """Run A* from `start` to `goal`.
 
-    Args:
-        weight: (n,) uint8, row by row, with a border of zeros; 0 = not to be entered.
-        width: cells in a row, border included; at most MAX_SIDE.
-        start, goal: flat indices.
-        h_weight: the heuristic's weight: at most the least weight above 0 (0: Dijkstra).
-        shift: a bucket spans 1 << shift.
-        g: (n,) int32, all UNSEEN on entry; twice the cost from the start, odd while open.
-        head: (BUCKETS,) int32, newest entry of each bucket, all -1 on entry.
-        pool: (m,) int64, entries: cell and direction below, next entry in the high half.
-        offset, packed, length: `step_tables(width)`.
-        out: (3,) int64: expansions, first and last flat index expanded.
+    - `weight`: (n,) uint8, row by row, with a border of zeros; 0 = closed.
+    - `width`: cells in a row, border included; at most MAX_SIDE.
+    - `start`, `goal`: flat indices.
+    - `h_weight`: weight of the heuristic, at most the smallest weight above 0; 0 = Dijkstra.
+    - `shift`: a bucket spans 1 << shift.
+    - `g`: (n,) int32, all UNSEEN on entry; twice the cost from the start, odd while the cell is
+      open.
+    - `head`: (BUCKETS,) int32, newest entry of each bucket, all -1 on entry.
+    - `pool`: (m,) int64, entries: cell and direction in the low half, next entry in the high half.
+    - `offset`, `packed`, `length`: `step_tables(width)`.
+    - `out`: (3,) int64 output: expansions, first and last flat index expanded.
 
     Returns:
         FOUND, UNREACHABLE, POOL_FULL (run again with a larger pool) or TOO_FAR (cost overflow).
@@ -73,14 +77,14 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
     h_long, h_short = STRAIGHT * h_weight, (DIAGONAL - STRAIGHT) * h_weight
     for e in range(pool.size):
         pool[e] = int64(e + 1) << 32
-    # The start has no way it was entered: two entries, east and west, cover all neighbours.
+    # The start was not entered from any side: entries for east and west cover all neighbours.
     cell = ((start // width) << 14) | (start % width)
     bucket = _heuristic(cell, goal_x, goal_y, h_long, h_short) >> shift
     pool[0], pool[1] = cell | (int64(1) << 32), cell | (int64(4) << 28) | (int64(-1) << 32)
     head[bucket & (BUCKETS - 1)] = 0
     g[start] = 1
     free = int64(2)
-    expansions, lo, hi, idle = -1, start, start, 0  # the start comes out twice
+    expansions, lo, hi, idle = -1, start, start, 0  # -1: the start is popped twice
     status = UNREACHABLE
     while idle < BUCKETS:
         if g[goal] != UNSEEN and g[goal] >> 1 >> shift < bucket:
@@ -112,7 +116,7 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
                         g_j < g[j]
                         and w != 0
                         and (
-                            # No cutting of corners: both cells beside a diagonal have to be free.
+                            # No cut corners: both cells next to a diagonal step must be open.
                             k & 1 == 0
                             or (
                                 weight[uint32(i + offset[uint32((k + 1) & 7)])] != 0
@@ -145,11 +149,11 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
 def backtrack(weight, start, goal, g, offset, packed, length, path):
     """Follow a finished search from the goal back to the start.
 
-    Args:
-        path: (m,) int32, filled with flat indices, the goal first.
+    `path` is (m,) int32 output: flat indices, the goal first. The other parameters are as in
+    `search`.
 
     Returns:
-        The number of indices, or -1 when `path` is too short.
+        The number of indices, or -1 if `path` is too short.
     """
     i, n = goal, 0
     while True:
@@ -161,7 +165,7 @@ def backtrack(weight, start, goal, g, offset, packed, length, path):
             return n
         best, best_g = -1, int64(UNSEEN)
         for k in range(8):
-            # The step from j to i; g grows along a path, so this ends at the start.
+            # The step from j to i. g grows along a path, so the loop ends at the start.
             j = i - offset[k]
             if weight[j] == 0 or g[j] == UNSEEN:
                 continue
@@ -175,19 +179,22 @@ def backtrack(weight, start, goal, g, offset, packed, length, path):
 
 @njit(nogil=True, cache=True)
 def line_cost(weight, x0, y0, x1, y1):
-    """Weight along a straight line: the sum over its cells of weight times length inside.
+    """Return the cost of a straight line: the sum over its cells of weight times length inside.
 
     Args:
         weight: (h, w) uint8 with a border of zeros.
-        x0, y0, x1, y1: ends in grid coordinates (`CostMap.grid_of`).
+        x0: start of the line in grid coordinates (`CostMap.grid_of`).
+        y0: see `x0`.
+        x1: end of the line.
+        y1: see `x1`.
 
     Returns:
-        The sum in cells, or -1 when the line leaves the map or enters a closed cell; a line
-        through a corner needs both cells beside it.
+        The cost in cells, or -1 if the line leaves the map or enters a closed cell. A line through
+        a corner needs both cells next to the corner open.
     """
     rows, columns = weight.shape
     for x, y in ((x0, y0), (x1, y1)):
-        if not (0.0 <= x < columns and 0.0 <= y < rows):  # a NaN is outside too
+        if not (0.0 <= x < columns and 0.0 <= y < rows):  # also true for NaN
             return -1.0
     dx, dy = x1 - x0, y1 - y0
     total = np.sqrt(dx * dx + dy * dy)
@@ -218,15 +225,15 @@ def line_cost(weight, x0, y0, x1, y1):
 
 @njit(nogil=True, cache=True)
 def shortcut(weight, points, out):
-    """Pull a path straight wherever a line costs no more than the path it replaces.
+    """Replace parts of a path by straight lines that cost no more.
 
     Args:
         weight: (h, w) uint8 with a border of zeros.
         points: (n, 2) float64 in grid coordinates, n >= 2.
-        out: (n, 2) float64, filled with the points that are kept.
+        out: (n, 2) float64 output, the points that are kept.
 
     Returns:
-        How many are kept; the first and the last always are.
+        The number of points kept; the first and the last are always among them.
     """
     n = len(points)
     out[0] = points[0]
@@ -259,7 +266,7 @@ def shortcut(weight, points, out):
 
 @njit(nogil=True, cache=True)
 def polyline_cost(weight, points):
-    """The sum of `line_cost` over the legs of (n, 2) grid points; -1 when one is closed."""
+    """Return the sum of `line_cost` over the legs of (n, 2) grid points; -1 if a leg is closed."""
     cost = 0.0
     for k in range(len(points) - 1):
         leg = line_cost(weight, points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1])

@@ -1,4 +1,4 @@
-"""Pure pursuit for a robot that turns on the spot: from a path to speeds. No state, no map."""
+"""Pure pursuit for a robot that can turn on the spot: from a path to speeds. No state, no map."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from edge import config
 from edge.geometry import SE2, wrap_angle
 
-ROTATE_RAD = 0.8  # heading errors above this are turned away on the spot
+ROTATE_RAD = 0.8  # larger heading errors are corrected on the spot
 TURN_GAIN = 2.5  # rad/s for each rad of heading error
-CREEP_MPS = 0.05  # the slowest approach: below it, friction and rounding win
+CREEP_MPS = 0.05  # slowest approach: below it, friction and rounding stop the robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +24,7 @@ class Command:
 
     @property
     def moves(self) -> bool:
+        """True if a speed is not 0."""
         return self.v_mps != 0.0 or self.w_radps != 0.0
 
 
@@ -32,7 +33,7 @@ STOP = Command()
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
-    """What the robot may be asked for."""
+    """Highest speeds and accelerations that the robot may be commanded."""
 
     speed_mps: float
     turn_radps: float
@@ -41,6 +42,7 @@ class MotionLimits:
 
     @classmethod
     def of(cls, robot: config.Robot) -> MotionLimits:
+        """Take the limits from the robot's configuration."""
         return cls(
             robot.max_speed_mps,
             robot.max_turn_radps,
@@ -49,12 +51,12 @@ class MotionLimits:
         )
 
     def clip(self, v_mps: float, w_radps: float) -> Command:
-        """Within the limits, on the same arc: when the turn is clipped, the speed goes with it."""
+        """Scale both speeds by one factor to keep the limits, so that the arc stays the same."""
         scale = max(abs(v_mps) / self.speed_mps, abs(w_radps) / self.turn_radps, 1.0)
         return Command(v_mps / scale, w_radps / scale)
 
     def ramp(self, wanted: Command, last: Command, dt_s: float) -> Command:
-        """`wanted`, as near as the accelerations let it be after `last`."""
+        """Return the command nearest to `wanted` that the accelerations allow after `dt_s`."""
         dv, dw = self.accel_mps2 * dt_s, self.turn_accel_radps2 * dt_s
         return Command(
             min(max(wanted.v_mps, last.v_mps - dv), last.v_mps + dv),
@@ -63,31 +65,39 @@ class MotionLimits:
 
 
 def nearest_index(path_m: np.ndarray, x_m: float, y_m: float, start: int = 0) -> int:
-    """The path point nearest to (x, y), not before `start`.
+    """Return the index of the path point nearest to (x_m, y_m), from `start` on.
 
-    Args:
-        path_m: (n, 2) float64, n > start.
+    `path_m` is (n, 2) float64 with n > start.
     """
     d = path_m[start:] - (x_m, y_m)
     return start + int(np.argmin((d * d).sum(axis=1)))
 
 
 def index_ahead(path_m: np.ndarray, index: int, ahead_m: float) -> int:
-    """The first path point at least `ahead_m` along the path from `index`, else the last."""
+    """Return the first index at least `ahead_m` along the path from `index`, or the last index."""
     legs = np.hypot(*np.diff(path_m[index:], axis=0).T)
     return index + min(int(np.searchsorted(np.cumsum(legs), ahead_m)) + 1, len(legs))
 
 
 def length_m(path_m: np.ndarray) -> float:
+    """Return the length of a path (n, 2)."""
     return float(np.hypot(*np.diff(path_m, axis=0).T).sum())
 
 
 def pursue(pose: SE2, x_m: float, y_m: float, remaining_m: float, limits: MotionLimits) -> Command:
-    """Speeds on the arc through a point ahead; on the spot when it lies far to the side.
+    """Return the speeds on the arc through a point; turn on the spot if it lies far to the side.
 
     Args:
-        x_m, y_m: the point on the path to aim at, in `map`.
-        remaining_m: path left to the goal; the robot slows so that it can stop there.
+        pose: the robot's, in `map`.
+        x_m: x of the point on the path to aim at, in `map`.
+        y_m: y of that point.
+        remaining_m: length of the path to the goal; the robot slows down to stop there.
+        limits: highest speeds and accelerations.
+
+    Example:
+        >>> limits = MotionLimits(0.5, 1.0, 0.5, 2.0)
+        >>> pursue(SE2(0.0, 0.0, 0.0), 1.0, 0.0, 5.0, limits)
+        Command(v_mps=0.5, w_radps=0.0)
     """
     bearing = pose.bearing_to(x_m, y_m)
     distance = pose.distance_to(x_m, y_m)
@@ -101,11 +111,11 @@ def pursue(pose: SE2, x_m: float, y_m: float, remaining_m: float, limits: Motion
 
 
 def turn(error_rad: float, limits: MotionLimits) -> Command:
-    """Turn on the spot by an angle, slower near its end."""
+    """Return the command to turn on the spot by an angle, slower near its end."""
     w = max(TURN_GAIN * abs(error_rad), 0.1)
     return limits.clip(0.0, math.copysign(w, error_rad))
 
 
 def turn_to(pose: SE2, yaw_rad: float, limits: MotionLimits) -> Command:
-    """Turn on the spot to a heading, the short way round."""
+    """Return the command to turn on the spot to a heading, the short way round."""
     return turn(wrap_angle(yaw_rad - pose.yaw_rad), limits)

@@ -1,4 +1,4 @@
-"""From a path of cells to one that a robot can follow."""
+"""Path smoothing: from a path of cells to a path that a robot can follow."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from edge.trajectory.costmap import CostMap
 
 
 def smooth(costmap: CostMap, path_m: np.ndarray, spacing_m: float = 0.05) -> np.ndarray:
-    """Straighten where the map allows, then space the points evenly.
+    """Straighten a path if the map allows, then space its points evenly.
 
     Args:
+        costmap: the weights.
         path_m: (n, 2) float64 in `map`.
+        spacing_m: largest distance between two points.
 
     Returns:
-        (k, 2) float64 with the same ends; enters closed cells only where the path did, and
-        costs no more than it.
+        (k, 2) float64 with the same ends. It enters closed cells only if `path_m` does, and costs
+        no more.
     """
     if len(path_m) < 2:
         return path_m
@@ -31,10 +33,9 @@ def smooth(costmap: CostMap, path_m: np.ndarray, spacing_m: float = 0.05) -> np.
 
 
 def resample(path_m: np.ndarray, spacing_m: float) -> np.ndarray:
-    """Points on the same polyline, at most `spacing_m` apart; corners and ends are kept.
+    """Add points to a polyline (n, 2) so that they are at most `spacing_m` apart.
 
-    Args:
-        path_m: (n, 2) float64.
+    Corners and ends are kept.
     """
     legs = np.hypot(*np.diff(path_m, axis=0).T)
     pieces = [path_m[:1]]
@@ -48,13 +49,13 @@ def resample(path_m: np.ndarray, spacing_m: float) -> np.ndarray:
 def line_is_free(
     costmap: CostMap, from_xy_m: tuple[float, float], to_xy_m: tuple[float, float]
 ) -> bool:
-    """Whether a straight line enters no closed cell and stays in the map."""
+    """Return True if a straight line enters no closed cell and stays in the map."""
     (x0, y0), (x1, y1) = costmap.grid_of(np.array([from_xy_m, to_xy_m]))
     return kernels.line_cost(costmap.weight, x0, y0, x1, y1) >= 0
 
 
 def polyline_cost_m(costmap: CostMap, path_m: np.ndarray) -> float:
-    """Cost along a polyline in metres of free ground; inf where it enters a closed cell."""
+    """Return the cost of a polyline in metres of free ground; inf if it enters a closed cell."""
     grid = costmap.grid_of(path_m)
     cost = kernels.polyline_cost(costmap.weight, grid)
     return cost * costmap.grid.resolution_m / costmap.unit if cost >= 0 else math.inf

@@ -1,6 +1,6 @@
-"""Trains the small networks of our own, from nothing but code and a seed, and learns the prior.
+"""Training of our own small networks and of the prior, from code and a seed only.
 
-One command each, `python -m exporters.training.mini`, `.choice`, `.translator` and `.prior`, makes
-what it learns from, trains, measures on what training never saw, and writes the file and its card.
-A run that was stopped goes on where it was. `learning` and `checkpoint` are what they share.
+There is one command each: `python -m exporters.training.mini`, `.choice`, `.translator` and
+`.prior`. It makes the training data, trains, evaluates on held-out data, and writes the file and
+its card. A stopped run continues from its checkpoint. `learning` and `checkpoint` are shared.
 """

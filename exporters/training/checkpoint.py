@@ -1,15 +1,15 @@
-"""What a training run keeps of itself: how far it is, and which run it is.
+"""Checkpoints of training runs: the state, and the identity of the run.
 
-A checkpoint goes on only as the run that it is of: with other pictures, another plan or another
-number of processes it would become a model that no command makes again.
+A checkpoint only continues its own run. With other images, another plan or another number of
+processes, no command could make the model again.
 
-Keys besides the state of the network and the optimizer:
-    step: int, how many are done.
+Keys in addition to the states of the network and the optimizer:
+    step: int, number of steps done.
     plan: dict, the fields of the run's plan, a dataclass.
     ranks: int, processes that shared each batch.
-    frames: int, pictures trained on.
+    frames: int, training images.
     device: str, as PyTorch names it.
-    seconds: float, trained so far.
+    seconds: float, training time so far.
     torch, machine: str, PyTorch's version and the processor's architecture.
 """
 
@@ -28,19 +28,19 @@ from edge.host.files import replace_atomically
 from exporters.files import ExportError
 
 SAME = ("ranks", "frames", "device")
-"""Keys that must be the same when a run goes on, besides the plan's."""
+"""Keys that must be equal to continue a run, in addition to the plan's."""
 KEYS = ("model", "averaged", "step", "plan", *SAME, "seconds", "torch", "machine")
 
 Run = dict[str, Any]
 
 
 def describe(plan: Any, frames: int, ranks: int, device: str) -> Run:
-    """What makes a run the run it is, in types that `torch.load` takes without running code."""
+    """Return the identity of a run, in types that `torch.load` reads without running code."""
     return {"plan": asdict(plan), "ranks": ranks, "frames": frames, "device": device}
 
 
 def load(path: Path, device: str = "cpu") -> dict[str, Any]:
-    """A checkpoint with the keys `KEYS` at least; raises ExportError if it is none."""
+    """Return a checkpoint with at least the keys `KEYS`; raise ExportError if it is none."""
     try:
         kept = torch.load(path, map_location=device, weights_only=True)
     except (OSError, EOFError, RuntimeError, ValueError, pickle.UnpicklingError):
@@ -56,26 +56,26 @@ def load(path: Path, device: str = "cpu") -> dict[str, Any]:
 
 
 def resume(path: Path, run: Run, device: str = "cpu") -> dict[str, Any] | None:
-    """The checkpoint to go on from, None where there is none yet.
+    """Return the checkpoint to continue from; None if there is none yet.
 
     Raises:
-        ExportError: it is of another run; the text names a key that differs.
+        ExportError: the checkpoint is of another run; the message names a key that differs.
     """
     if not path.is_file():
         return None
     kept = load(path, device)
-    had, has = ({**of["plan"], **{key: of[key] for key in SAME}} for of in (kept, run))
-    for key in {**had, **has}:
-        if had.get(key) != has.get(key):
+    stored, wanted = ({**of["plan"], **{key: of[key] for key in SAME}} for of in (kept, run))
+    for key in {**stored, **wanted}:
+        if stored.get(key) != wanted.get(key):
             raise ExportError(
-                f"{path}: of another run: {key} was {had.get(key)} and is {has.get(key)}; "
+                f"{path}: of another run: {key} was {stored.get(key)} and is {wanted.get(key)}; "
                 "use another --out"
             )
     return kept
 
 
 def save(path: Path, state: dict[str, Any], run: Run, step: int, seconds: float) -> None:
-    """Write a checkpoint atomically; `state` has `state_dict`s."""
+    """Write a checkpoint atomically; `state` has objects with a `state_dict`."""
     made_by = {"torch": str(torch.__version__), "machine": platform.machine()}
     kept = {name: thing.state_dict() for name, thing in state.items()}
     with replace_atomically(path) as part:
@@ -83,10 +83,10 @@ def save(path: Path, state: dict[str, Any], run: Run, step: int, seconds: float)
 
 
 def averaged(path: Path, model: nn.Module) -> dict[str, Any]:
-    """Load a run's averaged weights into `model`, to be used; return all that the checkpoint says.
+    """Load a run's averaged weights into `model`, for inference; return the checkpoint.
 
     Raises:
-        ExportError: it is none.
+        ExportError: `path` is no checkpoint.
     """
     kept = load(path)
     model.load_state_dict(kept["averaged"])
@@ -95,6 +95,6 @@ def averaged(path: Path, model: nn.Module) -> dict[str, Any]:
 
 
 def made_by(kept: dict[str, Any]) -> dict[str, Any]:
-    """Return what a card says of how long a run took, and on what."""
+    """Return a card's entries for the training time and the machine."""
     minutes = round(kept["seconds"] / 60)
     return {"minutes": minutes, "torch": kept["torch"], "machine": kept["machine"]}

@@ -1,4 +1,4 @@
-"""What training runs share: AdamW along one learning-rate curve, averaged weights, a checkpoint."""
+"""Training step of all networks: AdamW, a learning-rate curve, averaged weights, a checkpoint."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ log = logging.getLogger(__name__)
 
 
 class Pace(Protocol):
-    """How fast to learn: what a run's plan says besides.
+    """Learning rates of a run's plan.
 
     Attributes:
-        rate: what the learning rate rises to in the first `warm_up` steps.
-        decay: of weights, not of biases, norms and tables.
-        average: how much of the averaged weights a step leaves as it is.
+        rate: peak of the learning rate.
+        decay: weight decay; not for biases, norms and tables.
+        warm_up: steps until the peak.
+        average: share of the averaged weights that stays in each step.
     """
 
     rate: float
@@ -34,7 +35,7 @@ class Pace(Protocol):
 
 
 class Learner:
-    """A model with all that learns it, which goes on from its checkpoint when there is one.
+    """A model with its optimizer; continues from its checkpoint if there is one.
 
     Attributes:
         averaged: the model with the exponential mean of its weights.
@@ -52,14 +53,19 @@ class Learner:
         tables: nn.Module | None = None,
         betas: tuple[float, float] = (0.9, 0.999),
     ) -> None:
-        """
+        """Set up the optimizer, and load the checkpoint if there is one.
+
         Args:
-            steps: of the whole run.
+            model: network to train.
+            pace: learning rates.
+            steps: steps of the whole run.
+            checkpoint: file to continue from and to write.
             run: see `checkpoints.describe`.
-            tables: the part of the model of which nothing decays.
+            tables: part of the model without weight decay.
+            betas: of AdamW.
 
         Raises:
-            ExportError: `checkpoint` is of another run, or none.
+            ExportError: `checkpoint` is of another run, or is no checkpoint.
         """
         self.averaged = copy.deepcopy(model).eval().requires_grad_(False)
         self.done = 0
@@ -84,8 +90,9 @@ class Learner:
         """Learn from a batch.
 
         Args:
-            clip: norm that gradients have at most.
-            share: makes the gradients those of all processes.
+            loss: loss of the batch.
+            clip: largest norm of the gradients.
+            share: function that averages the gradients over all processes.
         """
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -104,7 +111,10 @@ class Learner:
 
 
 def rate(step: int, steps: int, warm_up: int) -> float:
-    """Linear up at first, then half a cosine down to one percent (arXiv:1608.03983, eq. 5)."""
+    """Return the learning-rate factor: linear warm-up, then half a cosine down to one percent.
+
+    arXiv:1608.03983, eq. 5.
+    """
     if step < warm_up:
         return (step + 1) / warm_up
     share = (step - warm_up) / max(1, steps - warm_up)
@@ -113,7 +123,7 @@ def rate(step: int, steps: int, warm_up: int) -> float:
 
 @torch.no_grad()
 def average(averaged: nn.Module, model: nn.Module, keep: float, step: int) -> None:
-    """Exponential mean of weights and of norm statistics, faster at first."""
+    """Update the exponential mean of weights and norm statistics; faster at first."""
     keep = min(keep, (1.0 + step) / (20.0 + step))
     pairs = zip(averaged.state_dict().values(), model.state_dict().values(), strict=True)
     for mean, value in pairs:

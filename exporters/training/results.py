@@ -1,4 +1,4 @@
-"""The end of a training run: figures on held-out data, and a file with its card in `models/`."""
+"""End of a training run: figures on held-out data, and a file with its card in `models/`."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ MODELS = Path(__file__).parents[2] / "models"
 
 
 def auc(score: np.ndarray, right: np.ndarray) -> float:
-    """Return P(one that is right scores above one that is not); ties count half.
+    """Return P(a right one scores above a wrong one); ties count half.
 
-    NaN where all are right, or none is.
+    NaN if all are right, or none is.
     """
     _, order, counts = np.unique(score, return_inverse=True, return_counts=True)
     rank = (np.cumsum(counts) - 0.5 * (counts - 1))[order]
@@ -30,7 +30,7 @@ def auc(score: np.ndarray, right: np.ndarray) -> float:
 
 
 def took_ms(run: Callable[[int], object], runs: int) -> dict[str, float]:
-    """Time `run(0)`, `run(1)`, …: median and 95th percentile."""
+    """Time `run(0)`, `run(1)`, …; return median and 95th percentile."""
     times = []
     for index in range(runs):
         start = time.perf_counter()
@@ -40,16 +40,18 @@ def took_ms(run: Callable[[int], object], runs: int) -> dict[str, float]:
 
 
 def publish(files: Mapping[str, Path], cards: list[dict[str, Any]], out: Path, note: str) -> None:
-    """Put ONNX files and their cards into `out`, files before cards, or nothing at all.
+    """Put ONNX files and their cards into `out`, files before cards; on an error, put nothing.
 
     Args:
-        files: by the name that they get.
-        note: a comment at the top of each card.
+        files: source file by its new name.
+        cards: contents of the cards.
+        out: folder.
+        note: comment at the top of each card.
     """
     contents = {name: path.read_bytes() for name, path in files.items()}
     for card in cards:
         body = yaml.safe_dump(card, sort_keys=False, width=100)
         contents[f"{card['name']}.yaml"] = f"# {note}\n{body}".encode()
-    with ExitStack() as stack:  # which puts in place first what it was given last
+    with ExitStack() as stack:  # it unwinds in reverse, so the files are put in place first
         for name, content in reversed(contents.items()):
             stack.enter_context(replace_atomically(out / name)).write_bytes(content)

@@ -51,10 +51,11 @@ def children() -> int:
 @pytest.mark.parametrize("how", [ENDLESS["always"], *LYING.values()], ids=str)
 def test_models_check_refuses_it_in_one_line(put, capsys, how):
     put("hostile", **how)
+    before = children()  # another test of this process may have left one that compiles
     assert main(["models", "list", "--check", "hostile", "--timeout", "5"]) == 1
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
-    assert children() == 0
+    assert children() <= before
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

@@ -235,7 +235,7 @@ def test_a_trajectory_of_a_script_that_fails_later_is_not_driven():
     code = "```python\ngive_trajectory([(0, 0), (1, 0)])\nwhile True: pass\n```"
     with serving(saying(code)) as server:
         config = Tasks(planner=WriterModel(url=server.url, rounds=2))
-        with pytest.raises(UserError, match="no trajectory in 2 answers, the last time: "):
+        with pytest.raises(UserError, match="no trajectory in 2 answers, last error: "):
             write("go to the van", SCENE, config)
 
 

@@ -164,7 +164,8 @@ def test_a_stopped_client_holds_up_no_other_answer(endpoint, start_viewer, monke
         for _ in range(200):  # 200 MB: more than fits in between
             maps.put(bytes(1_000_000))
         answered.clear()
-        unanswered.answer({"n": "stopped"})
+        # Larger than the queue of its priority, which may be empty although the maps wait.
+        unanswered.answer({"n": "stopped", "filler": "." * 20_000_000})
         for n in range(10):
             answer = pool.submit(ask, asking, KEY, {"do": "pause"}, PATIENCE_S, "mission")
             eventually(server.poll).answer({"n": n})

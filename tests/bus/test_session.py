@@ -138,8 +138,8 @@ def test_every_topic_can_be_published_with_its_qos(topic):
 
 
 def test_every_topic_can_be_renamed():
-    requests = {topics.MISSION_REQUEST, topics.MODELS_REQUEST}
-    assert set(get_args(TopicName)) == {topic.key for topic in topics.ALL} | requests
+    keys = {topic.key for topic in topics.ALL} | set(topics.REQUESTS)
+    assert set(get_args(TopicName)) == keys
 
 
 def test_only_the_tick_of_lockstep_may_wait_for_a_slow_peer():

@@ -178,4 +178,4 @@ def test_a_variant_of_the_fp32_that_is_here_needs_no_weights(small, name, capsys
     assert "--weights is missing" in capsys.readouterr().err
     (small / "fp32.onnx").unlink()
     assert run(name, "--vocabulary", str(small / "words.npz")) == 1
-    assert "fp32.onnx: not there; give --weights" in capsys.readouterr().err
+    assert "fp32.onnx: not found; give --weights" in capsys.readouterr().err

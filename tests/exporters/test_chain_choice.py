@@ -132,9 +132,13 @@ def test_what_cannot_be_quantized_is_one_line(edge, pictures, tmp_path):
     (models / "blind-fp32.yaml").write_text(yaml.safe_dump(blind))
     for name, precision, why in [
         ("my-vlm-fp32", "q5", "--precision: 'q5' (choices: fp16, int8, q4, q4f16)"),
-        ("my-vlm-fp32", "int8", "my-vlm-int8: there is a card of this name, not made of my-vlm"),
-        ("my-vlm-fp16", "q4", "my-vlm-fp16: is fp16; variants are made of an FP32 model"),
-        ("blind-fp32", "q4", "blind-fp32: has no eyes; variants are made of an FP32 model"),
+        (
+            "my-vlm-fp32",
+            "int8",
+            "my-vlm-int8: another card has this name and is not made from my-vlm",
+        ),
+        ("my-vlm-fp16", "q4", "my-vlm-fp16: is fp16; give an FP32 card"),
+        ("blind-fp32", "q4", "blind-fp32: has no vision encoder; give an FP32 card"),
     ]:
         words = ("export", "--quantize", name, "--precision", precision, "--calibration", pictures)
         process = edge("models", *words, **own)

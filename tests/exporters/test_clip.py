@@ -246,14 +246,14 @@ def test_a_tokenizer_of_another_model_is_one_line(folders, tmp_path, capsys, kin
     told = (folder / "tokenizer.json").read_text()
     (folder / "tokenizer.json").write_text(re.sub(r'("a": )\d+', r"\g<1>5000", told))
     assert main(["x", "--weights", str(folder), "--cache", str(tmp_path / "cache")]) == 1
-    assert "tokenizer.json: token 5000, where the model knows 10" in capsys.readouterr().err
+    assert "tokenizer.json: token 5000, but the model has 10" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
         ({"size": "large"}, "size: "),
-        ({"size": {"shortest_edge": 40}}, "crop_size: must be size"),
+        ({"size": {"shortest_edge": 40}}, "crop_size: must equal size"),
         ({"do_center_crop": False}, "do_center_crop: must be true"),
     ],
 )

@@ -71,7 +71,7 @@ def test_load_text_embeddings(tmp_path: Path):
     with pytest.raises(ExportError, match=r"words\.npz: not a vocabulary"):
         load_text_embeddings(path)
     np.savez(path, names=["unicorn"], emb=np.ones((1, 512)))
-    with pytest.raises(ExportError, match="has none of the words"):
+    with pytest.raises(ExportError, match="has none of the usual targets"):
         load_text_embeddings(path)
 
 

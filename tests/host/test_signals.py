@@ -28,6 +28,8 @@ try:
     if "held" in sys.argv:
         with stop._cond:  # as `wait` does before it waits
             signal.raise_signal(signal.SIGTERM)
+    if "elsewhere" in sys.argv:  # another thread gets it
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
     print("ready", flush=True)
     stop.wait()
     print("stopped", flush=True)
@@ -97,6 +99,13 @@ def test_a_look_that_nobody_reads_costs_no_signal_after_it(start):
     assert process.stdout.readline() == "stopped\n"
     process.send_signal(signal.SIGTERM)
     assert process.stdout.readline() == f"broken off by {int(signal.SIGTERM)}\n"
+
+
+def test_a_signal_that_another_thread_gets_breaks_off_what_the_main_thread_waits_for(start):
+    process = start("stop", "elsewhere")
+    for line in ("stopped\n", f"broken off by {int(signal.SIGTERM)}\n"):
+        process.send_signal(signal.SIGTERM)
+        assert process.stdout.readline() == line
 
 
 def test_a_hang_up_that_nohup_has_ignored_stays_so(start):

@@ -25,7 +25,7 @@ def main(text: str) -> None:
     logging.basicConfig(level=logging.INFO)
     settings = Zenoh.model_validate_json(text)
     keys = [settings.key(key) for key in KEYS]
-    requests = [settings.key(key) for key in (topics.MISSION_REQUEST, topics.MODELS_REQUEST)]
+    requests = [settings.key(key) for key in topics.REQUESTS]
     with open_session(settings, "listen") as session:
         heard = session.declare_subscriber(
             f"{settings.prefix}/**",

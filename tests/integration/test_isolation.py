@@ -162,7 +162,7 @@ def test_loop_and_map_go_on_over_a_hang_and_ends_until_the_limit_and_beyond(live
             assert life.images() - before >= TICKS
             assert life.status()["state"] == state
             script.write_text("")
-        assert "ended too often, started again in" in life.status()["detail"]
+        assert "ended too often, restarts in" in life.status()["detail"]
         assert life.status()["failures"].keys() == {"ModelProcessError"}
         assert not life.running.service.status.done
 

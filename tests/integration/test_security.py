@@ -43,7 +43,7 @@ PEER = Path(__file__).with_name("secure_peer.py")
 IDLE = 120  # more than Zenoh's own limit of 100
 
 # What each may send, ask and hear, of all keys of the project, below the prefix.
-REQUESTS = {topics.MISSION_REQUEST, topics.MODELS_REQUEST}
+REQUESTS = set(topics.REQUESTS)
 EVERY = set(KEYS)
 BY_SENSORS = {t.key for t in topics.ALL if t.writer in ("sensors", "simulator")}
 BY_CONTROLLER = {t.key for t in topics.ALL if t.writer == "controller"}

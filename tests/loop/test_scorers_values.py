@@ -106,6 +106,18 @@ def test_a_late_answer_is_written_where_it_was_asked():
     case.scorers.close()
 
 
+def test_an_idle_service_ends_the_probation_of_another_model():
+    case = Case(Scorers(None, Chooser(), feeds="choice", remake=lambda card: Chooser()))
+    swap, values = case.scorers.swap, case.grid.values
+    swap.request("other")
+    eventually(lambda: case.scorers.take_up(values) or swap.state == "on probation")
+    case.scorers.take_up(values)
+    assert swap.state == "on probation"
+    case.scorers.take_up(values, idle=True)
+    assert swap.state == "kept"
+    case.scorers.close()
+
+
 def test_what_was_asked_before_the_pose_jumped_is_not_written():
     done = threading.Event()
     case = Case(Scorers(None, Chooser(done), feeds="choice"))

@@ -24,7 +24,7 @@ def test_compose(x0, y0, shape, inflated):
     here = np.ix_((y0 + np.arange(shape[0])) % 64, (x0 + np.arange(shape[1])) % 64)
     raw, near, trail = layers.raw[here], layers.near[here], trail[here]
     out = np.full(shape, 7, np.int8)
-    compose(layers, body, x0, y0, inflated, out)
+    compose(layers, body, x0, y0, inflated, True, out)
     expected = np.where(raw > 0, 0, -1)
     expected[(near > 0) & ~trail] = inflated
     expected[raw >= 2] = 100

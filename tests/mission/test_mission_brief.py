@@ -43,7 +43,7 @@ def test_a_mission_that_makes_no_sense_is_refused_with_the_reason(formula, words
 def test_what_does_not_matter_is_not_looked_for():
     brief = prepare(Mission(), formula="F (chair & (bed | !bed))")
     assert brief.targets == ("chair",)
-    assert brief.warnings == ("does not matter to the mission: bed",)
+    assert brief.warnings == ("does not affect the mission: bed",)
 
 
 AMBIGUOUS = "the sofa must be visited before the bed"
@@ -57,8 +57,8 @@ def test_whoever_gives_an_instruction_is_asked_and_the_configuration_cannot_be()
     brief = prepare(Mission(instruction=AMBIGUOUS))
     assert brief.translation.implied
     assert brief.warnings == (
-        f"it can be read in {len(told)} ways: nobody was there to choose, so reading 1 was taken, "
-        "which fulfils all of them",
+        f"the instruction has {len(told)} readings and nobody chose one, so reading 1 was taken: "
+        "it fulfils all of them",
     )
     for chosen in (
         prepare(Mission(), AMBIGUOUS, reading=2),

@@ -44,9 +44,9 @@ def test_parts(formula, parts):
     ("formula", "why"),
     [
         ("F bed & F sofa", ""),
-        ("F bed", "it is of one part"),
+        ("F bed", "it has one part"),
         ("F bed & F sofa & !sofa W bed", "its parts depend on each other"),
-        ("F bed & X sofa", "X sofa counts every step"),
+        ("F bed & X sofa", "X sofa counts other robots' steps"),
     ],
 )
 def test_it_is_said_why_a_mission_stays_whole(formula, why):

@@ -171,7 +171,7 @@ def test_variants_are_compared_on_the_same_views(tmp_path, monkeypatch, capsys):
 
 def test_cards_of_models_that_choose_keep_no_figures(published, capsys):
     said = says(capsys, "bench", "--models", "smolvlm", "--update-cards", code=os.EX_DATAERR)
-    assert "--update-cards: cards keep figures of detectors only" in said
+    assert "only detector cards keep figures: drop the option" in said
 
 
 class Corridor:
@@ -220,4 +220,4 @@ def test_the_small_scorer_is_listed_beside_the_detectors_of_its_family(
     assert row["of_views"] > 0
     assert 0.0 <= row["right"] <= 1.0
     assert told.index("256x320-int8-cpu  cpu") < told.index("mini-house-choice  cpu")
-    assert "at random" in told
+    assert "by chance" in told

@@ -60,8 +60,8 @@ def test_the_end_of_another_swap_is_not_told_as_the_end_of_this_one():
 
 
 def test_patience_has_an_end():
-    service = Service(swap("checking", progress="0 of 4 images at hand"))
-    line = r"^models: still checking \(0 of 4 images at hand\) after --timeout; "
+    service = Service(swap("checking", progress="0 of 4 images collected"))
+    line = r"^models: still checking \(0 of 4 images collected\) after --timeout; "
     with pytest.raises(RequestError, match=line):
         followed(service, patience=3)
     assert len(service.requests) == 4

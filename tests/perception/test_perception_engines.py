@@ -93,7 +93,7 @@ def test_a_damaged_engine_that_cannot_be_removed_is_an_error_before_the_build(
     folder = obtain(KEY, tmp_path, build, quiet)
     (folder / "model.engine").write_bytes(b"engin")
     monkeypatch.setattr(engines.shutil, "rmtree", lambda path, ignore_errors: None)
-    says = r"of no use \(model.engine is damaged\) and cannot be removed; .*engine_cache$"
+    says = r"unusable \(model.engine is damaged\) and cannot be removed; .*engine_cache$"
     with pytest.raises(ModelError, match=says):
         obtain(KEY, tmp_path, build, quiet)
     assert build.count == 1
@@ -120,7 +120,7 @@ def test_a_build_without_an_engine_and_a_full_disk_are_one_line(tmp_path):
     def fills_the_disk(folder):
         raise OSError(28, "No space left on device")
 
-    with pytest.raises(ModelError, match=r"cannot be kept \(No space left"):
+    with pytest.raises(ModelError, match=r"cannot be saved \(No space left"):
         obtain(KEY, tmp_path, fills_the_disk, quiet)
 
 
@@ -139,7 +139,7 @@ def below_a_file(path):
 )
 def test_a_cache_of_no_use_is_an_error_before_the_build(tmp_path, place):
     build = Builds()
-    with pytest.raises(ModelError, match=r"no place for engines .*engine_cache") as error:
+    with pytest.raises(ModelError, match=r"cannot hold engines .*engine_cache") as error:
         obtain(KEY, place(tmp_path / "x"), build, quiet)
     assert build.count == 0
     assert "\n" not in str(error.value)
@@ -165,7 +165,7 @@ def test_an_engine_that_is_there_is_found_where_nothing_can_be_written(
     monkeypatch.setattr(engines, "_locked", fail)
     assert obtain(KEY, tmp_path, Builds(), quiet) == folder
     (folder / "model.engine").unlink()
-    with pytest.raises(ModelError, match="no place for engines"):
+    with pytest.raises(ModelError, match="cannot hold engines"):
         obtain(KEY, tmp_path, Builds(), quiet)
 
 

@@ -164,7 +164,8 @@ def test_a_background_that_the_model_does_not_know_is_left_out_and_told_once(tin
     detector.set_prompts(["desk"])
     assert detector._asked.columns.things == 3
     assert [r.message for r in caplog.records] == [
-        "model tiny does not know 'zebra', 'heron' of perception.detector.background: goes without"
+        "model tiny: perception.detector.background: ignored words that it does not know: "
+        "'zebra', 'heron'"
     ]
     with pytest.raises(PromptError, match="zebra"):
         detector.set_prompts(["zebra"])

@@ -182,7 +182,7 @@ def test_a_process_that_ends_is_told_once_and_started_again(make, seen, caplog):
         for r in caplog.records
         if r.name.startswith("edge.perception.detection.process")
     ]
-    assert len([t for t in told if "started again in" in t]) == len(ends)
+    assert len([t for t in told if "restarts in" in t]) == len(ends)
     assert len([t for t in told if t.endswith("its process runs")]) == len(ends)
     assert detector.restarts == len(ends)
     assert not any("\n" in t for t in told)
@@ -250,7 +250,7 @@ def test_while_it_is_away_nothing_waits_and_prompts_are_kept(make, seen, tmp_pat
     detector.detect(seen())
     script.write_text("wait")
     os.kill(pid_of(detector), signal.SIGKILL)
-    says = "ended by SIGKILL, out of memory?; started again in 0.0 s"
+    says = "ended by SIGKILL, out of memory?; restarts in 0.0 s"
     eventually(lambda: says in detector.health().detail)
     assert detector.health().state == "restarting"
     for _ in range(100):
@@ -301,7 +301,7 @@ def test_ends_between_images_are_noticed_and_too_many_are_degraded(make, seen, c
     os.kill(pid_of(detector), signal.SIGKILL)
     eventually(lambda: detector.health().state == "degraded")
     for _ in range(10):
-        with pytest.raises(ModelProcessError, match=r"ended too often, started again in 1000000 s"):
+        with pytest.raises(ModelProcessError, match=r"ended too often, restarts in 1000000 s"):
             detector.detect(seen())
     assert len([r for r in caplog.records if r.levelno == logging.ERROR]) == 1
 
@@ -314,7 +314,7 @@ def test_a_model_that_cannot_be_loaded_again_is_degraded_with_the_reason(make, s
     script.write_text("tiny.onnx: truncated")
     os.kill(pid_of(detector), signal.SIGKILL)
     eventually(lambda: detector.health().state == "degraded")
-    assert detector.health().detail.startswith("tiny.onnx: truncated; started again in")
+    assert detector.health().detail.startswith("tiny.onnx: truncated; restarts in")
     script.write_text("")
     back(detector)
     assert len(detector.detect(seen())) == 1

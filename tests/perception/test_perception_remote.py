@@ -338,7 +338,7 @@ def write_card(tmp_path, monkeypatch, url, **change) -> None:
     [
         ({"file": "far.onnx", "sha256": None}, "file: a server runs the model: name no file"),
         ({"server": None}, "file: missing: name it, or a server that runs the model"),
-        ({"server": None, "file": "far.onnx"}, "sha256: missing: null where FILE.json"),
+        ({"server": None, "file": "far.onnx"}, "sha256: missing: null if FILE.json"),
         ({"server": {"url": "base:8000", "model": "m"}}, "not the URL of a model's server"),
         ({"server": {"url": "http://u:p@base", "model": "m"}}, "must not hold a password"),
         ({"server": {"url": "http://base", "model": "../m"}}, "string should match"),

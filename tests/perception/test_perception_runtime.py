@@ -68,7 +68,7 @@ def adds(tmp_path):
     [
         ((), "fp32", "providers: empty"),
         (("NoSuchProvider",), "fp32", r"'NoSuchProvider' is not available here .*CPUExecution"),
-        (("tensorrt", CPU), "fp32", "'tensorrt' stands alone"),
+        (("tensorrt", CPU), "fp32", "'tensorrt' cannot be combined"),
         (("tensorrt",), "int8-cpu", "int8-trt"),
         ((ORT_TENSORRT, CPU), "int8-cpu", "int8-trt"),
     ],

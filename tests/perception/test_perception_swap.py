@@ -149,7 +149,7 @@ def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline
     eventually(lambda: b.old.closed)
     assert (b.old.closed, b.new.closed) == (1, 0)
     assert b.said == [
-        "model new: loading beside old",
+        "model new: loading, old runs",
         "model new: switched to, on probation for 5 images; median 5.0 ms on 2 images; "
         "finds 2 of the 2 boxes of old",
         "model new: kept: 5 images, median 5.0 ms",
@@ -246,10 +246,10 @@ def test_force_does_not_take_what_is_not_finite(bench):
 @pytest.mark.parametrize(
     ("old", "related", "finding"),
     [
-        (Fake("old", score=0.2), True, "old saw nothing there to compare with"),
-        (Fake("old", error=RuntimeError("dead")), True, "old saw nothing there to compare with"),
+        (Fake("old", score=0.2), True, "old found nothing there to compare with"),
+        (Fake("old", error=RuntimeError("dead")), True, "old found nothing there to compare with"),
         (Fake("old", box=(50, 0, 60, 9)), False,
-         "finds 0 of the 2 boxes of old (another family, not held against it)"),
+         "finds 0 of the 2 boxes of old (another family: no reason to refuse it)"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_compared_is_not_held_against_it(bench, monkeypatch, old, related, finding):
@@ -264,7 +264,9 @@ def test_one_swap_at_a_time_and_none_to_the_model_that_runs(bench):
     with pytest.raises(SwapError, match=r"^old runs already$"):
         b.swapper.request("old", False, 0)
     b.swapper.request("new", False, 0)
-    with pytest.raises(SwapError, match=r"^new is still (loading|checking); wait until that is o"):
+    with pytest.raises(
+        SwapError, match=r"^new is still (loading|checking); wait until that swap e"
+    ):
         b.swapper.request("other", False, 0)
     b.until("on probation")
     with pytest.raises(SwapError, match=r"^new is still on probation"):
@@ -281,11 +283,11 @@ def test_no_images_no_swap_and_the_wait_for_them_ends(bench, monkeypatch):
     b.swapper.request("new", False, 0)
     eventually(lambda: b.swapper.state == "checking")
     b.swapper.step(0)
-    assert b.swapper.status()["progress"] == "0 of 2 images at hand"
+    assert b.swapper.status()["progress"] == "0 of 2 images collected"
     b.clock_s = 9.5
     b.swapper.step(0)
     assert b.swapper.state == "refused"
-    assert b.said[-1] == ("model new: refused: 0 of 2 images at hand after 9 s; old goes on")
+    assert b.said[-1] == ("model new: refused: 0 of 2 images collected after 9 s; old goes on")
     eventually(lambda: b.new.closed)
 
 
@@ -355,7 +357,10 @@ def test_prompts_that_change_on_probation_reach_both(bench):
     b.until("on probation")
     for prompts, line in (
         (["sofa"], r"^prompt 'sofa': not in the vocabulary$"),
-        (["desk"], r"^old, kept until new has proved itself: prompt 'desk': .*; try again after"),
+        (
+            ["desk"],
+            r"^old, kept until new passes its probation: prompt 'desk': .*; try again after",
+        ),
     ):
         with pytest.raises(PromptError, match=line):
             b.worker.set_prompts(prompts)
@@ -401,7 +406,7 @@ def test_a_model_refused_while_it_loads_is_not_tried_and_no_third_one_comes(benc
     b.clock_s = 9.5
     b.swapper.step(0)
     assert b.swapper.state == "refused"
-    with pytest.raises(SwapError, match=r"^new, which was refused, is still being loaded; try ag"):
+    with pytest.raises(SwapError, match=r"^new, which was refused, is still loading; try ag"):
         b.swapper.request("new", False, 0)
     b.new.go.set()
     eventually(lambda: b.new.closed)

@@ -238,7 +238,7 @@ def test_without_marks_nothing_is_asked_and_without_an_image_it_cannot_be(make_o
         name, sees = "eyes", True
 
     asks = OnnxChoice(Eyes(), 640, 1.0)
-    with pytest.raises(ModelError, match="observation 3: no image to show eyes"):
+    with pytest.raises(ModelError, match="observation 3: no image for eyes"):
         asks.look(view_of(make_observation))
     seen = view_of(make_observation, rgb=np.zeros((4, 80, 3), np.uint8))
     assert asks.answer(asks.look(View(seen.observation, "lamp", ()))) is None
@@ -387,10 +387,10 @@ WRONG = {
     "a letter is missing": (other_tokenizer, "no token for 'J'"),
     "images unknown": (
         change_json("preprocessor_config.json", image_processor_type="Other"),
-        "'Other' is not known here .choices: Idefics3ImageProcessor",
+        "'Other' is not supported .choices: Idefics3ImageProcessor",
     ),
     "images badly told": (
-        change_json("preprocessor_config.json", image_mean="x"), "lacks or garbles",
+        change_json("preprocessor_config.json", image_mean="x"), "is incomplete or invalid: ",
     ),
     "more tokens an image than there may be": (
         change_json("processor_config.json", image_seq_len=101), "where the card's image_tokens is",
@@ -399,11 +399,11 @@ WRONG = {
         network("vision_encoder", lambda: encoder(3)), "makes 3 rows of an image, its prompt has",
     ),
     "encoder of another family": (
-        network("vision_encoder", lambda: encoder(4, depth=(F32, None))), "wants 'depth'",
+        network("vision_encoder", lambda: encoder(4, depth=(F32, None))), "needs 'depth'",
     ),
     "out of memory": (network("vision_encoder", greedy_encoder), "model tiny: out of memory"),
     "logits that are no numbers": (network("decoder", nan_decoder), "are not finite"),
-    "fewer logits than tokens": (network("decoder", short_decoder), "50 logits, which is less"),
+    "fewer logits than tokens": (network("decoder", short_decoder), "50 logits, fewer than"),
     "a decoder that keeps nothing": (
         network("decoder", without_past), "decoder has no output present.0.key",
     ),
@@ -424,7 +424,7 @@ WRONG = {
     ),
     **{
         f"images of {told}": (
-            change_json("preprocessor_config.json", **told), "lacks or garbles longest_edge",
+            change_json("preprocessor_config.json", **told), "incomplete or invalid: longest_edge",
         )
         for told in (
             {"max_image_size": {"longest_edge": 1 << 20}}, {"size": {"longest_edge": 1 << 40}},
@@ -432,7 +432,7 @@ WRONG = {
         )
     },
     "a filter that there is not": (
-        change_json("preprocessor_config.json", resample=99), "lacks or garbles 99 is not a valid",
+        change_json("preprocessor_config.json", resample=99), "invalid: 99 is not a valid",
     ),
     "an image that is no number": (
         change_json("preprocessor_config.json", image_std=[float("nan")] * 3), "not finite",
@@ -638,7 +638,7 @@ def test_closing_gives_up_what_is_asked(endless):
     eventually(lambda: endless._deadline.options is not before)
     endless.close()
     thread.join(PATIENCE_S)
-    assert raised == ["model tiny: given up: it was told to end"]
+    assert raised == ["model tiny: aborted: the model was closed"]
 
 
 def test_the_card_says_what_is_missing(models_dir):

@@ -19,6 +19,7 @@ from edge.geometry import SE2, CameraModel, Grid
 from edge.loop.behaviours.draft import Draft
 from edge.loop.journal import Input
 from edge.loop.prior import Rooms
+from edge.memory import Place, Site
 from edge.mission.brief import prepare
 from edge.perception.scoring.choice.question import Choice
 from edge.policies.base import Similarity
@@ -37,6 +38,9 @@ STOPS = (((1, "car"), (2, "car")), (), ((3, "van"),))
 
 def again(*inputs: Input) -> list[Input]:
     return decode_page(encode_page(inputs, result(), None, {})).entries
+
+
+SITE = Site((Place.at("dock", SE2(0.1, 0.2, 0.3)),))
 
 
 def test_all_that_the_loop_notes_is_written_and_documented():
@@ -63,6 +67,7 @@ def test_all_that_the_loop_notes_is_written_and_documented():
         ("pause", {"paused": True, "now_ns": 1}),
         ("fail", {"reason": "because", "now_ns": 1}),
         ("jump", {"now_ns": 1}),
+        ("site", {"site": SITE, "now_ns": 1}),
         ("config", {"config": small()}),
         ("mission", {"translation": prepare(small().mission).translation, "id": "a", "now_ns": 1}),
         (
@@ -72,6 +77,7 @@ def test_all_that_the_loop_notes_is_written_and_documented():
                 "saved": None,
                 "places": None,
                 "idle": False,
+                "site": SITE,
             },
         ),
     ],

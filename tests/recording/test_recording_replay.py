@@ -26,6 +26,7 @@ from edge.loop.journal import Journal
 from edge.loop.map_checkpoint import SUFFIX
 from edge.loop.scorers import Scorers
 from edge.loop.service import Service
+from edge.memory import Place, Site, Zone
 from edge.mission.brief import prepare
 from edge.perception.scoring.choice.question import Choice
 from edge.policies import make_policy
@@ -99,6 +100,13 @@ def test_all_that_can_come_into_the_loop(tmp_path):
     recording.steps(3)
     service.begin(prepare(service.config.mission, formula="F sofa & F bed"), now_ns)
     recording.steps(5)
+    pose = service.pose
+    corners = tuple((pose.x_m + x, pose.y_m + y) for x, y in ((1, 1), (2, 1), (2, 2)))
+    site = Site((Place.at("dock", pose), Zone("rug", "keep_out", corners)))
+    service.change_site(site, now_ns)
+    there = prepare(service.config.mission, "go to the dock and come back", site=site)
+    service.begin(there, closed.drive.motion.stamp_ns)
+    recording.steps(5)
     service.forget_places(closed.drive.motion.stamp_ns)
     recording.steps(4)
     for k in range(12):  # nothing to be seen, until no one drives on
@@ -124,8 +132,9 @@ def test_all_that_can_come_into_the_loop(tmp_path):
         "fail",
         "config",
         "jump",
+        "site",
     }
-    same(files_of(tmp_path)[0], 30)
+    same(files_of(tmp_path)[0], 35)
 
 
 @pytest.mark.parametrize("field", ["rgb", "depth_m"])

@@ -43,9 +43,9 @@ def test_what_it_names_is_looked_for(config, task, targets, to_see):
 @pytest.mark.parametrize(
     ("config", "task", "said"),
     [
-        (RULES, "", "task: it is empty"),
-        (MODEL, " \n", "task: it is empty"),
-        (MODEL, "x" * 2001, "at most 2000 are taken"),
+        (RULES, "", "task: empty"),
+        (MODEL, " \n", "task: empty"),
+        (MODEL, "x" * 2001, "the limit is 2000"),
         (RULES, "dance", "did not understand 'dance'"),
         (RULES, "go to the bed, the sofa, to the desk and to the car", "did not understand"),
         (RULES, "go past the bed, past the sofa, past the desk and to the car", "at most 3"),

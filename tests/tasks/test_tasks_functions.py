@@ -69,7 +69,7 @@ def test_a_way_avoids_what_is_in_between(functions):
         (lambda f: f.det_object(3), "det_object: expected the name of a thing, got int"),
         (lambda f: f.det_object("\x00"), "det_object: expected the name"),
         (lambda f: f.a_star_plan((0, 0), (8, 0)), r"the end \(8.00, 0.00\) cannot be reached"),
-        (lambda f: f.a_star_plan((99, 0), (0, 0)), "no way from .*: start outside the map"),
+        (lambda f: f.a_star_plan((99, 0), (0, 0)), "no path from .*: start outside the map"),
         (lambda f: f.a_star_plan((0, 0), (1, 0), 1), "regions: expected a list of ids, got int"),
         (lambda f: f.a_star_plan(None, (1, 0)), r"start: expected a point \(x, y\), got None"),
         (lambda f: f.is_free((math.nan, 0)), "at: x: nan is not within"),

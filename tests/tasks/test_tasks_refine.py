@@ -82,7 +82,7 @@ def test_it_keeps_to_the_regions_chosen():
     assert refined(where, drivable=()).off_region_m == 0.0
     off = refined(where, drivable=(2,))
     assert off.off_region_m == pytest.approx(14.0, abs=0.1)
-    assert "14.0 m of it lead over ground that was not chosen" in off.notes
+    assert "14.0 m of the path are over ground that was not chosen" in off.notes
 
 
 def test_ground_not_chosen_is_crossed_where_there_is_no_other_way():
@@ -103,16 +103,16 @@ def test_a_robot_too_near_is_led_out_first():
     where = scene((-7.5, 0.3, -6.5, 1.0))
     got = refined(where)
     assert got.poses[0, :2].tolist() == [-7.0, 0.0]
-    assert got.notes[0].startswith("the robot stands too near to something: led 0.")
+    assert got.notes[0].startswith("the robot is too close to an obstacle: moves 0.")
     assert is_free(where, replace(got, poses=got.poses[1:]))
 
 
 @pytest.mark.parametrize(
     ("where", "segments", "words"),
     [
-        (scene(WALL), TO_THE_EAST, r"no way to \(7.0, 0.0\): nothing within 1 m of it"),
-        (scene((5.0, -2.0, 9.0, 2.0)), TO_THE_EAST, "no way to"),
-        (scene(), [np.array([[70.0, 0.0]])], r"no way to \(70.0, 0.0\)"),
+        (scene(WALL), TO_THE_EAST, r"no path to \(7.0, 0.0\): no place within 1 m of it"),
+        (scene((5.0, -2.0, 9.0, 2.0)), TO_THE_EAST, "no path to"),
+        (scene(), [np.array([[70.0, 0.0]])], r"no path to \(70.0, 0.0\)"),
         (scene(pose=SE2(50.0, 0.0, 0.0)), TO_THE_EAST, r"the robot at \(50.0, 0.0\) is outside"),
         (scene((-9.0, -2.0, -5.0, 2.0)), TO_THE_EAST, r"the robot at \(-7.0, 0.0\) is shut in"),
         # Open ground is near, behind a wall of one cell: the other side has no room.
@@ -144,7 +144,7 @@ def test_it_is_planned_again_when_something_stands_on_it():
     beyond = int(np.argmin(np.abs(first.poses[:, 0] - 1.0)))
     last = refine_again(replace(later, pose=SE2(1.0, 0.0, 0.0)), first, beyond, BODY, LIMITS)
     assert len(last.legs) == 1
-    with pytest.raises(RefineError, match="no way to"):
+    with pytest.raises(RefineError, match="no path to"):
         refine_again(scene((1.0, -10.0, 2.0, 10.0)), first, robot, BODY, LIMITS)
 
 

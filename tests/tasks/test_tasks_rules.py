@@ -379,7 +379,7 @@ def test_what_comes_next_is_not_known_before_the_robot_is_past():
     """The corner beside the van is touched, and nothing leads on."""
     scene = street(VAN, GATE, walls=((8.9, 9.3, 0.9, 20.0), (10.3, 10.7, -20.0, 0.9)))
     functions = Functions(ground_of(scene, LIMITS.clearance_m), LIMITS)
-    with pytest.raises(TrajectoryError, match="not known yet whether the robot gets past the left"):
+    with pytest.raises(TrajectoryError, match="not known yet if the robot can pass the left"):
         carry_out("go past the left of the van, then stop at the gate", functions, slice(0, 1))
 
 
@@ -389,11 +389,11 @@ def test_ground_that_nobody_has_seen_is_not_called_full():
     hidden = (centres_m[..., 1] > 0.9) & (centres_m[..., 0] > 3.0)
     scene.occupancy.cells[hidden], scene.regions_grid.cells[hidden] = -1, 0
     for words in ("stop left of the van", "go past the left of the van"):
-        with pytest.raises(TrajectoryError, match="nobody has seen yet whether there is room"):
+        with pytest.raises(TrajectoryError, match="not seen yet if there is room"):
             driven(words, scene)
     scene.occupancy.cells[:, 120:] = -1
     scene.regions_grid.cells[:, 120:] = 0
-    with pytest.raises(TrajectoryError, match=r"was not seen any farther than 4\.0 m"):
+    with pytest.raises(TrajectoryError, match=r"was seen only up to 4\.0 m"):
         driven("go straight for 5 metres", scene)
 
 
@@ -439,9 +439,9 @@ def test_where_it_stops_at_a_thing_the_robot_faces_it_at_last(words, x_m, y_m):
 
 
 def test_a_way_straight_on_that_is_blocked_is_refused():
-    with pytest.raises(TrajectoryError, match=r"the way straight on is blocked after 6\.0 m"):
+    with pytest.raises(TrajectoryError, match=r"the path straight on is blocked after 6\.0 m"):
         driven("go straight for 9 metres")
-    with pytest.raises(TrajectoryError, match=r"a way straight on has at most 1000 m$"):
+    with pytest.raises(TrajectoryError, match=r"a path straight on has at most 1000 m$"):
         driven("go straight for 1001 metres")
 
 

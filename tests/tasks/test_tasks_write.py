@@ -52,7 +52,7 @@ def test_an_empty_instruction_asks_nobody(instruction, planner):
 
 def test_an_instruction_that_is_too_long_is_not_sent():
     with serving(saying(BLOCK)) as server:
-        with pytest.raises(WriteError, match="the instruction has 2001 characters, at most 2000"):
+        with pytest.raises(WriteError, match="has 2001 characters, the limit is 2000"):
             write("x" * (MOST_INSTRUCTION_CHARS + 1), SCENE, by_model(server))
         assert server.requests == []
 
@@ -163,7 +163,7 @@ def test_after_so_many_rounds_it_gives_up(rounds):
             write(INSTRUCTION, SCENE, by_model(server, rounds=rounds))
         assert len(server.requests) == rounds
     assert len(raised.value.rounds) == rounds
-    assert f"{server.url}: no trajectory in {rounds} answers, the last time: " in str(raised.value)
+    assert f"{server.url}: no trajectory in {rounds} answers, last error: " in str(raised.value)
     assert "is occupied" in str(raised.value)
     assert "\n" not in str(raised.value)
 
@@ -180,7 +180,7 @@ def test_a_robot_that_stands_in_nothing_known_asks_nobody():
     scene = street()
     scene.occupancy.cells[:] = 100
     with serving(saying(BLOCK)) as server:
-        with pytest.raises(WriteError, match="nothing around the robot is known to be free"):
+        with pytest.raises(WriteError, match="no free ground is known around the robot"):
             write(INSTRUCTION, scene, by_model(server))
         assert server.requests == []
 

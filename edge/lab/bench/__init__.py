@@ -1,4 +1,4 @@
-"""`edge bench --models`: every variant of a family on the same frames (VL-Nav section V.D).
+"""`edge bench --models`: measure every variant of a family on the same frames (VL-Nav section V.D).
 
-Each variant is timed in a process of its own; nothing here chooses a model.
+Each variant is timed in its own process. The benchmark only reports; it does not choose a model.
 """

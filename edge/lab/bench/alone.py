@@ -1,6 +1,6 @@
-"""One model alone in a process: `python -m MODULE JOB OUT`, both pickled.
+"""Runner of one measurement in its own process: `python -m MODULE JOB OUT`, both pickled.
 
-Whatever it costs there, in time or memory, is this model's doing; if it crashes, nothing else does.
+The measured time and memory then belong to this model only, and a crash ends only this process.
 """
 
 from __future__ import annotations
@@ -19,10 +19,14 @@ from edge.text import one_line
 
 
 def main(argv: list[str], measure: Callable[[Any], Any]) -> int:
-    """The process: do what the job says; 0, or 1 with one line on stdout.
+    """Run in the child process: measure one job and write the result.
 
     Args:
-        measure: job → what was measured.
+        argv: paths of the job file and of the result file, both pickles.
+        measure: function that maps the job to its result.
+
+    Returns:
+        The exit status: 0, or 1 with one line on stdout that says why.
     """
     setup("error")
     job, out = map(Path, argv)
@@ -31,19 +35,23 @@ def main(argv: list[str], measure: Callable[[Any], Any]) -> int:
     except UserError as error:
         print(one_line(error, 1000))
         return 1
-    except Exception as error:  # of the runtime: one row of the table
+    except Exception as error:  # a runtime error fails one row of the table, not the benchmark
         print(one_line(f"{type(error).__name__}: {error}"))
         return 1
     return 0
 
 
 def run_alone(module: str, job: object, limit_s: float, key: str = "") -> Any:
-    """Have a process measure; what it measured, or in one line (str) why nothing was.
+    """Run a measurement in its own process.
 
     Args:
-        module: whose program is `main`.
-        limit_s: a process that takes longer is ended.
-        key: of the configuration that the limit comes from.
+        module: module to run; it must call `main`.
+        job: argument of its `measure` function; must be picklable.
+        limit_s: the process is killed after this time.
+        key: origin of the limit, for the error message.
+
+    Returns:
+        The result, or one line of text (str) that says why there is none.
     """
     with private_folder("edge-bench-") as folder:
         asked, out = folder / "job", folder / "out"
@@ -61,7 +69,7 @@ def run_alone(module: str, job: object, limit_s: float, key: str = "") -> Any:
 
 
 def _reason(done: subprocess.CompletedProcess[str]) -> str:
-    """Why a process ended: its signal, or its last line on stdout."""
+    """Return why a process ended: its signal, or its last line on stdout."""
     if done.returncode < 0:
         return f"its process was ended by signal {-done.returncode}"
     lines = done.stdout.split("\n")

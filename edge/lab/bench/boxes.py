@@ -1,4 +1,4 @@
-"""How found boxes compare: with what is there, and with what another model found. Arrays only."""
+"""Comparison of detected boxes with the ground truth, and with another model's boxes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from edge.geometry import overlaps
 
 MATCH_IOU = 0.5
 COVERED = 0.5
-"""A box that lies this much in something that does not count, does not count either."""
+"""A box is ignored if this share of it lies in an object that does not count."""
 NO, KIND, NAMED = 0, 1, 2
-"""How a label answers to a prompt: not at all, as a kind of it (armchair, chair), by its name."""
+"""Relation of a label to a prompt: none, a kind of it (armchair to chair), the same name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Boxes of one picture, highest score first.
+    """Boxes of one image, highest score first.
 
     Attributes:
         xyxy_px: (n, 4) float32.
@@ -35,12 +35,13 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What is in one picture.
+    """Ground truth of one image.
 
     Attributes:
-        xyxy_px: (m, 4) float32 boxes of what is visible of each thing.
+        xyxy_px: (m, 4) float32, box around the visible part of each object.
         label: (m,) int32, index of its label.
-        counts: (m,) bool; what is too small or too hidden is neither missed nor wrongly found.
+        counts: (m,) bool, False for an object that is too small or too hidden: it is neither a miss
+            nor a false detection.
     """
 
     xyxy_px: np.ndarray
@@ -50,13 +51,13 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """Counts that add up over pictures.
+    """Counts of matches that add up over images.
 
     Attributes:
-        wanted: things, or boxes of the reference.
-        found: boxes that count.
-        hits: how many of them are one of the wanted, each of which is hit once.
-        error: sum over the hits of |score - reference's| / reference's.
+        wanted: number of ground-truth objects, or of reference boxes.
+        found: number of boxes that count.
+        hits: number of these that match a wanted one; each wanted one is matched at most once.
+        error: sum over the hits of |score - reference score| / reference score.
     """
 
     wanted: int = 0
@@ -68,7 +69,7 @@ class Tally:
         return Tally(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     def shares(self) -> dict[str, float | None]:
-        """`recall` of what is wanted, `precision` of what was found; None where nothing is."""
+        """Return `recall` and `precision`; None if there is nothing to divide by."""
         return {
             "recall": _ratio(self.hits, self.wanted),
             "precision": _ratio(self.hits, self.found),
@@ -80,14 +81,16 @@ def _ratio(part: float, whole: int) -> float | None:
 
 
 def judge(xyxy_px: np.ndarray, truth: Truth, how: np.ndarray) -> Tally:
-    """Hold the boxes of one prompt in one picture against what is there.
+    """Match the boxes of one prompt in one image with the ground truth.
 
-    A box hits the thing of its prompt's name that it covers best, if no better box did. One that
-    hits nothing is left out of the count where it lies in something that answers to its prompt
-    but does not count, or is a kind of it; otherwise it is wrong.
+    A box is a hit if it overlaps a free object with the prompt's name by `MATCH_IOU`; it takes the
+    one with the largest overlap. A box without a hit is ignored if it lies in an object that
+    matches the prompt but does not count, or in one that is a kind of it. Otherwise it is a false
+    detection.
 
     Args:
         xyxy_px: (n, 4) float32, highest score first.
+        truth: the objects in this image.
         how: (labels,) of NO, KIND, NAMED.
     """
     named = how[truth.label] == NAMED
@@ -106,7 +109,7 @@ def judge(xyxy_px: np.ndarray, truth: Truth, how: np.ndarray) -> Tally:
 
 
 def agree(reference: Found, candidate: Found) -> Tally:
-    """Hold one picture's boxes against those of another model: same prompt, IoU of `MATCH_IOU`."""
+    """Match one image's boxes with those of another model: same prompt, IoU >= `MATCH_IOU`."""
     iou, _ = overlaps(candidate.xyxy_px, reference.xyxy_px)
     iou[candidate.class_id[:, None] != reference.class_id[None]] = 0.0
     hits, error = 0, 0.0
@@ -120,9 +123,11 @@ def agree(reference: Found, candidate: Found) -> Tally:
 
 
 def agreement(reference: list[Found], candidate: list[Found]) -> dict[str, Any]:
-    """How a variant's boxes compare with those of its FP32 model, frame by frame.
+    """Compare a variant's boxes with those of its FP32 model, frame by frame.
 
-    `score_error` is the mean relative difference of the hits' scores, `boxes` the reference's.
+    Returns:
+        `recall`, `precision`, `score_error` (mean relative difference of the hits' scores) and
+        `boxes` (number of reference boxes).
     """
     tally = sum(itertools.starmap(agree, zip(reference, candidate, strict=True)), Tally())
     return {
@@ -135,10 +140,17 @@ def agreement(reference: list[Found], candidate: list[Found]) -> dict[str, Any]:
 def against_truth(
     found: list[Found], truth: list[Truth], answers: np.ndarray, prompts: Sequence[str]
 ) -> dict[str, Any]:
-    """Recall and precision against what is there; `by_prompt` has hits, things and boxes.
+    """Return recall and precision against the ground truth.
 
     Args:
+        found: boxes of each image.
+        truth: objects of each image.
         answers: (labels, prompts); see `frames.answers_of`.
+        prompts: the prompts' texts.
+
+    Returns:
+        `recall`, `precision`, `things` (objects that count), `boxes`, and `by_prompt`: prompt →
+            [hits, objects, boxes].
     """
     by_prompt = {
         prompt: sum(

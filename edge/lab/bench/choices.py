@@ -1,7 +1,7 @@
-"""Models that choose directions, compared on the same lettered views, each in a process of its own.
+"""Comparison of direction-choice models on the same lettered views, each model in its own process.
 
-What they choose is held against the FP32 model of their family and, in a simulated world, against
-what is truly left to drive from each mark.
+A model's choice is compared with the FP32 model of its family. In a simulated world it is also
+compared with the true remaining distance from each mark.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from edge.types import Observation
 MEASURE = "edge.lab.bench.measure_choice"
 REFERENCE = "fp32"
 _AT = ((0.2, 0.65, 0.5, 2.0), (0.5, 0.6, 0.0, 4.0), (0.8, 0.65, -0.5, 3.0))
-"""Marks that every view has: column and row as shares, bearing and distance."""
+"""Marks of every view: column and row as shares of the image, bearing [rad], distance [m]."""
 _SEEN = 5
 _TARGETS = ("television", "bed", "sink", "sofa")
 _VIEW_S, _LOAD_S = 60.0, 600.0
@@ -43,16 +43,16 @@ _HEADINGS = (
     "variant", "on", "ready, s", "ms: p50", "p95", "MB", "same choice", "mean |Δp|", "right",
 )  # fmt: skip
 _RIGHT_M = 0.5
-"""A mark is right from which no more than this is left to drive than from the best."""
+"""A mark is right if the remaining distance from it is at most this much above the best mark's."""
 _ROBOT_M, _THERE_M, _STEP_M = 0.2, 1.0, 0.1
-"""Radius of what drives; it ends so near the target; how finely a way is looked along."""
+"""Radius of the robot, distance from the target at which it stops, step along a bearing."""
 
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Job:
-    """What a measuring process does: ask a model about views."""
+    """Job of a measuring process: the views to show to one model."""
 
     choice: ChoiceOnnx
     views: list[View]
@@ -60,13 +60,14 @@ class Job:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What such a process leaves.
+    """Result of a measuring process.
 
     Attributes:
-        took_ms: (n,) of each view, both questions.
-        p: (n, marks + 2) float32: of the letters, of elsewhere, and the scene.
-        load_s: until it was ready.
-        memory_mb: what the process grew by.
+        took_ms: (n,) time of each view, for both questions.
+        p: (n, marks + 2) float32, probability of each letter, of "elsewhere", and of the scene
+            question.
+        load_s: time until the model was ready.
+        memory_mb: growth of the process's resident memory.
     """
 
     took_ms: np.ndarray
@@ -79,12 +80,15 @@ Results = list[tuple[DirectionsCard, str, Union[Measured, str]]]
 
 
 def families() -> list[str]:
-    """Families that have a model that chooses directions."""
+    """Return the families that have a model that chooses directions."""
     return sorted({card.family for card in all_cards() if isinstance(card, DirectionsCard)})
 
 
 def run(family: str, args: argparse.Namespace, pictures: Frames) -> int:
-    """Compare the models of a family that has no other, print, keep; 1 when nothing could run.
+    """Compare the models of a family without detectors, print the table and save it.
+
+    Returns:
+        The exit status: 0, or 1 if no model could run.
 
     Raises:
         UserError: an option cannot be used.
@@ -95,15 +99,17 @@ def run(family: str, args: argparse.Namespace, pictures: Frames) -> int:
     path = _keep(family, rows)
     if args.json is not None:
         save(args.json, json.dumps(rows, indent=1).encode())
-    print(f"kept in {path}")
+    print(f"saved to {path}")
     return 0 if any_ran(rows) else 1
 
 
 def compare(family: str, args: argparse.Namespace, pictures: Frames) -> list[Row]:
-    """A row for each of a family's models on each provider.
+    """Return one row for each model of a family on each provider.
 
     Args:
-        args: of the command line: `providers` and `threads`.
+        family: the cards' family.
+        args: parsed command line: `providers` and `threads`.
+        pictures: images to make the views of.
 
     Raises:
         UserError: an option cannot be used.
@@ -125,6 +131,7 @@ def compare(family: str, args: argparse.Namespace, pictures: Frames) -> list[Row
 
 
 def any_ran(rows: Sequence[Row]) -> bool:
+    """Return True if at least one row has figures."""
     return any("why" not in row for row in rows)
 
 
@@ -133,8 +140,7 @@ def _asked(card: DirectionsCard, on: str) -> dict[str, object]:
 
 
 def views_of(pictures: Frames) -> list[View]:
-    """A view of each picture, with three letters, what is known to be in it, and a target that is
-    not."""
+    """Return one view of each image: letters, known objects, and a target not in the image."""
     views = []
     for k, rgb in enumerate(pictures.rgb):
         h, w = rgb.shape[:2]
@@ -153,8 +159,11 @@ def views_of(pictures: Frames) -> list[View]:
 
 
 def _left_m(pictures: Frames, view: View) -> list[float]:
-    """What is left to drive to the view's target from each of its marks, or from as far towards it
-    as the floor is free; inf where nobody knows, or there is no way."""
+    """Return the true remaining distance [m] to the view's target, for each of its marks.
+
+    The distance counts from the mark, or from the last free point on the straight line to it. It is
+    inf if the world is unknown or there is no path.
+    """
     world = pictures.world
     things = [o for o in world.objects if names.same(o.label, view.target)] if world else []
     if not things:
@@ -175,13 +184,13 @@ def _left_m(pictures: Frames, view: View) -> list[float]:
 
 
 def right_of(left_m: np.ndarray) -> np.ndarray:
-    """Which marks are right, of the views in which not all are.
+    """Return which marks are right, in the views where not all of them are.
 
     Args:
-        left_m: (n, m) metres left to drive from each mark.
+        left_m: (n, m) remaining distance [m] from each mark.
 
     Returns:
-        (n, m) bool; of a view that tells nothing, none.
+        (n, m) bool; all False for a view in which the marks do not differ.
 
     >>> right_of(np.array([[2.0, 2.4, 9.0], [3.0, 3.0, 3.0], [np.inf, np.inf, np.inf]])).tolist()
     [[True, True, False], [False, False, False], [False, False, False]]
@@ -192,7 +201,7 @@ def right_of(left_m: np.ndarray) -> np.ndarray:
 
 
 def _measured(card: DirectionsCard, settings: ChoiceOnnx, views: list[View]) -> Measured | str:
-    """What was measured, or in one line why nothing was."""
+    """Return the measurement, or one line of text that says why there is none."""
     if not card.is_here():
         return f"not here: {how_to_get(card)}"
     return run_alone(MEASURE, Job(settings, views), _LOAD_S + _VIEW_S * len(views))
@@ -220,31 +229,32 @@ def _row(
 
 
 def against_truth(right: np.ndarray, p: np.ndarray) -> dict[str, float]:
-    """How often the likeliest letter is a right one, and how often one at random is; nothing where
-    no view tells.
+    """Return the share of right choices, and the share that a random choice would get.
+
+    The result is empty if no view has both a right and a wrong mark.
 
     Args:
-        right: as `right_of` returns it.
-        p: as in `Measured`.
+        right: see `right_of`.
+        p: see `Measured`.
 
     >>> right = np.array([[True, False], [False, True], [False, False]])
     >>> against_truth(right, np.array([[0.7, 0.2, 0.1, 0.5], [0.6, 0.4, 0, 0.5], [1, 0, 0, 1]]))
     {'right': 0.5, 'at_random': 0.5, 'of_views': 2}
     """
-    telling = right.any(axis=1)
-    if not telling.any():
+    decided = right.any(axis=1)
+    if not decided.any():
         return {}
-    chosen = p[telling, : right.shape[1]].argmax(axis=1)
-    hits = right[telling][np.arange(len(chosen)), chosen]
+    chosen = p[decided, : right.shape[1]].argmax(axis=1)
+    hits = right[decided][np.arange(len(chosen)), chosen]
     return {
         "right": round(float(hits.mean()), 3),
-        "at_random": round(float(right[telling].mean()), 3),
-        "of_views": int(telling.sum()),
+        "at_random": round(float(right[decided].mean()), 3),
+        "of_views": int(decided.sum()),
     }
 
 
 def agreement(reference: np.ndarray, p: np.ndarray) -> dict[str, float]:
-    """How often the same letter (or elsewhere) is the likeliest, and how far shares differ.
+    """Return how often both choose the same letter, and the mean difference of their probabilities.
 
     >>> agreement(np.array([[0.7, 0.3, 0.5]]), np.array([[0.6, 0.4, 0.5]]))
     {'same': 1.0, 'difference': 0.0667}
@@ -255,7 +265,7 @@ def agreement(reference: np.ndarray, p: np.ndarray) -> dict[str, float]:
 
 
 def as_text(family: str, rows: Sequence[Row], pictures: Frames) -> str:
-    """The table; a variant without figures has why below it."""
+    """Return the table; below it, the reason for each variant without figures."""
     ran = [row for row in rows if "why" not in row]
     cells = [
         (
@@ -266,10 +276,10 @@ def as_text(family: str, rows: Sequence[Row], pictures: Frames) -> str:
     ]  # fmt: skip
     missing = [f"{row['name']} on {row['on']}: {row['why']}" for row in rows if "why" in row]
     views = f"{len(pictures.rgb)} views of {pictures.source}, {len(_AT)} letters each"
-    told = next((row for row in ran if "right" in row), None)
-    note = [] if told is None else [
-        f"right: a letter from which the least is left to drive, in {told['of_views']} views "
-        f"where not all are; at random {told['at_random']:.2f}"
+    scored = next((row for row in ran if "right" in row), None)
+    note = [] if scored is None else [
+        f"right: a letter with the shortest remaining path, in {scored['of_views']} views "
+        f"where the letters differ; by chance {scored['at_random']:.2f}"
     ]  # fmt: skip
     table = aligned([_HEADINGS, *cells], left=2)
     return "\n".join([f"{family}, directions: {views}", table, *missing, *note])

@@ -1,4 +1,4 @@
-"""All variants over the same frames, each in a process of its own, and what comes out of it."""
+"""Comparison of all detector variants on the same frames, each in its own process."""
 
 from __future__ import annotations
 
@@ -32,12 +32,15 @@ MEASURE = "edge.lab.bench.measure"
 VERSION = 1
 STAGES = ("pre", "session", "post")
 _FRAME_S = 2.0
-"""What one frame may take at most, on average."""
-_LIMIT = f"{LOAD_TIMEOUT_S:g} s and a bit for each frame"
+"""Most time that one frame may take, on average."""
+_LIMIT = f"{LOAD_TIMEOUT_S:g} s + {_FRAME_S:g} s a frame"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge bench --models`: compare, print, keep; 1 when nothing could run.
+    """Handle `edge bench --models`: compare, print and save.
+
+    Returns:
+        The exit status: 0, or 1 if no variant could run.
 
     Raises:
         UserError: an option, the configuration or the world cannot be used.
@@ -47,7 +50,10 @@ def run(args: argparse.Namespace) -> int:
     chooses = family in choices.families()
     if chooses and family not in families():
         if args.update_cards:
-            raise UserError("bench --models: --update-cards: cards keep figures of detectors only")
+            raise UserError(
+                f"bench --models: --update-cards: {family} has no detector; only detector cards "
+                "keep figures: drop the option"
+            )
         return choices.run(family, args, _pictures(args, config))
     todo = variants(family, providers_here(args.providers))
     sizes = [(v.card.input.height, v.card.input.width) for v in todo if v.card.is_here()]
@@ -57,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     print(report.as_text(found))
     if chooses:
         print("\n" + choices.as_text(family, found["directions"], pictures))
-    print(f"kept in {report.keep(found, args.json)}")
+    print(f"saved to {report.keep(found, args.json)}")
     if args.update_cards:
         for path in report.update_cards(found):
             print(f"written to {path}")
@@ -68,14 +74,14 @@ def run(args: argparse.Namespace) -> int:
 def _pictures(
     args: argparse.Namespace, config: Config, inputs_hw: Sequence[tuple[int, int]] = ()
 ) -> Frames:
-    """Those that the command line asks for; `inputs_hw` as `frames.from_world` takes them."""
+    """Return the frames that the command line asks for; `inputs_hw`: see `frames.from_world`."""
     if args.images is not None:
         return frames.from_folder(args.images, args.frames)
     return frames.from_world(config, args.frames, inputs_hw)
 
 
 def _family(asked: str, config: Config) -> str:
-    """The family that was asked for, else that of the configured model."""
+    """Return the family asked for, or the configured model's family."""
     if asked:
         return asked
     detector = config.perception.detector
@@ -88,7 +94,7 @@ def _family(asked: str, config: Config) -> str:
 
 
 def _settings(config: Config, threads: int | None) -> DetectorOnnx:
-    """The configured detector's settings, which all variants share."""
+    """Return the configured detector's settings, which all variants share."""
     detector = config.perception.detector
     settings = detector if isinstance(detector, DetectorOnnx) else DetectorOnnx()
     return settings if threads is None else settings.model_copy(update={"threads": threads})
@@ -96,18 +102,18 @@ def _settings(config: Config, threads: int | None) -> DetectorOnnx:
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Runs variants over the same frames.
+    """Runner of variants on the same frames.
 
     Attributes:
-        job: but for the model and its providers.
-        limit_s: a process that takes longer is ended.
+        job: job without its model and providers.
+        limit_s: a process is killed after this time.
     """
 
     job: Job
     limit_s: float
 
     def run(self, variant: Variant) -> Measured | str:
-        """What was measured, or in one line why nothing was."""
+        """Return the measurement, or one line of text that says why there is none."""
         if not variant.card.is_here():
             return f"not here: {how_to_get(variant.card)}"
         asked = {"model": variant.card.name, "providers": PROVIDERS[variant.on]}
@@ -118,19 +124,28 @@ class Bench:
 def compare(
     config: Config, todo: Sequence[Variant], pictures: Frames, settings: DetectorOnnx
 ) -> Report:
-    """Run all variants and work out the figures.
+    """Run all variants and compute the figures.
 
-    A variant's boxes are held against those of its FP32 model of the same input size and, where
-    it is known, against what is there.
+    A variant's boxes are compared with those of its FP32 model of the same input size and, if
+    known, with the ground truth.
+
+    Args:
+        config: names the world, the threshold and the report's configuration path.
+        todo: variants to measure.
+        pictures: frames to measure on.
+        settings: detector settings that all variants share.
 
     Raises:
-        UserError: the text encoder knows nothing of what is in the frames, or is not there.
+        UserError: the text encoder is missing, or knows none of the labels in the frames.
     """
     resolve = make_text_encoder(todo[0].card, settings.vocabulary).resolve
     prompts, unknown = frames.prompts_for(pictures.labels, resolve)
     if not prompts:
-        raise UserError("bench --models: the text encoder knows nothing of what is in the frames")
-    # The configured model's background may be foreign to another family's encoder.
+        raise UserError(
+            "bench --models: the text encoder knows none of the labels in the frames: "
+            "choose another family or other frames"
+        )
+    # Another family's encoder may not know all background words of the configured model.
     background = tuple(frames.words_for(settings.background, resolve))
     settings = settings.model_copy(update={"background": background})
     tau_det = config.perception.tau_det
@@ -205,7 +220,11 @@ def _rounded(value: float | None) -> float | None:
 
 
 def latency_ms(stages_ns: np.ndarray) -> dict[str, dict[str, float]]:
-    """min, p50 and p95 of each of `STAGES`, (n, 3), and of `all` of them together."""
+    """Return min, p50 and p95 [ms] of each of `STAGES`, and of their sum as `all`.
+
+    Args:
+        stages_ns: (n, 3) int64.
+    """
     columns = np.column_stack([stages_ns, stages_ns.sum(axis=1)]) / 1e6
     return {
         name: {
@@ -218,7 +237,7 @@ def latency_ms(stages_ns: np.ndarray) -> dict[str, dict[str, float]]:
 
 
 def _agreement(variant: Variant, result: Measured, results: Results) -> dict[str, Any] | None:
-    """Against FP32 of the same size, on the first provider where that ran; None for itself."""
+    """Compare with FP32 of the same size, on the first provider where it ran; None for itself."""
     for other, reference in results:
         alike = other.card.precision == "fp32" and other.card.input == variant.card.input
         if alike and isinstance(reference, Measured):
@@ -228,12 +247,12 @@ def _agreement(variant: Variant, result: Measured, results: Results) -> dict[str
 
 
 def _again(bench: Bench, results: Results) -> dict[str, Any] | None:
-    """The first variant once more, to see whether the machine has become slower or faster."""
+    """Measure the first variant again, to see if the machine has become slower or faster."""
     ran = [(variant, result) for variant, result in results if isinstance(result, Measured)]
     if len(ran) < 2:
         return None
     variant, first = ran[0]
-    log.info("once more, to see whether the machine's pace has changed: %s", variant.card.name)
+    log.info("measuring %s again, to see if the machine's speed has changed", variant.card.name)
     second = bench.run(variant)
     if isinstance(second, str):
         return None

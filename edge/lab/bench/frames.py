@@ -1,4 +1,4 @@
-"""The pictures that models are compared on: views of a simulated world, or a folder of images."""
+"""Images that models are compared on: views of a simulated world, or a folder of images."""
 
 from __future__ import annotations
 
@@ -25,23 +25,25 @@ from edge.perception.embedding import text
 
 SEED = 7
 MIN_SIDE_PX = 12
-"""Smaller things do not count; in pixels of the configured camera."""
+"""Smaller objects do not count; in pixels of the configured camera."""
 MIN_VISIBLE = 0.5
-"""Nor do those of which less shows; as a share of the rectangle around the whole thing."""
+"""Objects with a smaller visible share do not count; share of the rectangle around the whole
+object."""
 _NEAR_M = 0.05
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
 
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Pictures, and what is in them where that is known.
+    """Images, and their ground truth if it is known.
 
     Attributes:
-        source: where they are from, for a person.
+        source: where the images come from, as text for a person.
         rgb: (h, w, 3) uint8 each.
-        labels: what the things in them are called.
-        truth: as many as pictures, or None.
-        world: that they are views of, or None; `poses` are where from.
+        labels: names of the objects in them.
+        truth: one for each image, or None if unknown.
+        world: the world that the images show, or None.
+        poses: robot poses in `world` that the images were taken from.
     """
 
     source: str
@@ -53,15 +55,20 @@ class Frames:
 
     @property
     def counted(self) -> int:
-        """Things that count, over all pictures."""
+        """Number of objects that count, over all images."""
         return sum(int(t.counts.sum()) for t in self.truth or ())
 
 
 def from_world(config: Config, count: int, inputs_hw: Sequence[tuple[int, int]]) -> Frames:
-    """Views of the configured world from random free places, the same for the same world.
+    """Render views of the configured world from random free poses, repeatably.
 
-    The camera is the configured one, but with as many pixels as the largest of the models' inputs
-    can take, so that no model is given an enlarged picture.
+    The camera is the configured one, scaled up to the largest model input, so that no model gets an
+    enlarged image.
+
+    Args:
+        config: names the world, the camera and the robot.
+        count: number of views.
+        inputs_hw: input height and width [px] of the models.
 
     Raises:
         edge.lab.sim.base.WorldError: the world cannot be loaded.
@@ -94,7 +101,10 @@ def _truth(
     T_camera_map: np.ndarray,
     min_side_px: float,
 ) -> Truth:
-    """What shows of each object in the rig's last picture; an object's id is its place + 1."""
+    """Return the visible part of each object in the rig's last image.
+
+    An object's id in `rig.ids` is its index + 1.
+    """
     n = len(world.objects)
     box, pixels, distance = np.empty((n, 4), np.int32), np.empty(n, np.int32), np.empty(n, "f4")
     kernels.object_boxes(rig.ids, rig.depth_m, box, pixels, distance)
@@ -110,7 +120,7 @@ def _truth(
 
 
 def whole_area_px(item: WorldObject, T_camera_map: np.ndarray, rig: CameraRig) -> float:
-    """Area of the rectangle around an object's box, were nothing in the way and no edge near."""
+    """Return the area [px²] of an object's box in the image, without occlusion or image borders."""
     signs = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)]) - 0.5
     corners = signs * item.size_m
     c, s = math.cos(item.yaw_rad), math.sin(item.yaw_rad)
@@ -122,20 +132,20 @@ def whole_area_px(item: WorldObject, T_camera_map: np.ndarray, rig: CameraRig) -
 
 
 def from_folder(folder: Path, count: int) -> Frames:
-    """The first images of a folder, by name; what is in them is not known.
+    """Read the first `count` images of a folder, by name; their ground truth is unknown.
 
     Raises:
-        UserError: no image there, or one that cannot be read.
+        UserError: the folder has no image, or an image cannot be read.
     """
     paths = sorted(p for p in folder.glob("*") if p.suffix.lower() in _IMAGES)[:count]
     if not paths:
         raise UserError(f"{folder}: no images ({', '.join(_IMAGES)}): name another folder")
     rgb = []
-    for path in paths:  # OpenCV would wait for ever at a pipe
+    for path in paths:  # OpenCV would wait forever on a pipe
         with silenced():
             image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
         if image is None:
-            raise UserError(f"{path}: not an image that can be read: take it away")
+            raise UserError(f"{path}: not a readable image: remove it from the folder")
         rgb.append(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
     return Frames(str(folder), rgb, tuple(names.ALIASES), None)
 
@@ -143,9 +153,10 @@ def from_folder(folder: Path, count: int) -> Frames:
 def prompts_for(
     labels: Sequence[str], resolve: Callable[[str], str]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """(labels that a text encoder has a word for, those it has not).
+    """Return the labels that a text encoder knows, and those that it does not know.
 
-    A word that only stands in for a label (table for balcony table) is none for it.
+    A label does not count as known if the encoder only has a substitute word (table for balcony
+    table).
     """
     words = words_for(labels, resolve)
     known = tuple(label for label, word in words.items() if names.same(word, label))
@@ -153,8 +164,11 @@ def prompts_for(
 
 
 def words_for(labels: Sequence[str], resolve: Callable[[str], str]) -> dict[str, str]:
-    """See `edge.perception.embedding.text.words_for`."""
-    logging.disable(logging.WARNING)  # of words that stand in for others
+    """Map labels to an encoder's words, without its warnings.
+
+    See `edge.perception.embedding.text.words_for`.
+    """
+    logging.disable(logging.WARNING)  # it warns about every substitute word
     try:
         return text.words_for(labels, resolve)
     finally:
@@ -162,7 +176,7 @@ def words_for(labels: Sequence[str], resolve: Callable[[str], str]) -> dict[str,
 
 
 def answers_of(labels: Sequence[str], prompts: Sequence[str]) -> np.ndarray:
-    """(labels, prompts) uint8: how each label answers to each prompt; see `boxes`."""
+    """Return (labels, prompts) uint8: the relation of each label to each prompt; see `boxes`."""
     answers = np.full((len(labels), len(prompts)), NO, np.uint8)
     for i, label in enumerate(labels):
         for j, prompt in enumerate(prompts):

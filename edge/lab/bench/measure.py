@@ -1,4 +1,4 @@
-"""What a process of its own measures of a detector (see `alone`)."""
+"""Measurement of one detector in its own process (see `alone`)."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ WARM_FRAMES = 5
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What such a process does.
+    """Job of a measuring process.
 
     Attributes:
         detector: the model and how to run it.
+        prompts: words to detect.
         rgb: frames, (h, w, 3) uint8 each.
-        tau_det: boxes at or below it are left out.
+        tau_det: boxes with this score or less are left out.
     """
 
     detector: DetectorOnnx
@@ -41,17 +42,17 @@ class Job:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What such a process leaves.
+    """Result of a measuring process.
 
     Attributes:
-        stages_ns: (n, 3) int64: making the input, the session, finding boxes, of each frame.
-        found: the boxes of each frame.
-        load_s: making it ready, with the first runs.
-        memory_mb: what the process grew by.
-        gpu_memory_mb: what the GPU's memory in use grew by; None where unknown.
-        others_cores: how many cores other processes kept busy meanwhile; None where unknown.
-        invalid_boxes: how many boxes were not sound.
-        gpu: its name; None on the CPU.
+        stages_ns: (n, 3) int64, time of preprocessing, session and postprocessing of each frame.
+        found: boxes of each frame.
+        load_s: time to load the model and run the warm-up frames.
+        memory_mb: growth of the process's resident memory.
+        gpu_memory_mb: growth of the GPU memory in use; None if unknown.
+        others_cores: cores that other processes kept busy during the run; None if unknown.
+        invalid_boxes: number of boxes with invalid values.
+        gpu: name of the GPU; None on the CPU.
     """
 
     stages_ns: np.ndarray
@@ -67,10 +68,10 @@ class Measured:
 def measure(job: Job) -> Measured:
     """Run the model over all frames."""
     seen = [Observation(k, k * 100_000_000, np.eye(4), rgb) for k, rgb in enumerate(job.rgb)]
-    warmup()  # compiling is not the model's doing
+    warmup()  # compile first: the time does not belong to the model
     before_mb, gpu_before_mb = resident_mb(), machine.gpu_memory_mb()
     began = time.perf_counter()
-    detector = make_detector(Perception(detector=job.detector), job.prompts, _tell)
+    detector = make_detector(Perception(detector=job.detector), job.prompts, _print_health)
     for observation in seen[:WARM_FRAMES]:
         detector.detect(observation)
     load_s = time.perf_counter() - began
@@ -96,37 +97,37 @@ def _grown(before: float | None, after: float | None) -> float | None:
 
 
 def used_gpu(settings: DetectorOnnx) -> str | None:
-    """The name of the GPU that a detector runs on, None where it is the CPU."""
+    """Return the name of the GPU that a detector runs on; None on the CPU."""
     on_cpu = settings.providers[0] == "CPUExecutionProvider"
     return None if on_cpu else gpu_of(settings.device_id)[0]
 
 
 def strong(detections: Detections, tau_det: float) -> Found:
-    """What the running service would found an instance on."""
+    """Return the boxes that the service would make instances of."""
     kept = (detections.score > tau_det) & detections.unrivalled()
     return Found(detections.xyxy_px[kept], detections.score[kept], detections.class_id[kept])
 
 
 def _clocks() -> tuple[float | None, float, float]:
-    """Seconds that all cores were busy, that this process was, and of the wall clock."""
+    """Return busy seconds of all cores, CPU seconds of this process, and wall-clock seconds."""
     return machine.busy_s(), time.process_time(), time.perf_counter()
 
 
 def _others_cores(
     before: tuple[float | None, float, float], after: tuple[float | None, float, float]
 ) -> float | None:
-    """How many cores other processes kept busy, on average."""
+    """Return how many cores other processes kept busy, on average."""
     if before[0] is None or after[0] is None:
         return None
     all_s, own_s, wall_s = (b - a for a, b in zip(before, after, strict=True))
     return max(0.0, all_s - own_s) / wall_s
 
 
-def _tell(health: Health) -> None:
+def _print_health(health: Health) -> None:
     print(f"{health.state}: {health.detail}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":
-    from edge.lab.bench import measure as module  # whose types are pickled by this name
+    from edge.lab.bench import measure as module  # pickles name its types by this module
 
     sys.exit(alone.main(sys.argv[1:], module.measure))

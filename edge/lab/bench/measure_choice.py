@@ -1,4 +1,4 @@
-"""What a process of its own measures of a model that chooses directions (see `alone`)."""
+"""Measurement of one direction-choice model in its own process (see `alone`)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from edge.perception.scoring.choice.factory import open_choice
 
 
 def measure(job: Job) -> Measured:
-    """Ask a model about all views; the time is from the image to both answers."""
+    """Show all views to a model; the time is from the image to both answers."""
     before_mb, began = resident_mb(), time.perf_counter()
     scorer = open_choice(job.choice)
     load_s, took_ms, p = time.perf_counter() - began, [], []
@@ -23,8 +23,8 @@ def measure(job: Job) -> Measured:
         began = time.perf_counter()
         found = scorer.answer(scorer.look(view))
         took_ms.append((time.perf_counter() - began) * 1e3)
-        if found is None:  # no room for a letter: no picture to compare models on
-            raise UserError(f"view {view.observation.seq}: no room for letters in the picture")
+        if found is None:  # no letter fits, so the image cannot be used for a comparison
+            raise UserError(f"view {view.observation.seq}: no room for letters: use larger images")
         p.append([*found.p, found.elsewhere, found.scene])
     memory_mb = resident_mb() - before_mb
     return Measured(np.array(took_ms), np.array(p, np.float32), load_s, memory_mb)

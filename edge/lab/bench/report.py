@@ -1,4 +1,4 @@
-"""The comparison: as a table for a terminal of 110 columns, as a JSON file, in the cards."""
+"""Output of the comparison: a table for a terminal of 110 columns, a JSON file, the model cards."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ _LEFT = 2
 _WIDTH = 110
 _GAP = "  "
 _QUIET_CORES = 0.2
-"""Below this, other processes do not lengthen times by much."""
+"""Below this load, other processes do not change the times much."""
 
 
 def as_text(report: Report) -> str:
-    """Header, table and footnotes of one family's report."""
+    """Return header, table and footnotes of one family's report."""
     return "\n".join([*_header(report), "", *_rows(report), *_footnotes(report)])
 
 
@@ -75,7 +75,7 @@ def _rows(report: Report) -> list[str]:
 
 
 def _cells(row: dict[str, Any], name: str) -> tuple[str, ...]:
-    """One cell per heading; for a variant without figures name, provider and why."""
+    """Return one cell a heading; for a variant without figures: name, provider and reason."""
     if row["state"] != "ran":
         return (name, row["on"], row["why"])
     times = [f"{t['p50']:.1f} ({t['p95']:.1f})" for t in row["latency_ms"].values()]
@@ -110,17 +110,17 @@ def _footnotes(report: Report) -> list[str]:
     lines = []
     if again := report["again"]:
         lines.append(
-            f"{again['name']} on {again['on']} once more at the end: session "
-            f"{again['session_ms']:.1f} ms, {again['ratio']:.2f} of what it was at first"
+            f"{again['name']} on {again['on']} measured again at the end: session "
+            f"{again['session_ms']:.1f} ms, {again['ratio']:.2f} of the first time"
         )
     others = max((row["others_cores"] or 0.0 for row in ran), default=0.0)
     if others > _QUIET_CORES:
         lines.append(
             f"other processes kept up to {others:.1f} of {report['machine']['cores']} cores busy: "
-            "on a quiet machine the times are shorter"
+            "the times are shorter on an idle machine"
         )
     if any(row["gpu_memory_mb"] is not None for row in ran):
-        lines.append("MB: what the process grew by + what the GPU's memory in use did")
+        lines.append("MB: growth of the process + growth of the GPU memory in use")
     for row in ran:
         if row["invalid_boxes"]:
             lines.append(f"{row['name']} on {row['on']}: {row['invalid_boxes']} boxes {UNSOUND}")
@@ -128,10 +128,10 @@ def _footnotes(report: Report) -> list[str]:
 
 
 def keep(report: Report, also: Path | None) -> str:
-    """Write the report into the cache, and to another file if one is named; where it is.
+    """Write the report into the cache, and also to `also` if given; return the paths as text.
 
     Raises:
-        UserError: it cannot be written there.
+        UserError: a file cannot be written.
     """
     stamp = report["date"][:19].replace(":", "").replace("-", "").replace("T", "-")
     paths = [resources.cache_dir() / "bench" / f"{report['family']}-{stamp}.json"]
@@ -143,12 +143,16 @@ def keep(report: Report, also: Path | None) -> str:
 
 
 def update_cards(report: Report) -> Iterator[Path]:
-    """Write the figures of each variant that ran into its card, in place of older ones of the
-    same machine, GPU and provider; the cards that were written.
+    """Write the figures of each variant that ran into its card.
+
+    They replace older figures of the same machine, GPU and provider.
+
+    Yields:
+        The paths of the written cards.
 
     Raises:
-        UserError: when the others are written, for the first card that cannot be, as those of an
-            installed package.
+        UserError: a card cannot be written, such as one of an installed package. The other cards
+            are written first.
     """
     ran = [row for row in report["rows"] if row["state"] == "ran"]
     refused = None
@@ -161,11 +165,11 @@ def update_cards(report: Report) -> Iterator[Path]:
         else:
             yield path
     if refused is not None:
-        raise UserError(f"{refused}; the figures are in the JSON file alone")
+        raise UserError(f"{refused}; the figures are in the JSON file only")
 
 
 def _update_card(path: Path, report: Report, rows: list[dict[str, Any]]) -> None:
-    """The card keeps its remarks at the top and the order of its keys."""
+    """Write the figures; keep the comments at the top and the order of the keys."""
     text = path.read_text(encoding="utf-8")
     card = parse_yaml(text)
     for row in rows:
@@ -177,10 +181,10 @@ def _update_card(path: Path, report: Report, rows: list[dict[str, Any]]) -> None
 
 
 def card_figures(report: Report, row: dict[str, Any]) -> dict[str, float | int | str]:
-    """The part of a report that a card keeps of one row: flat, without what is not known.
+    """Return the figures that a card keeps of one row: flat, without unknown values.
 
-    `file` tells which file was measured, as cards of models that are made here have no hash;
-    `others_cores` how busy other processes were meanwhile, which lengthens times.
+    `file` is the start of the measured file's hash, since the card of a locally made model has
+    none. `others_cores` is the load of other processes, which makes times longer.
     """
     times, frames = row["latency_ms"], report["frames"]
     agreement, truth = row["agreement"] or {}, row["truth"] or {}

@@ -1,8 +1,8 @@
-"""`edge bench`: a recorded run through the real service, and the latency table it leaves.
+"""`edge bench`: run the real service on a recording and print its latency table.
 
-The recording is played by another process over Zenoh at its own pace, again and again; nothing in
-the service knows that it is being measured. A robot's own recording, which Zenoh's topics have no
-place for, is played once and in this process (`edge.sources.played`).
+Another process plays the recording over Zenoh in a loop, at its recorded rate. The service does not
+know that it is measured. A robot's own recording has no Zenoh topics: it is played once, in this
+process (`edge.sources.played`).
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ log = logging.getLogger("edge.lab.bench.service")
 
 RECORDING_S = 60.0
 _VERSION = 1
-_TELL_S = 10.0
-_PLAYER_S = 60.0  # how long the first observation may take
+_LOG_EVERY_S = 10.0
+_PLAYER_S = 60.0  # longest wait for the first observation
 
 Message = tuple[Topic, int, bytes]
 
@@ -65,8 +65,8 @@ def calibrate() -> int:
     """Handle `edge bench --calibrate`."""
     found = calibration.measure()
     parts = ", ".join(f"{name} {times:.2f}" for name, times in found.parts.items())
-    print(f"{found.machine}: {found}\ntimes the reference computer's: {parts}")
-    print(f"kept in {calibration.save(found)}")
+    print(f"{found.machine}: {found}\ntime relative to the reference computer: {parts}")
+    print(f"saved to {calibration.save(found)}")
     return 0
 
 
@@ -81,16 +81,20 @@ def run_bench(
     """Run the service on a recording, for `seconds` from the first observation on.
 
     Args:
-        started_s: what starting the interpreter has taken, to be counted as getting ready.
-        swap: the model to change to halfway, if any.
+        config: configuration of the service.
+        recording: file to play.
+        seconds: length of the measurement.
+        stop: ends the run when set.
+        started_s: time that the interpreter took to start; counted as part of getting ready.
+        swap: model to swap to at half time, if any.
 
     Returns:
-        `table` (text), `latency` (the report as a dict), `counters`, and `verdicts`:
-        name → (value, unit, budget); with a swap, `swap` (see `edge.lab.bench.swap`) too.
+        `table` (text), `latency` (the report as a dict), `counters`, and `verdicts`: name → (value,
+            unit, budget). With a swap also `swap` (see `edge.lab.bench.swap`).
 
     Raises:
-        UserError: the recording cannot be read; no tick, or no detection, came about, or the swap
-            did not end.
+        UserError: the recording cannot be read, no tick or no detection happened, or the swap did
+            not end.
         Stopped: `stop` was set before the service was ready.
     """
     began = time.perf_counter() - started_s  # imports are part of getting ready
@@ -139,7 +143,7 @@ def run_bench(
     slowdown = 1.0 if report.calibration is None else report.calibration.slowdown
     if tick.n == 0 or report.stage("detect").n == 0:
         detections = report.stage("detect").n
-        why = failing or ("give it more --seconds" if own else "the log says why")
+        why = failing or ("use more --seconds" if own else "see the log")
         raise UserError(
             f"bench: nothing measured in {seconds:g} s: {why} ({tick.n} ticks, {detections} "
             f"detections; counters: {counters})"
@@ -162,12 +166,18 @@ def run_bench(
 def _stopwatch(
     counters: Mapping[str, int], over: Callable[[bool], bool], seconds: float, stop: threading.Event
 ) -> Callable[[], None]:
-    """To be called after every tick: sets `stop` `seconds` after the first observation.
+    """Return a function to call after every tick, which ends the measurement.
 
-    It is set as well when the recording is `over`, or takes too long to start.
+    It sets `stop` `seconds` after the first observation.
+
+    It also sets `stop` if the recording is `over`, or takes too long to start.
 
     Args:
-        over: returns whether nothing more comes, given whether an observation came.
+        counters: the source's counters.
+        over: returns True if no more messages will come; its argument is True after the first
+            observation.
+        seconds: length of the measurement.
+        stop: event to set.
     """
     end_s, seen = time.monotonic() + _PLAYER_S, False
 
@@ -182,18 +192,18 @@ def _stopwatch(
 
 
 def _is_over(player: Popen[bytes], seen: bool) -> bool:
-    """Return whether the player ended before anything was seen."""
+    """Return True if the player ended before the first observation."""
     return not seen and player.poll() is not None
 
 
 def resident_mb() -> float:
-    """Memory this process holds now, in MB (Linux)."""
+    """Return the resident memory of this process in MB (Linux)."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def process_age_s() -> float:
-    """How long ago this process was started (Linux)."""
+    """Return the time since this process was started (Linux)."""
     start_ticks = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
     uptime_s = float(Path("/proc/uptime").read_text().split()[0])
     return max(0.0, uptime_s - start_ticks / os.sysconf("SC_CLK_TCK"))
@@ -202,14 +212,14 @@ def process_age_s() -> float:
 def ensure_recording(
     config: Config, seconds: float = RECORDING_S, stop: threading.Event | None = None
 ) -> Path:
-    """A run through the built-in house, made by the seeded simulator on first use.
+    """Return a recording of a drive through the built-in house; the seeded simulator makes it once.
 
-    It depends on the sensors and the robot only, so that configurations share it; it is kept in
-    the cache and never in git.
+    It depends only on the sensors and the robot, so configurations share it. It is kept in the
+    cache.
 
     Raises:
-        RecordingError: it cannot be written.
-        Stopped: `stop` was set before it was complete; nothing is left of it.
+        RecordingError: the file cannot be written.
+        Stopped: `stop` was set before the recording was complete; no file is left.
     """
     from edge.sources.recording import RecordingError, record_messages
 
@@ -234,14 +244,14 @@ def ensure_recording(
 def _with_progress(
     messages: Iterable[Message], seconds: float, stop: threading.Event | None
 ) -> Iterator[Message]:
-    """The messages, with a log line every few recorded seconds."""
-    first_ns, told_s = None, 0.0
+    """Yield the messages, with a log line every few recorded seconds."""
+    first_ns, logged_s = None, 0.0
     for message in messages:
         if stop is not None and stop.is_set():
-            raise Stopped("stopped while the recording was made")
+            raise Stopped("stopped while making the recording")
         first_ns = message[1] if first_ns is None else first_ns
         done_s = (message[1] - first_ns) * 1e-9
-        if done_s >= told_s + _TELL_S:
-            told_s = done_s
+        if done_s >= logged_s + _LOG_EVERY_S:
+            logged_s = done_s
             log.info("recorded %.0f of %g s", done_s, seconds)
         yield message

@@ -1,6 +1,6 @@
-"""`edge bench --swap NAME`: what a swap of the model costs the loop, while it goes on.
+"""`edge bench --swap NAME`: measure how a model swap slows the loop, while the loop runs.
 
-A stretch before the swap and the stretch from asking for it to its end are put side by side.
+The table compares the time before the swap with the time from the request to the swap's end.
 """
 
 from __future__ import annotations
@@ -20,20 +20,22 @@ _ROWS = {
     "seconds": ("seconds", ".1f"),
     "ticks": ("ticks", "d"),
     "lost": ("ticks lost", "d"),
-    "let_go": ("observations let go", "d"),
+    "let_go": ("observations skipped", "d"),
     "images": ("images detected in", "d"),
     "p50_ms": ("tick p50 ms", ".2f"),
     "p99_ms": ("tick p99 ms", ".2f"),
     "max_ms": ("tick max ms", ".2f"),
-    "longest_ms": ("longest beat ms", ".1f"),
+    "longest_ms": ("longest iteration ms", ".1f"),
 }
-"""Figures of a stretch of the loop → what the table calls them, and their form. `lost` are ticks
-that the loop came too late for: whole periods between two of its beats; `let_go` are observations
-that a newer one displaced before a tick took them."""
+"""Figure → its name in the table, and its format.
+
+`lost` counts ticks that the loop missed: whole periods between two of its iterations. `let_go`
+counts observations that a newer one replaced before a tick used them.
+"""
 
 
 class SwapBench:
-    """Asks for the swap halfway and follows it; `beat` is to be called after every beat."""
+    """Requests the swap at half time and follows it; call `beat` after every loop iteration."""
 
     def __init__(self, running: Running, model: str, seconds: float) -> None:
         from edge.perception.runtime.cards import load_detector_card
@@ -49,7 +51,7 @@ class SwapBench:
         self._during: dict[str, Any] = {}
 
     def beat(self) -> None:
-        """Note when this beat ended; begin the swap, or note its end."""
+        """Record the end of this iteration; start the swap, or record its end."""
         if self._during or not self._running.source.counters.get("observations"):
             return
         now_ns = time.monotonic_ns()
@@ -69,12 +71,16 @@ class SwapBench:
             self._during = self._end(now_ns)
 
     def figures(self) -> dict[str, Any]:
-        """The swap's outcome and both stretches, JSON-ready; UserError if it did not end."""
+        """Return the swap's outcome and both time spans, ready for JSON.
+
+        Raises:
+            UserError: the swap did not end.
+        """
         swap = self._running.service.swapper.status()
         if not self._during:
             raise UserError(
-                f"bench: the swap to {self._model} is {swap['state']} at the end: "
-                "give it more --seconds"
+                f"bench: the swap to {self._model} is still {swap['state']} at the end: "
+                "use more --seconds"
             )
         return {**swap, "before": self._before, "during": self._during}
 
@@ -102,7 +108,7 @@ class SwapBench:
 
 
 def verdicts(figures: Mapping[str, Any]) -> dict[str, tuple[float, str, float]]:
-    """Return the limits of a swap for `edge.lab.bench.service.run_bench`: kept, no tick lost."""
+    """Return the limits of a swap for `run_bench`: the new model stays, and no tick is lost."""
     return {
         "swaps given up": (float(figures["state"] != "kept"), "", 0.0),
         "ticks lost by the swap": (float(figures["during"]["lost"]), "", 0.0),
@@ -110,7 +116,7 @@ def verdicts(figures: Mapping[str, Any]) -> dict[str, tuple[float, str, float]]:
 
 
 def table(figures: Mapping[str, Any]) -> str:
-    """What `SwapBench.figures` found, as aligned text."""
+    """Return the result of `SwapBench.figures` as an aligned table."""
     lines = [
         f"swap of {figures['previous']} to {figures['model']}: "
         f"{figures['state']}: {figures['detail']}",

@@ -1,4 +1,4 @@
-"""What there is to compare: the cards of a family, each on what it can run on here."""
+"""Variants to compare: the cards of a family, each on the providers that this machine has."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ PROVIDERS = {
     "ort-tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider"),
     "tensorrt": (TENSORRT,),
 }
-"""What a model can run on, by the name that tables use: TensorRT within onnxruntime, or itself."""
+"""Providers by their name in tables. TensorRT runs inside onnxruntime, or directly."""
 RUNTIMES = {
     "cpu": ("onnxruntime",),
     "cuda": ("onnxruntime",),
     "ort-tensorrt": ("onnxruntime", "tensorrt"),
     "tensorrt": ("tensorrt",),
 }
-"""Whose versions matter to what runs there."""
+"""Packages whose versions matter, by provider."""
 _PRECISIONS = ("fp32", "fp16", "int8-cpu", "int8-trt")
 # Its zero points are not 0: TensorRT refuses it, and CUDA has no kernels for it.
 _CPU_ONLY = ("int8-cpu",)
@@ -38,15 +38,19 @@ class Variant(NamedTuple):
 
 
 def families() -> list[str]:
-    """Families that have a detector."""
+    """Return the families that have a detector."""
     return sorted({card.family for card in all_cards() if isinstance(card, DetectCard)})
 
 
 def variants(family: str, ons: Sequence[str]) -> list[Variant]:
-    """By provider, then size, then precision.
+    """Return the variants of a family, sorted by provider, then input size, then precision.
+
+    Args:
+        family: the cards' family.
+        ons: names of `PROVIDERS` to use.
 
     Raises:
-        UserError: the family has no detector (those that have are listed).
+        UserError: the family has no detector; the message lists those that have one.
     """
     cards = [c for c in all_cards() if isinstance(c, DetectCard) and c.family == family]
     if not cards:
@@ -59,15 +63,15 @@ def variants(family: str, ons: Sequence[str]) -> list[Variant]:
 
 
 def runs_on(card: DetectCard | DirectionsCard, on: str) -> bool:
-    """Whether a card is meant for a provider of `PROVIDERS`."""
+    """Return True if a card can run on a provider of `PROVIDERS`."""
     return on == "cpu" or card.precision not in _CPU_ONLY
 
 
 def providers_here(asked: str | None) -> list[str]:
-    """Names of `PROVIDERS` that this onnxruntime has: all, or those of a comma-separated list.
+    """Return the `PROVIDERS` that this machine has: all, or those of a comma-separated list.
 
     Raises:
-        UserError: there is no runtime, or it lacks one that was asked for.
+        UserError: no runtime is installed, or it lacks a provider that was asked for.
     """
     available = _available()
     if not available:
@@ -79,20 +83,20 @@ def providers_here(asked: str | None) -> list[str]:
     for word in wanted:
         if word not in here:
             raise UserError(
-                f"bench --models: --providers: {word!r} is not here (choices: {', '.join(here)})"
+                f"bench --models: --providers: no {word!r} here (choices: {', '.join(here)})"
             )
     return wanted
 
 
 def _short(word: str) -> str:
-    """The name of a provider, which may be onnxruntime's (`CPUExecutionProvider`)."""
+    """Return a provider's short name; accepts onnxruntime's name too (`CPUExecutionProvider`)."""
     word = word.strip()
     by_provider = {providers[0].lower(): on for on, providers in PROVIDERS.items()}
     return by_provider.get(word.lower(), word)
 
 
 def _available() -> set[str]:
-    """Providers of the runtimes that are installed; whether they start is seen later."""
+    """Return the providers of the installed runtimes, without starting them."""
     found = set()
     if importlib.util.find_spec("onnxruntime") is not None:
         import onnxruntime

@@ -1,4 +1,4 @@
-"""Measures the whole: episodes in houses, task planners, translations, recorded runs.
+"""Evaluation: episodes in houses, task planners, translators, trajectories, endurance runs.
 
-Everything here runs the parts of the service as they are; nothing that a robot runs needs it.
+The code here runs the unchanged parts of the service. A robot needs none of it.
 """

@@ -1,8 +1,8 @@
-"""What no search can do better: policies that go by the simulator's truth.
+"""Oracle policies: upper bounds that use the simulator's ground truth.
 
-Evaluations hand them the `world` that they ask for; a robot whose configuration names one is
-refused at the start. They turn on the spot (`policy.look_round`) wherever that shows anything: it
-costs no way, and the way is what SPL counts.
+An evaluation passes them the simulator's `world`. A robot refuses a configuration that names one.
+They spin (`policy.look_round`) if that shows anything: SPL counts only the path, and a spin
+adds none.
 """
 
 from __future__ import annotations
@@ -21,19 +21,21 @@ from edge.policies.base import INSTANCE, LOOK, Candidates, Context, Why
 from edge.policies.search import Search
 
 FAR_M = 1e3
-"""The way where there is none."""
+"""Distance if there is no path."""
 ELSEWHERE = 1e-6
-"""Scores outside the target's rooms are so much smaller than within: they only lead there."""
+"""Factor on scores outside the target's rooms: below all scores inside, they only lead there."""
 
 
 class KnownPlace:
-    """Goes to the nearest target the shortest way, as if its place were known.
+    """Policy that drives the shortest path to the nearest target, as if its place were known.
 
-    Of each frontier it counts the way there, by the map, and on from there, by the floor plan. What
-    it then lacks is the controller's, the detector's and the stop's.
+    The cost of a frontier is the path to it, by the map, plus the path from there to the target, by
+    the floor plan. The SPL that is still missing is lost by the controller, the detector and the
+    stop decision.
 
     Args:
-        world: where the robot is.
+        world: the world that the robot is in.
+        robot_radius_m: radius of its footprint.
     """
 
     def __init__(self, world: World, robot_radius_m: float) -> None:
@@ -46,15 +48,18 @@ class KnownPlace:
         if target not in self._left_m:
             self._left_m[target] = self._to_go_m(target)
         way_m = _path_m(candidates) + _at(self._world, self._left_m[target], candidates)
-        way_m[candidates.kind[: candidates.n] == LOOK] = 0.0  # to turn is no way
+        way_m[candidates.kind[: candidates.n] == LOOK] = 0.0  # a spin adds no path
         return _instances_first(self._world, context, 1.0 / (1.0 + way_m))
 
     def reset(self, why: Why) -> None:
-        """It remembers nothing."""
+        """Do nothing: the policy has no state."""
 
     def _to_go_m(self, target: str) -> np.ndarray:
-        """(rows, columns) float64 on the plan's raster: to where a target is near, and in the same
-        room."""
+        """Return the distance to the nearest place that is near a target and in its room.
+
+        Returns:
+            (rows, columns) float64 on the plan's raster.
+        """
         plan, near = self._world.plan, None
         for thing in named(self._world, target):
             close = geodesic.near(plan, [thing], self._radius_m, REACHED_M)
@@ -66,18 +71,19 @@ class KnownPlace:
 
 
 class KnownRoom:
-    """Goes the shortest way to a room that holds a target, and searches there as `search` does.
+    """Policy that drives to a room with a target and searches there as `search` does.
 
     Args:
-        world: where the robot is.
+        world: the world that the robot is in.
+        robot_radius_m: radius of its footprint.
 
     Raises:
-        ValueError: nobody knows the world's rooms.
+        ValueError: the world has no room data.
     """
 
     def __init__(self, world: World, robot_radius_m: float) -> None:
         if not world.rooms:
-            raise ValueError(f"{world.name}: nobody knows its rooms")
+            raise ValueError(f"{world.name}: the world has no room data")
         self._world, self._radius_m = world, robot_radius_m
         self._search = Search(PolicySearch())
         self._left_m: dict[str, np.ndarray] = {}
@@ -90,29 +96,37 @@ class KnownRoom:
         left_m = _at(self._world, self._left_m[target], candidates)
         leads = ELSEWHERE / (1.0 + _path_m(candidates) + left_m)
         kind = candidates.kind[: candidates.n]
-        leads[kind == LOOK] = ELSEWHERE  # to turn is no way
+        leads[kind == LOOK] = ELSEWHERE  # a spin adds no path
         score = np.where(left_m == 0.0, self._search.score(replace(context, prior=None)), leads)
         return _instances_first(self._world, context, score)
 
     def reset(self, why: Why) -> None:
-        """It remembers nothing."""
+        """Do nothing: the policy has no state."""
 
     def _to_go_m(self, target: str) -> np.ndarray:
-        """(rows, columns) float64 on the plan's raster: to the nearest room with a target."""
+        """Return the distance to the nearest room with a target.
+
+        Returns:
+            (rows, columns) float64 in metres on the plan's raster.
+        """
         held = {room_of(self._world, thing) for thing in named(self._world, target)} - {None}
         free = self._world.plan.clearance_m > self._radius_m
         return everywhere(self._world, inside(self._world, sorted(held)) & free, self._radius_m)
 
 
 def everywhere(world: World, goal: np.ndarray | None, robot_radius_m: float) -> np.ndarray:
-    """Metres to drive to the nearest goal, also of places where no robot fits, such as beside a
-    wall: there it is as far as from the nearest where one does.
+    """Return the driving distance from every cell to the nearest goal cell.
+
+    A cell where the robot does not fit, such as one next to a wall, gets the distance of the
+    nearest cell where it does.
 
     Args:
-        goal: (rows, columns) bool; None: there is none.
+        world: its floor plan is used.
+        goal: (rows, columns) bool; None: there is no goal.
+        robot_radius_m: radius of the robot's footprint.
 
     Returns:
-        (rows, columns) float64; `FAR_M` everywhere where no way leads there.
+        (rows, columns) float64 in metres; `FAR_M` everywhere if no path leads to a goal.
     """
     plan = world.plan
     free = plan.clearance_m > robot_radius_m
@@ -133,7 +147,7 @@ def everywhere(world: World, goal: np.ndarray | None, robot_radius_m: float) -> 
 
 
 def room_of(world: World, thing: WorldObject) -> Room | None:
-    """The room that a thing stands in, or is nearest to; None where nobody knows the rooms."""
+    """Return the room that an object stands in or is nearest to; None without room data."""
     x, y = thing.center_m[:2]
     return min(world.rooms, key=lambda room: _away_m(room, x, y), default=None)
 
@@ -146,7 +160,7 @@ def _away_m(room: Room, x_m: float, y_m: float) -> float:
 
 
 def inside(world: World, rooms: list[Room]) -> np.ndarray:
-    """(rows, columns) bool on the plan's raster: whether a place is in one of the rooms."""
+    """Return (rows, columns) bool on the plan's raster: True inside one of the rooms."""
     grid = world.plan.grid
     found = np.zeros(grid.cells.shape, bool)
     for x0, y0, x1, y1 in (rectangle for room in rooms for rectangle in room):
@@ -162,14 +176,14 @@ def _path_m(candidates: Candidates) -> np.ndarray:
 
 
 def _at(world: World, left_m: np.ndarray, candidates: Candidates) -> np.ndarray:
-    """(n,) float64, of a field at the candidates; off the plan: at its edge."""
+    """Return the field at each candidate, (n,) float64; outside the plan, at its edge."""
     cells = world.plan.grid.of_metres(candidates.xy_m[: candidates.n].astype(np.float64))
     col, row = np.floor(cells).astype(int).T
     return left_m[np.clip(row, 0, len(left_m) - 1), np.clip(col, 0, left_m.shape[1] - 1)]
 
 
 def _instances_first(world: World, context: Context, score: np.ndarray) -> np.ndarray:
-    """With scores of instances: the nearer by path the better, and none for what is no target."""
+    """Set the scores of instance candidates, in place: 1 / (1 + path) for a true target, else 0."""
     candidates, path_m = context.candidates, _path_m(context.candidates)
     things = named(world, context.target)
     for k in np.flatnonzero(candidates.kind[: candidates.n] == INSTANCE).tolist():

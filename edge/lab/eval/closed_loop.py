@@ -1,4 +1,4 @@
-"""Robot, controller and service in one process and one thread: exact, fast, no Zenoh."""
+"""Robot, controller and service in one process and one thread: exact, fast, without Zenoh."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from edge.lab.sim.worlds import load_world
 from edge.loop.result import Sink, TickResult
 from edge.loop.scorers import make_scorers
 from edge.loop.service import Service
+from edge.memory import Site, SiteFile
 from edge.perception.detection.sim import Segmentation
 from edge.perception.factory import make_detector
 from edge.perception.masks.masker import make_masker
@@ -30,7 +31,7 @@ START_NS = 1_000_000_000
 
 
 class Notes:
-    """Everything a run said."""
+    """Sink that collects the goals, events and goal statuses of a run."""
 
     def __init__(self) -> None:
         self.goals: list[Goal] = []
@@ -44,28 +45,35 @@ class Notes:
         self.events += (event.text for event in result.events)
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Do nothing: there is nothing to release."""
 
 
 @dataclass
 class ClosedLoop:
-    """A simulated robot that obeys a service; `step` is one tick and what follows from it.
+    """A simulated robot that obeys a service. Each `step` is one tick with its consequences.
 
-    What is done when is what `edge sim` and `edge run` do in lockstep over Zenoh: the service's
-    tick, the map and the goal to the controller, its answers to the service, and its command to
-    the robot. Scorers and planners answer in the tick where `loop.lockstep` is set.
-    A policy of one's own may ask for the simulator's truth, `world` and `robot_radius_m`
-    (`edge.lab.eval.bounds`).
+    The order is that of `edge sim` and `edge run` in lockstep over Zenoh: the service's tick; the
+    map and the goal to the controller; its goal statuses to the service; its velocity command to
+    the robot. If `loop.lockstep` is set, scorers and planners answer within the tick. A policy
+    plugin may ask for the simulator's `world` and `robot_radius_m` (`edge.lab.eval.bounds`).
 
-    Args:
-        sinks: take each tick's result, as they would in a service.
-        world: where `config` was already used to load it; None: `sim.world` is loaded.
-        task: in the place of the configuration's mission (`edge.tasks.brief`).
-        colour: False: no pictures are taken, depth and object ids only, which is quicker; for
-            detectors and scorers that need none (see `wants_colour`).
+    Attributes:
+        notes: collects the goals, events and goal statuses.
+        sinks: more sinks; each gets the result of each tick, as in a service.
+        world: the world, already loaded with `config`; None: load `sim.world`.
+        colour: False: render only depth and object ids, which is faster. Only for detectors and
+            scorers that need no colour (see `wants_colour`).
+        task: replaces the configuration's mission (`edge.tasks.brief`).
+        site: places and zones at the start.
 
     Raises:
         edge.errors.UserError: the world, the mission, a model or the start cannot be used.
+
+    Example:
+        >>> from edge.config import load
+        >>> loop = ClosedLoop(load("demo"), colour=False).run(2.0)
+        >>> round(loop.seconds, 1)
+        2.0
     """
 
     config: Config
@@ -74,6 +82,7 @@ class ClosedLoop:
     world: World | None = None
     colour: bool = True
     task: str | None = None
+    site: Site = field(default_factory=Site)
 
     def __post_init__(self) -> None:
         config = self.config
@@ -83,26 +92,29 @@ class ClosedLoop:
         self.rig = CameraRig(config, world, self.colour)
         self.lidar = None if config.sensors.lidar is None else LidarRig(config, world)
         self.labels = tuple(o.label for o in world.objects)
-        brief = prepared(config, self.task)
+        brief = prepared(config, self.task, self.site)
         masker = make_masker(config.perception, timed=False)
-        detector = make_detector(config.perception, brief.targets, truth=self.truth)
+        detector = make_detector(config.perception, brief.prompts, truth=self.truth)
         self.worker = DetectorWorker(detector, True, masker)
-        self.scorers = make_scorers(config, brief.targets)
+        self.scorers = make_scorers(config, brief.prompts)
         sinks = [self.notes, *self.sinks]
         truth = {"world": world, "robot_radius_m": config.robot.radius_m}
         policy = make_policy(config.policy, config.origin("policy"), truth)
-        self.service = Service(config, brief, self.worker, policy, sinks, scorers=self.scorers)
+        self.service = Service(
+            config, brief, self.worker, policy, sinks, scorers=self.scorers,
+            site=SiteFile(site=self.site),
+        )  # fmt: skip
         self.controller = Controller(config)
         self._seq = 0
         self._map_due_ns = 0
         self._map_period_ns = int(1e9 / config.report.map_hz)
 
     def truth(self, stamp_ns: int) -> Segmentation:
-        """What the last picture shows."""
+        """Return the object ids of the last rendered picture."""
         return Segmentation(self.rig.ids, self.labels)
 
     def observe(self) -> Observation:
-        """Look from where the robot stands; the arrays are those of the rigs, until the next."""
+        """Render an observation at the robot's pose. Its arrays are valid until the next call."""
         motion, cloud = self.drive.motion, {}
         self.rig.look(motion.pose)
         if self.lidar is not None:
@@ -116,7 +128,7 @@ class ClosedLoop:
         )  # fmt: skip
 
     def step(self) -> None:
-        """See, choose, drive for `sim.step_s`."""
+        """Observe, run one tick, and drive for `sim.step_s`."""
         motion, now_ns = self.drive.motion, self.drive.motion.stamp_ns
         before, observation = len(self.notes.goals), self.observe()
         self.service.latency.begin_tick(perf_counter_ns())
@@ -137,41 +149,41 @@ class ClosedLoop:
 
     @property
     def seconds(self) -> float:
-        """Simulated time since the start."""
+        """Simulated time since the start [s]."""
         return 1e-9 * (self.drive.motion.stamp_ns - START_NS)
 
     def run(self, seconds: float) -> ClosedLoop:
-        """Step until the mission is over or time is up."""
+        """Step until the mission ends or `seconds` of simulated time have passed."""
         end_ns = START_NS + int(seconds * 1e9)
         while self.drive.motion.stamp_ns < end_ns and not self.service.status.done:
             self.step()
         return self
 
     def close(self) -> None:
-        """Needed where a model has a process or scorers run beside the loop."""
+        """Stop model processes and scorer threads, if there are any."""
         self.service.close()
         self.worker.close()
         if self.scorers is not None:
             self.scorers.close()
 
     def distance_m(self, label: str) -> float:
-        """True distance to the nearest footprint of that label."""
+        """Return the true distance to the nearest footprint of an object with this label."""
         pose = self.drive.motion.pose
         return min(o.distance_m(pose.x_m, pose.y_m) for o in self.world.objects if o.label == label)
 
 
 def wants_colour(config: Config) -> bool:
-    """Whether anything that the configuration names looks at the pictures' colours."""
+    """Return True if any configured part uses the colours of the pictures."""
     perception = config.perception
     scored = perception.similarity is not None or perception.choice.kind in ("openai", "onnx")
-    # One's own may look at the image; those in `edge` (`edge.lab.eval.bounds`) do not.
+    # A plugin may use the image. The policies of `edge` (`edge.lab.eval.bounds`) do not.
     own = isinstance(config.policy, PolicyOwn) and not config.policy.kind.startswith("edge.")
     masked = perception.segmenter.kind != "none"
     return scored or masked or own or perception.detector.kind != "sim"
 
 
 def blank_observation(seq: int, stamp_ns: int, pose: SE2, loop: ClosedLoop) -> Observation:
-    """Return a frame of a working camera of which the map takes nothing: all is too near."""
+    """Return a frame of a working camera that adds nothing to the map: every pixel is too near."""
     depth = np.full(loop.rig.depth_m.shape, 0.01, np.float32)
     rgb = np.zeros((*depth.shape, 3), np.uint8)
     rgb[len(rgb) // 2 :] = 255

@@ -1,4 +1,7 @@
-"""Columns of an evaluation: a name, and what of the configuration is different in it."""
+"""Experiment arms: named changes of a configuration that an evaluation compares.
+
+On the command line (`--column`), in files and on pages an arm is called a column.
+"""
 
 from __future__ import annotations
 
@@ -15,17 +18,19 @@ from edge.errors import ConfigError
 from edge.text import one_line
 
 Data = dict[str, Any]
-"""A configuration, or part of one, as YAML would have it."""
+"""A configuration, or a part of one, as read from YAML."""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A way to run episodes.
+    """An experiment arm: one configuration to run episodes with.
 
     Attributes:
+        name: given by the user.
         base: the configuration that `settings` change.
-        id: a hash of the whole configuration: another one when anything in it changes.
-        path: where the base came from, for messages.
+        settings: the changes.
+        id: hash of the whole configuration; any change gives another id.
+        path: source of `base`, for messages.
     """
 
     name: str
@@ -35,19 +40,20 @@ class Column:
     path: str
 
 
-# What the episode says, and what differs from run to run.
+# Set by the episode, or different in each run.
 _NOT_HASHED = {"path": True, "zenoh": True, "sim": {"world", "start", "lockstep"}}
 
 
 def make_columns(config: Config, columns: Mapping[str, Data]) -> list[Column]:
-    """Check and name the columns; with none, the configuration itself is the only one.
+    """Check and build the arms.
 
     Args:
-        columns: by name, the settings that change `config`; a column's own `config` names another
-            configuration to change.
+        config: the configuration to change.
+        columns: the settings of each arm, by its name. The key `config` in an arm names another
+            configuration to change. Empty: the only arm is `config` itself.
 
     Raises:
-        ConfigError: the settings of one do not make a configuration.
+        ConfigError: an arm's settings do not give a valid configuration.
     """
     columns = columns or {config.policy.kind: {}}
     return [_column(name, config, dict(settings)) for name, settings in columns.items()]
@@ -66,12 +72,12 @@ def _column(name: str, config: Config, settings: Data) -> Column:
 
 
 def data_of(config: Config) -> Data:
-    """All of a configuration: so that a column can change a part of what is there by default."""
+    """Return all values of a configuration, with defaults, so that an arm can change any part."""
     return config.model_dump(mode="json", exclude={"path"})
 
 
 def merged(*parts: Mapping[str, Any]) -> Data:
-    """Sections laid over each other, the last on top; one of another `kind` replaces the one below.
+    """Merge sections, the last on top. A section with another `kind` replaces the one below.
 
     >>> merged({"policy": {"kind": "hvl", "w_vl": 2}}, {"policy": {"w_dist": 1}})
     {'policy': {'kind': 'hvl', 'w_vl': 2, 'w_dist': 1}}
@@ -91,14 +97,14 @@ def merged(*parts: Mapping[str, Any]) -> Data:
     return result
 
 
-# -- as they are given ----------------------------------------------------------------------------
+# -- from files and options -----------------------------------------------------------------------
 
 
 def read_columns(path: Path) -> dict[str, Data]:
-    """The columns of a YAML file: a section of settings for each name.
+    """Read arms from a YAML file: a section of settings for each name.
 
     Raises:
-        ConfigError: it cannot be read, or is no such file.
+        ConfigError: the file cannot be read or has another form.
     """
     data = read_yaml(path)
     if not isinstance(data, dict) or not data:
@@ -110,13 +116,13 @@ def read_columns(path: Path) -> dict[str, Data]:
 
 
 def parse_column(words: Sequence[str]) -> tuple[str, Data]:
-    """A column as `NAME KEY=VALUE …`, keys with dots, values in YAML.
+    """Parse an arm written as `NAME KEY=VALUE …`: keys with dots, values in YAML.
 
     >>> parse_column(["search", "policy.kind=search", "perception.detector={kind: sim}"])
     ('search', {'policy': {'kind': 'search'}, 'perception': {'detector': {'kind': 'sim'}}})
 
     Raises:
-        ConfigError: a setting is not of that form.
+        ConfigError: a setting has another form.
     """
     name, *settings = words
     data: Data = {}

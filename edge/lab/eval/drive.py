@@ -1,4 +1,4 @@
-"""One episode, driven: in this process, or with simulator and controller as processes."""
+"""One episode, run in this process or with simulator and controller as processes."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from edge.loop.warmup import warm_up
 if TYPE_CHECKING:
     import zenoh
 
-SPARE = 1.1  # of the mission's time limit: when an episode ends whatever the mission thinks
-_LATE_S = 5.0  # for which the simulator's word on an instant is waited, over Zenoh
+SPARE = 1.1  # factor on the mission's time limit after which every episode ends
+_LATE_S = 5.0  # longest wait for the simulator's ground truth, over Zenoh
 _POLL_S = 0.001
 _KEPT = 64
 
 Drive = Callable[[Config, World, Path | None, threading.Event], tuple[Witness, LatencyReport]]
-"""Runs an episode to its end, or until it is told to stop; writes a report where a folder is given.
+"""Runs an episode to its end or until the event is set. Writes a report if a folder is given.
 
 Raises:
-    Stopped: it was told to stop before its end.
+    Stopped: the event was set before the end.
 """
 
 
@@ -50,15 +50,17 @@ def run_episode(
     page: Path | None = None,
     stop: threading.Event | None = None,
 ) -> Outcome:
-    """One episode of one column; whatever goes wrong in it is its outcome.
+    """Run one episode with one arm. An error during the run gives a "crashed" outcome.
 
     Args:
+        column: the arm.
+        episode: the episode.
         drive: `in_process` or `over_zenoh`.
-        page: a folder for a report of the run; None: none is written.
-        stop: breaks it off.
+        page: folder for a report of the run; None: no report.
+        stop: ends the run early.
 
     Raises:
-        Stopped: it was broken off.
+        Stopped: `stop` was set.
     """
     began_s = time.monotonic()
     try:
@@ -74,11 +76,13 @@ def run_episode(
 
 
 def config_of(column: Column, episode: Episode) -> Config:
-    """What an episode of a column runs with: in lockstep, every model in the service's process and
-    on one thread, so that no real time decides anything.
+    """Return the configuration of an episode with an arm.
+
+    It runs in lockstep, with every model in the service's process and on one thread, so that the
+    result does not depend on real time.
 
     Raises:
-        ConfigError: the episode's world or sensors are not what a configuration may hold.
+        ConfigError: the episode's world or sensors are not valid in a configuration.
     """
     data = merged(column.base, episode.sensing, column.settings, _LOCKSTEP, episode.settings)
     data["sim"]["world"] = episode.world
@@ -100,7 +104,7 @@ _LOCKSTEP: Data = {
 def in_process(
     config: Config, world: World, page: Path | None, stop: threading.Event
 ) -> tuple[Witness, LatencyReport]:
-    """See `Drive`: one thread, no Zenoh."""
+    """Run an episode in one thread, without Zenoh. See `Drive`."""
     _warmed(config.policy.model_dump_json(), config)
     witness = Witness(config, world, lambda stamp_ns: _truth_of(loop))
     recorder = None if page is None else Recorder(config)
@@ -113,7 +117,7 @@ def in_process(
             if service.status.done:
                 break
             if stop.is_set():
-                raise Stopped("told to stop")
+                raise Stopped("stopped on request")
             loop.step()
         if page is not None and recorder is not None:
             write_report(recorder.record(service.result(), {}), page)
@@ -126,7 +130,7 @@ _ready: set[str] = set()
 
 
 def _warmed(policy: str, config: Config) -> None:
-    """Compile what the loop calls, once a process and policy: no tick is to be timed with that."""
+    """Compile the loop's kernels, once a process and policy, so that no timed tick includes it."""
     if policy not in _ready:
         warm_up(config)
         _ready.add(policy)
@@ -144,7 +148,7 @@ def _truth_of(loop: ClosedLoop) -> Truth:
 def over_zenoh(
     config: Config, world: World, page: Path | None, stop: threading.Event
 ) -> tuple[Witness, LatencyReport]:
-    """See `Drive`: the service in this process, simulator and controller in two children."""
+    """Run an episode with simulator and controller as two child processes. See `Drive`."""
     from edge.launch import children, on_a_free_port, open_service
     from edge.loop.runner import loop
 
@@ -153,16 +157,16 @@ def over_zenoh(
     recorder = Recorder(config)
     with open_service(config, [witness, recorder], stop=stop) as running:
         truth = TrueMotion(running.session, config)
-        over = threading.Event()  # which a child that ends by itself sets, too
+        over = threading.Event()  # also set if a child ends by itself
 
-        def heed() -> None:
+        def check_stop() -> None:
             if stop.is_set():
                 over.set()
 
         with children(config, over, ("sim", "--no-motion"), ("sim", "--motion-only")):
-            loop(running, over, once=True, each=heed)
+            loop(running, over, once=True, each=check_stop)
         if stop.is_set():
-            raise Stopped("told to stop")
+            raise Stopped("stopped on request")
         if page is not None:
             record = recorder.record(running.service.result(), running.source.counters)
             write_report(record, page)
@@ -170,7 +174,7 @@ def over_zenoh(
 
 
 class TrueMotion:
-    """The simulator's own account of where the robot is and what it sees, by instants."""
+    """Ground truth from the simulator over Zenoh: the robot's pose and the object ids, by stamp."""
 
     def __init__(self, session: zenoh.Session, config: Config) -> None:
         from edge.bus import topics
@@ -182,9 +186,10 @@ class TrueMotion:
         self._heard: dict[int, dict[str, Any]] = {}
 
     def at(self, stamp_ns: int) -> Truth:
-        """
+        """Wait for the ground truth of a stamp and return it.
+
         Raises:
-            UserError: the simulator did not tell.
+            UserError: it did not arrive in time.
         """
         until_s = time.monotonic() + _LATE_S
         while True:
@@ -195,14 +200,16 @@ class TrueMotion:
             if stamp_ns in self._heard and picture is not None:
                 break
             if time.monotonic() > until_s:
-                raise UserError(f"the simulator said nothing of t = {stamp_ns * 1e-9:.2f} s")
+                raise UserError(
+                    f"no ground truth from the simulator for t = {stamp_ns * 1e-9:.2f} s"
+                )
             time.sleep(_POLL_S)
         data = self._heard[stamp_ns]
         self._heard = {t: heard for t, heard in self._heard.items() if t >= stamp_ns}
         return Truth(*data["pose"], data["path_m"], data["collisions"], picture.ids)
 
 
-# -- the verdict ----------------------------------------------------------------------------------
+# -- the outcome ----------------------------------------------------------------------------------
 
 
 def _outcome(
@@ -214,15 +221,17 @@ def _outcome(
     latency: LatencyReport,
     began_s: float,
 ) -> Outcome:
-    """
+    """Judge a finished run.
+
     Raises:
-        Exception: what went wrong in the witness; without its word there is no verdict.
+        Exception: the error that stopped the ground-truth logger. The run cannot be judged without
+            it.
     """
     if witness.fault is not None:
         raise witness.fault
     status, now = witness.status, witness.now
     if status is None or now is None:
-        raise UserError("not one observation came")
+        raise UserError("the service got no observation")
     failure, sight = witness.failure(status.target), witness.first_sight()
     away_m = left_m = None
     if episode.target is not None:
@@ -264,7 +273,7 @@ def _reason(witness: Witness, config: Config) -> str:
 
 
 def left_to(config: Config, world: World, target: str, x_m: float, y_m: float) -> float | None:
-    """Metres still to drive from a place until a target is reached; None where there is no way."""
+    """Return the metres left to drive from a place to a target; None if there is no path."""
     field = _field(world, target, config.robot.radius_m)
     left_m = geodesic.at(world.plan, field, x_m, y_m)
     return left_m if np.isfinite(left_m) else None

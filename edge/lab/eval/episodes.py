@@ -1,7 +1,7 @@
-"""Episodes: a thing to find or a mission, in a world, from a start; planned once, run by anyone.
+"""Episodes: a target or a mission, in a world, from a start. Planned once, then run with any arm.
 
-A file of them (JSON lines) holds all that a rerun needs: the world's section, the start, what to
-do, the shortest way, and with what sensors.
+A file of episodes (JSON lines) holds all that a rerun needs: the world's section, the start, the
+task, the shortest path, and the sensors.
 """
 
 from __future__ import annotations
@@ -37,21 +37,26 @@ COMMON = (
     "dining table", "chest of drawers", "refrigerator", "countertop", "trash can", "tv stand",
     "floor lamp", "armchair", "shelf", "side table",
 )  # fmt: skip
-"""`--targets common`: the six of ObjectNav, and the ten large things (at least 0.5 m, 0.09 m³) that
-most houses of `procthor_train` have."""
+"""Targets of `--targets common`.
+
+The six of ObjectNav, and the ten large objects (at least 0.5 m, 0.09 m³) that most houses of
+`procthor_train` have.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """One thing to do; exactly one of `target` and `instruction` is not None.
+    """One task; exactly one of `target` and `instruction` is not None.
 
     Attributes:
-        id: unique, and another one when anything else here changes.
+        id: unique; changes with any other field.
         world: `sim.world` of the configuration.
         start: x and y [m], yaw [rad], in `map`.
-        shortest_m: that a robot has to drive, by ground truth.
-        sensing: sections `robot`, `sensors` and `sim` that every column runs with, unless it is a
-            column's point to change them.
+        target: name of the object to find.
+        instruction: text of the mission.
+        shortest_m: shortest path to success, by ground truth.
+        sensing: sections `robot`, `sensors` and `sim`, the same for every arm, unless an arm
+            changes them.
     """
 
     id: str
@@ -64,7 +69,7 @@ class Episode:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What it asks of a configuration, besides `sensing`."""
+        """Settings that the episode adds to a configuration, without `sensing`."""
         asked = {"target": self.target} if self.instruction is None else {}
         mission = {**asked, "instruction": self.instruction, "checkpoint": None}
         return {"mission": mission, "sim": {"start": list(self.start)}}
@@ -79,10 +84,9 @@ def make_episode(
     target: str | None = None,
     instruction: str | None = None,
 ) -> Episode:
-    """An episode, with an id that people can read and that its content gives.
+    """Build an episode. Its id is readable and includes a hash of the content.
 
-    Args:
-        name: of the world.
+    `name` is the world's name.
     """
     content = [world, start, target, instruction, sensing]
     code = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
@@ -91,7 +95,7 @@ def make_episode(
 
 
 def sensing_of(config: Config) -> dict[str, Any]:
-    """What all columns of an evaluation have in common: robot, sensors, and their noise."""
+    """Return the settings that all arms share: the robot, its sensors, and their noise."""
     sensing = config.model_dump(mode="json", include={"robot", "sensors", "sim"})
     for key in ("world", "start", "lockstep"):
         del sensing["sim"][key]
@@ -99,10 +103,10 @@ def sensing_of(config: Config) -> dict[str, Any]:
 
 
 def objects_of(world: World, target: str) -> list[WorldObject]:
-    """The world's objects that a target's name means.
+    """Return the world's objects with this name.
 
     Raises:
-        UserError: there are none; lists what there is.
+        UserError: there are none; the message lists what there is.
     """
     found = [o for o in world.objects if names.same(o.label, target)]
     if not found:
@@ -120,17 +124,21 @@ def plan(
     min_distance_m: float,
     per_world: int | None = None,
 ) -> list[Episode]:
-    """Seeded starts for targets in worlds.
+    """Plan episodes: seeded starts for targets in worlds.
 
     Args:
-        worlds: sections `sim.world`; empty: the configuration's own world, which must have every
-            target and as many starts. In several, what one lacks is left out there, and told is
-            one that is left out since no robot fits where it starts.
-        starts: of each target in each world, at least `min_distance_m` of driving from it.
-        per_world: at most so many episodes a world, of targets drawn at random.
+        config: gives the robot and its sensors.
+        worlds: sections `sim.world`. Empty: the configuration's own world, which must have every
+            target and `starts` starts for each. In several worlds, a missing target is skipped. A
+            world whose own start has no room for the robot is skipped with a warning.
+        targets: names of objects.
+        starts: number of starts for each target in each world.
+        seed: of the random starts.
+        min_distance_m: shortest allowed path from a start to its target.
+        per_world: at most this number of episodes in a world, drawn at random.
 
     Raises:
-        UserError: a world cannot be loaded, or there is nothing to do at all.
+        UserError: a world cannot be loaded, or no episode is possible.
     """
     episodes: list[Episode] = []
     for where in _places(config, worlds):
@@ -141,13 +149,13 @@ def plan(
         try:
             found = _in_world(where, present, starts, seed, min_distance_m, strict=False)
         except WorldError as error:
-            log.warning("left out: %s", error)
+            log.warning("world skipped: %s", error)
             continue
         episodes += _drawn(found, per_world, seed, where.world.name)
     if targets and not episodes:
         raise UserError(
-            f"none of the worlds has any of the targets {min_distance_m:g} m of driving away: "
-            "name others with --targets, or a smaller --min-distance"
+            f"no world has any of the targets at a driving distance of {min_distance_m:g} m or "
+            "more: choose other --targets or a smaller --min-distance"
         )
     return episodes
 
@@ -160,20 +168,22 @@ def plan_missions(
     seed: int,
     min_distance_m: float,
 ) -> list[Episode]:
-    """Missions with several targets, seeded, each from a start of its own (ViTL V-D).
+    """Plan seeded missions with several targets, each from its own start (ViTL V-D).
 
     Args:
+        config: gives the robot and its sensors.
         worlds: sections `sim.world`; empty: the configuration's own world.
-        targets: what missions may name, of what a world has.
-        count: at most so many missions a world.
-        min_distance_m: the least that a mission takes to drive.
+        targets: names that missions may use, if the world has them.
+        count: at most this number of missions in a world.
+        seed: of the random missions and starts.
+        min_distance_m: shortest allowed path of a mission.
 
     Raises:
-        UserError: a world cannot be loaded, or there is no mission at all.
+        UserError: a world cannot be loaded, or no mission is possible.
     """
     episodes: list[Episode] = []
     for place, (world, section, sensing, radius_m) in enumerate(_places(config, worlds)):
-        own = seed + 1_000_000 * place  # no two worlds are asked for the same missions
+        own = seed + 1_000_000 * place  # other missions in each world
         found = missions.plan_missions(world, targets, count, own, radius_m, min_distance_m)
         episodes += [
             make_episode(
@@ -184,14 +194,14 @@ def plan_missions(
         ]  # fmt: skip
     if not episodes:
         raise UserError(
-            f"none of the worlds has two of the targets and {min_distance_m:g} m to drive for "
-            "them: name others with --targets, or a smaller --min-distance"
+            f"no world has two of the targets with a shortest path of {min_distance_m:g} m or "
+            "more: choose other --targets or a smaller --min-distance"
         )
     return episodes
 
 
 class Where(NamedTuple):
-    """A world, its section of the configuration, and who is to drive there."""
+    """A loaded world, its section of the configuration, the sensing settings, the robot radius."""
 
     world: World
     section: dict[str, Any]
@@ -200,7 +210,7 @@ class Where(NamedTuple):
 
 
 def _places(config: Config, worlds: Sequence[dict[str, Any]]) -> Iterator[Where]:
-    """The worlds of these sections; without any, the configuration's own."""
+    """Load the worlds of these sections, or the configuration's own if there are none."""
     sensing, radius_m = sensing_of(config), config.robot.radius_m
     if not worlds:
         section = config.sim.world.model_dump(mode="json")
@@ -219,7 +229,7 @@ def _in_world(
     min_distance_m: float,
     strict: bool,
 ) -> list[Episode]:
-    """Episodes in one world; `strict`: every target has as many starts as asked for."""
+    """Plan episodes in one world. With `strict`, every target must have `starts` starts."""
     world, section, sensing, radius_m = where
     episodes: list[Episode] = []
     for k, target in enumerate(counted("targets", targets) if strict else targets):
@@ -243,7 +253,7 @@ def _in_world(
 
 
 def _drawn(episodes: list[Episode], count: int | None, seed: int, name: str) -> list[Episode]:
-    """At most `count` of a world's episodes, drawn at random, in their order."""
+    """Draw at most `count` of a world's episodes at random, and keep their order."""
     if count is None or len(episodes) <= count:
         return episodes
     rng = np.random.default_rng([seed, *name.encode()])
@@ -254,20 +264,20 @@ def _drawn(episodes: list[Episode], count: int | None, seed: int, name: str) -> 
 
 
 def write(path: Path, episodes: Iterable[Episode]) -> None:
-    """One JSON line an episode.
+    """Write one JSON line for each episode.
 
     Raises:
-        FileError: it cannot be written.
+        FileError: the file cannot be written.
     """
     save(path, "".join(f"{json.dumps(asdict(episode))}\n" for episode in episodes).encode())
 
 
 def read(path: Path) -> list[Episode]:
-    """The episodes of a file that `write` wrote.
+    """Read the episodes of a file that `write` wrote.
 
     Raises:
-        FileError: it cannot be read.
-        UserError: a line is no episode, or two have one id.
+        FileError: the file cannot be read.
+        UserError: a line is not an episode, or two episodes have the same id.
     """
     try:
         lines = read_regular(path, MAX_BYTES).splitlines()
@@ -283,15 +293,16 @@ def read(path: Path) -> list[Episode]:
             why = f"no {error}" if isinstance(error, KeyError) else one_line(error)
             raise UserError(f"{path}: line {number}: not an episode: {why}") from None
         if episode.id in episodes:
-            raise UserError(f"{path}: line {number}: a second {one_line(episode.id)}")
+            raise UserError(f"{path}: line {number}: duplicate id {one_line(episode.id)}")
         episodes[episode.id] = episode
     return list(episodes.values())
 
 
 def parse_episode(data: dict[str, Any]) -> Episode:
-    """
+    """Build an episode from its JSON object.
+
     Raises:
-        KeyError, TypeError, ValueError: what is missing or wrong.
+        KeyError, TypeError, ValueError: a field is missing or wrong.
     """
     x, y, yaw = (float(value) for value in data["start"])
     target, instruction = data["target"], data.get("instruction")
@@ -299,7 +310,7 @@ def parse_episode(data: dict[str, Any]) -> Episode:
         raise ValueError("target or instruction: expected a text")
     shortest_m = float(data["shortest_m"])
     if not 0.0 <= shortest_m < math.inf:
-        raise ValueError("shortest_m: expected a length")
+        raise ValueError("shortest_m: expected a length in metres")
     world, sensing = data["world"], data.get("sensing", {})
     if not (isinstance(world, dict) and isinstance(sensing, dict)):
         raise ValueError("world and sensing: expected sections")

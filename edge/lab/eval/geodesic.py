@@ -1,4 +1,4 @@
-"""Shortest distances over a simulated world's floor plan: the reference of SPL."""
+"""Shortest driving distances on a simulated world's floor plan: the reference of SPL."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from edge.lab.sim.base import FloorPlan, WorldObject
 def distance_field(
     plan: FloorPlan, objects: list[WorldObject], robot_radius_m: float, within_m: float
 ) -> np.ndarray:
-    """Metres that a robot must drive from anywhere to come within `within_m` of any of the
-    objects' footprints.
+    """Return the distance that a robot must drive to come near any of the objects.
 
-    Shortest paths over the 8-connected raster of places where the robot fits.
+    Near means within `within_m` of an object's footprint. Paths are shortest over the 8-connected
+    raster of places where the robot fits.
 
     Returns:
-        (rows, columns) float64 on the plan's raster; inf where there is no way.
+        (rows, columns) float64 in metres on the plan's raster; inf if there is no path.
     """
     free = plan.clearance_m > robot_radius_m
     distance = np.where(near(plan, objects, robot_radius_m, within_m), 0.0, np.inf)
@@ -31,8 +31,10 @@ def distance_field(
 def near(
     plan: FloorPlan, objects: list[WorldObject], robot_radius_m: float, within_m: float
 ) -> np.ndarray:
-    """(rows, columns) bool: where a robot fits and is within `within_m` of any of the objects'
-    footprints."""
+    """Return (rows, columns) bool: True where the robot fits and is near any of the objects.
+
+    Near means within `within_m` of an object's footprint.
+    """
     free, cell_m = plan.clearance_m > robot_radius_m, plan.grid.resolution_m
     found = np.zeros(free.shape, bool)
     for item in objects:
@@ -49,25 +51,26 @@ def near(
 
 
 def _is_near(item: WorldObject, xy_m: np.ndarray, within_m: float) -> np.ndarray:
-    """(n,) bool: whether each of (n, 2) places is within `within_m` of an object's footprint."""
+    """Return (n,) bool for (n, 2) places: True within `within_m` of the object's footprint."""
     if item.footprint_m is not None:
         return any_within(xy_m, item.footprint_m, within_m)
     return np.array([item.distance_m(x, y) <= within_m for x, y in xy_m.tolist()], bool)
 
 
 def at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> float:
-    """The value of a field on the plan's raster at a point; inf outside."""
+    """Return the value of a field on the plan's raster at a point; inf outside."""
     cell = plan.grid.cell_of(x_m, y_m)
     return math.inf if cell is None else float(field[cell])
 
 
 @njit(nogil=True, cache=True)
 def any_within(xy_m, points_m, within_m):
-    """Whether any of the points is within `within_m` of each place.
+    """Return True for each place that has any of the points within `within_m`.
 
     Args:
         xy_m: (n, 2) float64 places.
         points_m: (k, 2) float32.
+        within_m: the distance.
 
     Returns:
         (n,) bool.
@@ -84,11 +87,11 @@ def any_within(xy_m, points_m, within_m):
 
 @njit(nogil=True, cache=True)
 def sweep(free, distance):
-    """Relax every free cell from its neighbours, there and back; whether anything changed.
+    """Relax every free cell from its neighbours, in both directions. Return True if any changed.
 
     Args:
         free: (rows, columns) bool.
-        distance: (rows, columns) float64 in cells, in place.
+        distance: (rows, columns) float64 in cells, changed in place.
     """
     rows, cols = free.shape
     changed = False

@@ -1,6 +1,7 @@
 """Confidence intervals at 95 %.
 
-Wilson's and Student's are SciPy's. Its bootstrap knows no clusters of ratios, so that is here.
+Wilson's interval and Student's quantiles come from SciPy. SciPy's bootstrap cannot resample
+clusters of ratios, so the bootstrap is here.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from scipy.special import ndtr, stdtrit
 
 Z = 1.959963984540054
 RESAMPLES = 10_000
-_CHUNK = 500  # resamples at a time: the memory that their weights take
+_CHUNK = 500  # resamples at a time, which limits the memory of their weights
 
 
 class Interval(NamedTuple):
-    """An estimate and its bounds; NaN where nothing was measured."""
+    """An estimate and its bounds; NaN if nothing was measured."""
 
     value: float
     low: float
@@ -25,7 +26,7 @@ class Interval(NamedTuple):
 
 
 def wilson(successes: int, n: int) -> Interval:
-    """A share, with Wilson's score interval (1927), which stays within [0, 1].
+    """Return a share with Wilson's score interval (1927), which stays within [0, 1].
 
     >>> [round(x, 3) for x in wilson(95, 100)]
     [0.95, 0.888, 0.978]
@@ -39,11 +40,12 @@ def wilson(successes: int, n: int) -> Interval:
 
 
 def ratio(numerators: np.ndarray, denominators: np.ndarray) -> Interval:
-    """A ratio of sums over independent pairs, its interval by the delta method.
+    """Return a ratio of sums over independent pairs, with its interval by the delta method.
 
     Args:
-        numerators, denominators: (n,), one pair a task. Pairing matters: what a task's
-            difficulty does to both cancels out.
+        numerators: (n,), one a task.
+        denominators: (n,), of the same tasks. Pairing matters: the effect of a task's difficulty on
+            both cancels out.
     """
     n = len(numerators)
     if n == 0 or denominators.sum() == 0:
@@ -63,20 +65,23 @@ def bootstrap(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> list[Interval]:
-    """Ratios of sums over clustered data, their intervals by resampling whole clusters.
+    """Return ratios of sums over clustered data, with intervals from resampled clusters.
 
-    A mean is the ratio of the values' sum to their number; a paired difference has differences
-    above and numbers below. The quantiles are those of the expanded percentile interval (Hesterberg
-    2015, "What teachers should know about the bootstrap"), which a few clusters do not make too
-    narrow. Every row is resampled alike, so that rows can be told apart from chance.
+    For a mean, the numerators are the values and the denominators are 1. For a paired difference,
+    the numerators are the differences. The quantiles are those of the expanded percentile interval
+    (Hesterberg 2015, "What teachers should know about the bootstrap"), which is not too narrow for
+    a few clusters. All rows use the same resamples.
 
     Args:
-        numerators, denominators: (k, n) float64, a row a ratio; 0 in both where something does not
-            count.
-        cluster: (n,) int from 0: what is not independent has the same number.
+        numerators: (k, n) float64, one row a ratio.
+        denominators: (k, n) float64. An entry that does not count is 0 in both arrays.
+        cluster: (n,) int from 0; entries that are not independent have the same number.
+        resamples: number of resamples.
+        seed: of the resamples.
 
     Returns:
-        k intervals; NaN bounds with fewer than two clusters, NaN where the denominators sum to 0.
+        k intervals. The bounds are NaN with fewer than two clusters; all is NaN if the denominators
+        sum to 0.
     """
     k, n = numerators.shape
     clusters = int(cluster.max()) + 1 if n else 0
@@ -92,7 +97,7 @@ def bootstrap(
 
 
 def _draws(sums: np.ndarray, k: int, resamples: int, seed: int) -> np.ndarray:
-    """(resamples, k) ratios of the sums of as many clusters, drawn with replacement."""
+    """Return (resamples, k) ratios of sums over clusters that are drawn with replacement."""
     rng, clusters = np.random.default_rng(seed), len(sums)
     draws = np.empty((resamples, k))
     for first in range(0, resamples if clusters else 0, _CHUNK):

@@ -1,8 +1,8 @@
 """Frames of SemanticKITTI (Behley et al., ICCV 2019), the paper's outdoor scenes (OpenNav IV).
 
-A folder is one sequence as KITTI's odometry benchmark lays it out: `image_2/`, `velodyne/`,
-`labels/`, `calib.txt`, `poses.txt`, `times.txt`, and `Tr_velo_to_cam0.txt` where `calib.txt` has
-no `Tr`. `map` has its origin on the road under the LiDAR at the first pose, x forward.
+A folder is one sequence in the layout of KITTI's odometry benchmark: `image_2/`, `velodyne/`,
+`labels/`, `calib.txt`, `poses.txt`, `times.txt`, and `Tr_velo_to_cam0.txt` if `calib.txt` has no
+`Tr`. The origin of `map` is on the road under the LiDAR at the first pose, x forward.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from edge.tasks.survey import OUTDOORS, Survey, usable
 from edge.types import MASK_SIDE, Detections, Observation
 
 LIDAR_HEIGHT_M = 1.73
-"""Over the road, as KITTI's makers give it."""
+"""Height over the road, as KITTI's authors give it."""
 CAR_RADIUS_M = 1.0
-"""Half of its width: nothing here turns on the spot."""
+"""Half the car's width. A circle is enough, as no trajectory here turns on the spot."""
 
 GROUND = {40: "road", 60: "road", 44: "parking", 48: "sidewalk", 49: "ground", 72: "terrain"}
-"""Label → kind of ground; 49 is "other-ground", 60 lane markings. Terrain is what may be grass."""
+"""Label → kind of ground. 49 is "other-ground", 60 lane markings; terrain may be grass."""
 GROUND_LABELS = tuple(dict.fromkeys(GROUND.values()))
 THINGS = {
     10: "car", 11: "bicycle", 13: "bus", 15: "motorcycle", 16: "train", 18: "truck",
@@ -42,22 +42,22 @@ THINGS = {
     258: "truck", 259: "vehicle",
 }  # fmt: skip
 MOVING = 250
-"""Labels from there on are of things that moved."""
+"""First label of moving objects."""
 PLANT, TRUNK, TREE_M = 70, 71, 3.0
-"""Vegetation that is as high, or over a trunk, is called a tree: scans end low above a near one."""
+"""Vegetation is a tree if it is `TREE_M` high or over a trunk: a scan of a near tree ends low."""
 REACH_M = {50: 1.5, 51: 1.0, 70: 0.8}
-"""Things without an instance of their own are told apart by gaps as wide, `REACH_ELSE_M` else."""
+"""Gap that separates two objects of a label without instances; else `REACH_ELSE_M`."""
 REACH_ELSE_M = 0.6
 LEAST_POINTS = 12
 LEAST_PX = 6
 _SKEW = 0.01
-"""So far may written numbers of a rotation be off."""
+"""Tolerance for rounded numbers of a rotation."""
 _DOTS_PX = 5, 9
-"""Width and height of gaps between returns of one surface in the picture, scan lines included."""
+"""Width and height of the gaps between returns of one surface in the picture, across scan lines."""
 
 
 class KittiError(UserError):
-    """A sequence that cannot be used: which file, and what is wrong with it."""
+    """A sequence that cannot be used; the message has the file and the problem."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,8 +66,8 @@ class Frame:
 
     Attributes:
         observation: image, cloud and pose; `seq` is the frame's number.
-        semantic: (n,) uint16, the label of each point of the cloud; 0: not labelled.
-        instance: (n,) uint16, which thing of its label; 0: not told apart.
+        semantic: (n,) uint16, label of each point of the cloud; 0: not labelled.
+        instance: (n,) uint16, number of the object within its label; 0: no instance known.
     """
 
     observation: Observation
@@ -76,7 +76,7 @@ class Frame:
 
     @property
     def ground_kind(self) -> np.ndarray:
-        """(n,) uint8, index into `GROUND_LABELS` plus 1; 0: not ground."""
+        """(n,) uint8: index into `GROUND_LABELS` plus 1; 0: not ground."""
         table = np.zeros(1 << 16, np.uint8)
         for label, name in GROUND.items():
             table[label] = GROUND_LABELS.index(name) + 1
@@ -84,8 +84,7 @@ class Frame:
 
 
 def frames_in(folder: Path, labelled: bool = True) -> list[int]:
-    """The numbers of the frames whose image, scan and (unless not `labelled`) labels are there,
-    ascending.
+    """Return the numbers of the frames with image, scan and (if `labelled`) labels, ascending.
 
     Raises:
         KittiError: there are none.
@@ -105,13 +104,15 @@ def frames_in(folder: Path, labelled: bool = True) -> list[int]:
 
 
 def read_frame(folder: Path, number: int, labelled: bool = True) -> Frame:
-    """A frame with its camera, scan, labels and pose.
+    """Read a frame with its camera, scan, labels and pose.
 
     Args:
-        labelled: False: its labels are not read, and need not be there.
+        folder: of the sequence.
+        number: of the frame.
+        labelled: False: the labels are not read and may be missing.
 
     Raises:
-        KittiError: a file is missing or is not what it should be.
+        KittiError: a file is missing or invalid.
     """
     calibration = _matrices(folder / "calib.txt")
     separate = folder / "Tr_velo_to_cam0.txt"
@@ -119,7 +120,7 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> Frame:
         calibration |= _matrices(separate)
     for key in ("P2", "Tr"):
         if key not in calibration:
-            raise KittiError(f"{folder / 'calib.txt'}: no {key}: of 12 numbers")
+            raise KittiError(f"{folder / 'calib.txt'}: expected a line `{key}:` with 12 numbers")
     poses, times = _table(folder / "poses.txt", 12), _table(folder / "times.txt", 1)
     if not 0 <= number < min(len(poses), len(times)):
         raise KittiError(
@@ -144,12 +145,12 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> Frame:
     height, width = bgr.shape[:2]
     try:
         camera = CameraModel(width, height, P2[0, 0], P2[1, 1], P2[0, 2], P2[1, 2])
-        beside_m = np.linalg.solve(P2[:, :3], P2[:, 3])  # P2 = K [I | t]
-    except ValueError as error:  # a matrix without an inverse is one too
+        offset_m = np.linalg.solve(P2[:, :3], P2[:, 3])  # P2 = K [I | t]
+    except ValueError as error:  # includes a matrix without an inverse
         raise KittiError(f"{path}: P2 of calib.txt: {error}") from None
     T_cam0_velo = _rigid(calibration["Tr"], folder / "calib.txt: Tr")
     T_cam2_cam0 = np.eye(4)
-    T_cam2_cam0[:3, 3] = beside_m
+    T_cam2_cam0[:3, 3] = offset_m
     T_base_velo = np.eye(4)
     T_base_velo[2, 3] = LIDAR_HEIGHT_M
     to_base = T_base_velo @ invert(T_cam0_velo)
@@ -168,7 +169,7 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> Frame:
 
 
 def things_in(frame: Frame) -> list[tuple[str, np.ndarray]]:
-    """Each thing that the labels tell of: its name and its points, as indices into the cloud."""
+    """Return each labelled object: its name and its points, as indices into the cloud."""
     cloud = frame.observation.cloud_m
     trunks = cloud[frame.semantic == TRUNK]
     found = []
@@ -193,10 +194,10 @@ def _is_tree(plant_m: np.ndarray, trunks_m: np.ndarray) -> bool:
 
 
 def solid_m(frames: Sequence[Frame]) -> np.ndarray:
-    """Return the points of labelled things that a robot would run into: (n, 2) float64 in `map`.
+    """Return the points of labelled objects that a robot would hit: (n, 2) float64 in `map`.
 
-    These are as high over the ground next to them as `OUTDOORS` has it. Things that move are left
-    out: another frame shows them where they are not.
+    Their height over the nearest ground is within the obstacle limits of `OUTDOORS`. Moving objects
+    are skipped: another frame shows them elsewhere.
     """
     things = np.isin(np.arange(1 << 16), [label for label in THINGS if label < MOVING])
     ground, solid = [np.empty((0, 3))], [np.empty((0, 3))]
@@ -216,7 +217,7 @@ def solid_m(frames: Sequence[Frame]) -> np.ndarray:
 
 
 def oracle(frames: Sequence[Frame]) -> Chain:
-    """A chain that has boxes and masks from the labels of the frames' points."""
+    """Return a detection pipeline that takes boxes and masks from the frames' labels."""
     by_seq = {frame.observation.seq: frame for frame in frames}
 
     def boxes(observation: Observation, tags: Sequence[str]) -> Detections:
@@ -227,12 +228,12 @@ def oracle(frames: Sequence[Frame]) -> Chain:
 
 
 def things_shown(frame: Frame) -> list[tuple[str, np.ndarray]]:
-    """Of `things_in` those that are in the picture."""
+    """Return the objects of `things_in` that are in the picture."""
     return [(name, points) for name, points, _, _ in _in_picture(frame)]
 
 
 def _in_picture(frame: Frame) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-    """(name, points, (k, 2) pixels of those that are in the picture, the box around these)."""
+    """Yield (name, points, (k, 2) pixels of the points in the picture, their bounding box)."""
     seen = frame.observation
     T = invert(seen.T_base_camera) @ seen.T_base_lidar
     at_px, shown = in_picture(seen.cloud_m, T, seen.camera)
@@ -246,7 +247,7 @@ def _in_picture(frame: Frame) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.
 
 
 def true_boxes(frame: Frame) -> Detections:
-    """What of the labelled things is in the picture, with the masks that their returns make."""
+    """Return the labelled objects in the picture as detections, with masks from their returns."""
     seen = frame.observation
     boxes, names, masks = [], [], []
     for name, _, dots, box in _in_picture(frame):
@@ -265,24 +266,27 @@ def true_boxes(frame: Frame) -> Detections:
 def kitti_scene(
     folder: Path, numbers: Sequence[int], chain: Chain | None = None, by_labels: bool = True
 ) -> Scene:
-    """The scene of some frames of a sequence, as it stands at the last.
+    """Build the scene of some frames of a sequence, at the time of the last.
 
     Args:
-        chain: finds the objects; None: the labels do (`oracle`).
-        by_labels: regions by the labels' kinds of ground; False: by what is flat and connected.
+        folder: of the sequence.
+        numbers: of the frames.
+        chain: finds the objects; None: take them from the labels (`oracle`).
+        by_labels: True: regions by the labels' kinds of ground; False: regions that are flat and
+            connected.
 
     Raises:
-        KittiError: see `read_frame`; `numbers` is empty.
+        KittiError: see `read_frame`; or `numbers` is empty.
     """
     frames = read_frames(folder, numbers)
     return scene_of(frames, chain or oracle(frames), CAR_RADIUS_M, by_labels)
 
 
 def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> list[Frame]:
-    """Some frames of a sequence; see `read_frame`.
+    """Read some frames of a sequence; see `read_frame`.
 
     Raises:
-        KittiError: see `read_frame`; `numbers` is empty.
+        KittiError: see `read_frame`; or `numbers` is empty.
     """
     if not numbers:
         there = frames_in(folder, labelled)
@@ -293,10 +297,12 @@ def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> 
 def scene_of(
     frames: Sequence[Frame], chain: Chain, radius_m: float, by_labels: bool = True
 ) -> Scene:
-    """The scene of some frames, as it stands at the last.
+    """Build the scene of some frames, at the time of the last.
 
     Args:
-        radius_m: see `Survey`, of the robot that is to drive there.
+        frames: the frames.
+        chain: finds the objects.
+        radius_m: radius of the robot that drives there; see `Survey`.
         by_labels: see `kitti_scene`.
     """
     survey = Survey(chain, OUTDOORS, radius_m, GROUND_LABELS if by_labels else ())
@@ -306,7 +312,7 @@ def scene_of(
 
 
 def _mask(dots: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """(MASK_SIDE, MASK_SIDE) bool, what lies between a thing's returns in its box."""
+    """Return (MASK_SIDE, MASK_SIDE) bool: the area between an object's returns in its box."""
     width, height = (box[2:] - box[:2]).astype(int)
     picture = np.zeros((height, width), np.uint8)
     x, y = (dots - box[:2]).astype(int).T
@@ -318,10 +324,10 @@ def _mask(dots: np.ndarray, box: np.ndarray) -> np.ndarray:
 
 
 def _rigid(rows: np.ndarray, where: object) -> np.ndarray:
-    """(4, 4) of the first three rows.
+    """Return the (4, 4) transform of the first three rows.
 
     Raises:
-        KittiError: it does not turn and move, or moves farther than the frame `map` can tell.
+        KittiError: it is not rigid, or its translation is farther than `map` can represent.
     """
     T = np.eye(4)
     T[:3] = rows
@@ -329,7 +335,9 @@ def _rigid(rows: np.ndarray, where: object) -> np.ndarray:
     with np.errstate(over="ignore", invalid="ignore"):
         turns = np.allclose(R @ R.T, np.eye(3), atol=_SKEW) and np.linalg.det(R) > 0.0
     if not (turns and np.abs(T[:3, 3]).max() <= FARTHEST_M):
-        raise KittiError(f"{where}: not a rotation and a place within {FARTHEST_M / 1000:g} km")
+        raise KittiError(
+            f"{where}: not a rotation and a translation within {FARTHEST_M / 1000:g} km"
+        )
     return T
 
 
@@ -343,12 +351,12 @@ def _bytes(path: Path) -> bytes:
 def _array(path: Path, of: type, columns: int) -> np.ndarray:
     data = _bytes(path)
     if len(data) % (columns * np.dtype(of).itemsize):
-        raise KittiError(f"{path}: {len(data)} bytes are no rows of {columns} {np.dtype(of)}")
+        raise KittiError(f"{path}: {len(data)} bytes are not rows of {columns} {np.dtype(of)}")
     return np.frombuffer(data, of)
 
 
 def _table(path: Path, columns: int) -> np.ndarray:
-    """(n, columns) float64 of a text file."""
+    """Read (n, columns) float64 from a text file."""
     rows = [line.split() for line in _text(path).splitlines() if line.strip()]
     try:
         table = np.array([[float(value) for value in row] for row in rows])
@@ -360,7 +368,7 @@ def _table(path: Path, columns: int) -> np.ndarray:
 
 
 def _matrices(path: Path) -> dict[str, np.ndarray]:
-    """(3, 4) float64 by their keys, as in `P2: 12 numbers`; lines of `#` are comments."""
+    """Read (3, 4) float64 by key, from lines like `P2: 12 numbers`; lines with `#` are comments."""
     out = {}
     for line in _text(path).splitlines():
         key, colon, values = line.partition(":")

@@ -1,4 +1,4 @@
-"""Whether two formulas mean the same, and if not, a word that tells them apart."""
+"""Language equivalence of two formulas, with a distinguishing trace if they differ."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ _compiled = lru_cache(maxsize=8192)(compile_formula)
 
 
 def difference(a: Formula, b: Formula, silent_end: bool = False) -> Word | None:
-    """A shortest word that one formula accepts and the other does not; None when they agree.
+    """Return a shortest trace that only one of the formulas accepts; None if they are equivalent.
 
     Args:
-        silent_end: compare the words as if nothing more were ever reached after them. That is
-            how a formula meant for endless words applies to a mission, which ends.
+        a: a formula.
+        b: the other formula.
+        silent_end: compare the traces as if nothing more were ever reached after them. A formula
+            for infinite traces applies to a mission, which ends, in this way.
 
     Raises:
         CompileError: an automaton grows beyond the compiler's limits.
@@ -32,12 +34,12 @@ def difference(a: Formula, b: Formula, silent_end: bool = False) -> Word | None:
 
 
 def satisfiable(formula: Formula, silent_end: bool = False) -> bool:
-    """Whether any word fulfils the formula."""
+    """Return True if any trace fulfils the formula."""
     return bool(_accepting(_compiled(formula), silent_end).any())
 
 
 def with_weak_untils(formula: Formula) -> Formula:
-    """The formula with `!x U y`, x and y propositions, read as `!x W y` ("not x until y")."""
+    """Return the formula with each `!x U y` of two propositions replaced by the weak `!x W y`."""
     done: dict[int, Formula] = {}
     for node in postorder(formula):
         args = tuple(done[id(arg)] for arg in node.args)
@@ -53,9 +55,10 @@ def _is_ban(f: Formula) -> bool:
 
 
 def _accepting(automaton: Automaton, silent_end: bool) -> np.ndarray:
-    """(n_states,) bool; with a silent end, whether it accepts after enough steps of nothing.
+    """Return (n_states,) bool: the accepting states.
 
-    Languages of LTLf are star-free, so repeating one letter always ends in one state.
+    With a silent end, a state counts if it accepts after enough steps in which nothing is reached.
+    Languages of LTLf are star-free, so repeating one proposition always ends in one state.
     """
     if not silent_end:
         return automaton.accepting

@@ -1,7 +1,7 @@
-"""Floor that a mission's searches see again, by ground truth.
+"""Floor that a mission's searches see twice, by ground truth.
 
-A leg is one target pursued. While its place is not known the robot searches. Floor that a look
-shows, but that an earlier leg had shown already, was searched again.
+A leg is the pursuit of one target. The robot searches until it knows the target's place. Floor that
+it sees during a search counts as revisited if an earlier leg had seen it.
 """
 
 from __future__ import annotations
@@ -17,19 +17,21 @@ from edge.config import Config
 from edge.lab.sim.base import FloorPlan, World
 
 PLACE_M = 0.1
-SAME_M = 0.5  # a belief this near a thing is of that thing
+SAME_M = 0.5  # an instance within this distance of an object is that object
 NEW, BEFORE, NOW = 0, 1, 2
-"""Of a place: never seen; seen before this leg; seen in it (bits)."""
+"""Bits of a cell: never seen; seen before this leg; seen in this leg."""
 
 
 class Legs:
-    """Follows a mission from instant to instant.
+    """Counter of revisited floor over the legs of a mission.
 
     Args:
-        range_m: how far the detector sees.
+        config: gives the camera.
+        world: the world that the robot is in.
+        range_m: range of the detector.
 
     Attributes:
-        again_m2: floor seen while a target was searched for that earlier legs had seen.
+        again_m2: area seen in searches that earlier legs had already seen [m²].
     """
 
     def __init__(self, config: Config, world: World, range_m: float) -> None:
@@ -44,12 +46,15 @@ class Legs:
         self, turn: Hashable, target: str, known_xy_m: np.ndarray, x_m: float, y_m: float,
         yaw_rad: float,
     ) -> None:  # fmt: skip
-        """Take in an instant.
+        """Add one instant.
 
         Args:
-            turn: another one in every leg, such as `MissionRun.turns`.
-            known_xy_m: (n, 2) where the robot believes that such things stand.
-            yaw_rad: where the camera looks.
+            turn: differs in every leg, such as `MissionRun.turns`.
+            target: of the leg.
+            known_xy_m: (n, 2) places of the target by the robot's map.
+            x_m: x of the robot.
+            y_m: y of the robot.
+            yaw_rad: viewing direction of the camera.
         """
         if turn != self._turn:
             self._turn, self._known = turn, False
@@ -60,19 +65,21 @@ class Legs:
             self.again_m2 += again_m2
 
     def _is_there(self, target: str, known_xy_m: np.ndarray) -> bool:
-        """Return whether a thing of that name stands where the robot believes that one does."""
+        """Return True if an object with this name stands at one of the known places."""
         things = [o for o in self._world.objects if names.same(o.label, target)]
         return any(o.distance_m(*xy) <= SAME_M for o in things for xy in known_xy_m.tolist())
 
 
 class SeenFloor:
-    """Floor that a camera has shown, as a raster of places of 0.1 m."""
+    """Floor that a camera has shown, as a raster with cells of 0.1 m.
+
+    Args:
+        plan: its occupied cells block the view.
+        hfov_rad: horizontal field of view.
+        range_m: range of the camera.
+    """
 
     def __init__(self, plan: FloorPlan, hfov_rad: float, range_m: float) -> None:
-        """
-        Args:
-            plan: what stands on it hides what is behind.
-        """
         grid = plan.grid
         self._factor = max(1, round(PLACE_M / grid.resolution_m))
         rows, cols = (-(-n // self._factor) for n in grid.cells.shape)
@@ -85,15 +92,18 @@ class SeenFloor:
         self._place_m = self._factor * grid.resolution_m
         self._hfov_rad, self._range = hfov_rad, range_m / self._place_m
         nothing = np.zeros((0, 0), np.bool_), np.zeros((0, 0), np.uint8)
-        cast(*nothing, 0.0, 0.0, 0.0, 1.0, 1.0)  # compiled here, not while a tick is timed
+        cast(*nothing, 0.0, 0.0, 0.0, 1.0, 1.0)  # compile now, not in a timed tick
 
     def begin(self) -> None:
-        """From here on, what was seen until now counts as seen before."""
+        """Begin a leg: all floor that is seen now counts as seen before."""
         self._seen[self._seen != NEW] = BEFORE
 
     def look(self, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
-        """m² that this look shows and none has shown before; and m² that were seen before `begin`
-        and are seen again for the first time since."""
+        """Add a view, and return the area that is new and the area that is revisited [m²].
+
+        New floor was never seen. Revisited floor was seen before `begin`, and now for the first
+        time since.
+        """
         col, row = self._grid.of_metres((x_m, y_m)) / self._factor
         new, again = cast(
             self._closed, self._seen, col, row, yaw_rad, 0.5 * self._hfov_rad, self._range
@@ -103,12 +113,16 @@ class SeenFloor:
 
 @njit(nogil=True, cache=True)
 def cast(closed, seen, x, y, yaw_rad, half_rad, reach):
-    """Mark the places in view; counts those never seen, and those seen before but not since.
+    """Mark the cells in view, and count the new ones and those seen before but not since.
 
     Args:
-        closed: (h, w) bool, what stops a ray; it is itself not floor.
-        seen: (h, w) uint8, in place.
-        x, y, reach: in places.
+        closed: (h, w) bool; a closed cell stops a ray and is not floor.
+        seen: (h, w) uint8, changed in place.
+        x: of the camera, in cells.
+        y: of the camera, in cells.
+        yaw_rad: viewing direction.
+        half_rad: half the field of view.
+        reach: range in cells.
     """
     h, w = closed.shape
     rays = int(2 * half_rad * reach) + 2

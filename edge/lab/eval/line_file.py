@@ -1,4 +1,4 @@
-"""A file of JSON lines that grows while something runs, whole lines at a time."""
+"""A file of JSON lines that grows during a run, by whole lines."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ T = TypeVar("T")
 
 
 class LineFile(Generic[T]):
-    """What is there, and what is appended.
+    """JSON lines file: reads what is there, then appends. A last line without its end is removed.
 
     Args:
-        path: its folder is made where it is not there.
-        parse: a line's object; raises KeyError, TypeError or ValueError where it is none.
-        what: a line holds, with its article, for messages.
-        max_bytes: more is not read.
+        path: the file; its folder is made if it is missing.
+        parse: makes an item of a line's object; raises KeyError, TypeError or ValueError if it
+            cannot.
+        what: name of an item with its article, for messages.
+        max_bytes: size limit of the file.
 
     Attributes:
-        found: what was there.
+        found: the items that were there at first.
 
     Raises:
-        FileError: it cannot be read or written.
-        UserError: it has something else in it.
+        FileError: the file cannot be read or written.
+        UserError: the file has other content.
     """
 
     def __init__(
@@ -38,7 +39,7 @@ class LineFile(Generic[T]):
             path.parent.mkdir(parents=True, exist_ok=True)
             content = read_regular(path, max_bytes) if path.exists() else b""
             whole = content[: content.rfind(b"\n") + 1]
-            if len(whole) < len(content):  # a run was broken off while it wrote
+            if len(whole) < len(content):  # a run was interrupted during a write
                 path.write_bytes(whole)
         except OSError as error:
             raise FileError(f"{path}: {error.strerror or error}") from None
@@ -49,13 +50,14 @@ class LineFile(Generic[T]):
             except (KeyError, TypeError, ValueError) as error:
                 raise UserError(
                     f"{path}: line {number}: not {what} of this version ({one_line(error)}): "
-                    "take another --out"
+                    "choose another --out"
                 ) from None
 
     def append(self, line: bytes) -> None:
-        """
+        """Append a line, which must end with a newline.
+
         Raises:
-            FileError: the disk is full, or the folder has gone.
+            FileError: the disk is full, or the folder is gone.
         """
         try:
             with self.path.open("ab", buffering=0) as file:

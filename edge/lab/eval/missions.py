@@ -1,8 +1,8 @@
-"""Missions with several targets in a world, and the shortest way to fulfil each (ViTL V-D).
+"""Missions with several targets in a world, and the shortest path of each (ViTL V-D).
 
-Sentences and formulas are those of the task-level benchmark, over what stands in the world. The
-shortest way is exact: over every order that satisfies the formula, and over every place from
-which a thing counts as reached.
+Sentences and formulas are those of the task-level benchmark, for the objects of the world. The
+shortest path is exact: over every order that satisfies the formula, and over every place where an
+object counts as reached.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from edge.mission.logic.automaton import NOTHING, Automaton
 from edge.mission.logic.ltl import Formula
 
 TARGETS = (2, 4)
-"""Fewest and most things that a mission names."""
+"""Fewest and most objects that a mission names."""
 
 FAMILIES = (
     Family("sequence", 0.2),
@@ -40,7 +40,7 @@ _POSES = 20
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """A sentence and what it means; `family` is one of `FAMILIES` by name."""
+    """A sentence and its formula. `family` is the name of one of `FAMILIES`."""
 
     family: str
     instruction: str
@@ -49,7 +49,7 @@ class Mission:
 
 @dataclass(frozen=True, slots=True)
 class PlannedMission:
-    """A mission, where it starts (x and y [m], yaw [rad]) and how far one has to drive for it."""
+    """A mission, its start (x and y [m], yaw [rad]) and its shortest path."""
 
     mission: Mission
     start: tuple[float, float, float]
@@ -64,16 +64,20 @@ def plan_missions(
     robot_radius_m: float,
     min_distance_m: float = 0.0,
 ) -> list[PlannedMission]:
-    """Different missions over what the world has, each from a start of its own; seeded.
+    """Draw different missions for a world, each with its own start.
 
     Args:
-        targets: what missions may name; those that the world lacks, or that no robot gets to from
-            its start, are left out.
-        min_distance_m: the least that there must be to drive.
+        world: the world.
+        targets: names that missions may use. A target is skipped if the world lacks it, or if the
+            robot cannot get to it from the world's start.
+        count: at most this number of missions.
+        seed: of the missions and starts.
+        robot_radius_m: radius of the robot's footprint.
+        min_distance_m: shortest allowed path of a mission.
 
     Returns:
-        At most `count`, in the order of their draws; fewer, or none, where the world has not
-        enough different things.
+        Missions in the order of their draws; fewer than `count`, or none, if the world has too few
+        different objects.
     """
     fields = Fields(world, robot_radius_m)
     here = [target for target in targets if fields.has(target)]
@@ -90,8 +94,7 @@ def plan_missions(
 
 
 def draw_missions(targets: Sequence[str], count: int, seed: int) -> list[Mission]:
-    """Satisfiable missions with different formulas, over these things; fewer where there are not
-    so many."""
+    """Draw satisfiable missions with different formulas for these targets, at most `count`."""
     things = sorted({names.canonical(target) for target in targets})
     if len(things) < TARGETS[0]:
         return []
@@ -112,7 +115,7 @@ def draw_missions(targets: Sequence[str], count: int, seed: int) -> list[Mission
 
 
 class Fields:
-    """Where each thing of a world counts as reached, and how far there is to go for missions."""
+    """Cost-to-go fields of the missions in a world."""
 
     def __init__(self, world: World, robot_radius_m: float) -> None:
         self._world = world
@@ -123,11 +126,11 @@ class Fields:
         self._near: dict[str, np.ndarray] = {}
 
     def has(self, target: str) -> bool:
-        """Whether the world has such a thing and a robot gets to it from the world's start."""
+        """Return True if the world has this object and the robot can reach it from the start."""
         return bool(self.near(target).any())
 
     def near(self, target: str) -> np.ndarray:
-        """(rows, columns) bool: where such a thing counts as reached."""
+        """Return (rows, columns) bool: True where this object counts as reached."""
         if target not in self._near:
             things = [o for o in self._world.objects if names.same(o.label, target)]
             near = geodesic.near(self._world.plan, things, self._radius_m, REACHED_M)
@@ -135,13 +138,13 @@ class Fields:
         return self._near[target]
 
     def to_go_m(self, automaton: Automaton) -> np.ndarray:
-        """Metres to drive from anywhere until a mission is fulfilled, at its beginning.
+        """Return the distance to drive from each place until a new mission is fulfilled.
 
-        Least over all words that the automaton accepts and over where each of their things is
-        reached; passing by something reaches nothing.
+        It is the least over all traces that the automaton accepts, and over the places where their
+        objects are reached. An object that the robot only passes is not reached.
 
         Returns:
-            (rows, columns) float64; inf where there is no way.
+            (rows, columns) float64 in metres; inf if there is no path.
         """
         near = {letter: self.near(letter) for letter in automaton.letters}
         cells = cells_to_go(automaton, near, self._free)
@@ -151,14 +154,15 @@ class Fields:
 def cells_to_go(
     automaton: Automaton, near: Mapping[str, np.ndarray], free: np.ndarray
 ) -> np.ndarray:
-    """Dijkstra's distances over places and states, in cells, from the automaton's initial state.
+    """Return Dijkstra's distances over places and states, from the automaton's initial state.
 
     Args:
-        near: by letter, (rows, columns) bool: where its step can be taken.
-        free: (rows, columns) bool: where one can drive, 8-connected.
+        automaton: of the mission.
+        near: by proposition, (rows, columns) bool: True where its step can be taken.
+        free: (rows, columns) bool: True where the robot can drive, 8-connected.
 
     Returns:
-        (rows, columns) float64; inf where there is no way.
+        (rows, columns) float64 in cells; inf if there is no path.
     """
     left = {s: np.full(free.shape, np.inf) for s in range(automaton.n_states)}
     before: dict[int, list[tuple[int, str]]] = {s: [] for s in left}

@@ -1,4 +1,4 @@
-"""What became of an episode, as a line of `outcomes.jsonl`."""
+"""The outcome of an episode, as a line of `outcomes.jsonl`."""
 
 from __future__ import annotations
 
@@ -16,36 +16,46 @@ from edge.text import one_line
 NAME = "outcomes.jsonl"
 MAX_BYTES = 1 << 30
 TIMINGS = ("wall_s", "tick_ms", "score_ms")
-"""What the computer decides, and no two runs have in common."""
+"""Fields that depend on the computer and differ from run to run."""
 
 FAILURES = ("never seen", "seen, not confirmed", "wrong thing", "stuck", "budget", "crashed")
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How an episode ended, judged by the simulator's ground truth.
+    """The end of an episode, judged by the simulator's ground truth.
 
     Attributes:
-        episode, column, column_id: whose it is.
-        world: its name; `kind` of world.
-        target: None for a mission, which `instruction` gives.
-        shortest_m: the episode's.
-        success: the service said `reached`, and wherever it said so the robot stood within
-            `REACHED_M` of the footprint of such a thing.
+        episode: id of the episode.
+        column: name of the arm.
+        column_id: hash of the arm's configuration.
+        world: name of the world.
+        kind: kind of world.
+        target: name of the object to find; None for a mission.
+        instruction: text of the mission.
+        start: x and y [m], yaw [rad].
+        shortest_m: shortest path of the episode.
+        success: the service reported `reached`, and each time the robot was within `REACHED_M` of
+            the footprint of such an object.
+        reason: one line.
         failure: one of `FAILURES`; None for a success.
-        path_m: driven, by ground truth.
-        elapsed_s: simulated time; `wall_s`: real time.
-        distance_m: at the end, to the nearest footprint of a target; None for a mission.
-        left_m: at the end, metres still to drive until one is reached; None for a mission, and
-            where there is no way.
-        first_sight_s, first_sight_path_m: when a target was first to be seen; None: never.
-        wrong_stops: how often something was declared reached that was not.
-        false_confirmations: instances that were confirmed and are no such thing.
-        revisited_m2: floor that a mission's searches saw again though an earlier leg had seen it
+        path_m: length of the driven path, by ground truth.
+        elapsed_s: simulated time.
+        wall_s: real time.
+        distance_m: distance at the end to the nearest footprint of a target; None for a mission.
+        left_m: metres left to drive at the end; None for a mission, and if there is no path.
+        collisions: number of collisions.
+        first_sight_s: time at which a target was first in view; None: never.
+        first_sight_path_m: length of the path driven until then.
+        wrong_stops: number of `reached` reports that were wrong.
+        false_confirmations: number of confirmed instances that are not the target.
+        revisited_m2: floor that a mission's searches saw again after an earlier leg
             (`edge.lab.eval.legs`); None for one target.
-        goals: how many were sent.
-        tick_ms: p50, p95 and max of the tick; `score_ms`: p95 of scoring the candidates.
-        trail: [x, y] every 0.25 m; `goal_xy`: [x, y, kind] of every goal.
+        goals: number of goals sent.
+        tick_ms: p50, p95 and max of the tick.
+        score_ms: p95 of the stage that scores the candidates.
+        trail: [x, y] every 0.25 m.
+        goal_xy: [x, y, kind] of every goal.
     """
 
     episode: str
@@ -79,12 +89,12 @@ class Outcome:
 
     @property
     def key(self) -> tuple[str, str]:
-        """Of all outcomes of one file."""
+        """Key of the outcome in its file: episode and hash of the arm."""
         return self.episode, self.column_id
 
 
 def crashed(column: Column, episode: Episode, why: str, wall_s: float = 0.0) -> Outcome:
-    """The outcome of an episode that could not be run to its end."""
+    """Build the outcome of an episode that could not be run to its end."""
     world = str(
         episode.world.get("name") or episode.world.get("house") or episode.world.get("mesh")
     )
@@ -96,7 +106,7 @@ def crashed(column: Column, episode: Episode, why: str, wall_s: float = 0.0) -> 
 
 
 def line(outcome: Outcome) -> bytes:
-    """As JSON on one line; what is not finite is null."""
+    """Encode an outcome as one line of JSON. A number that is not finite becomes null."""
     return json.dumps(_plain(asdict(outcome)), separators=(",", ":")).encode() + b"\n"
 
 
@@ -111,14 +121,17 @@ def _plain(value: Any) -> Any:
 
 
 class OutcomeFile:
-    """`outcomes.jsonl` of a folder: what is there, and what is appended, whole lines at a time.
+    """`outcomes.jsonl` of a folder: reads what is there, then appends whole lines.
 
     Args:
-        folder: made where it is not there.
+        folder: made if it is missing.
+
+    Attributes:
+        known: the outcomes of the file, by key.
 
     Raises:
-        FileError: it cannot be read or written.
-        UserError: it has something else in it.
+        FileError: the file cannot be read or written.
+        UserError: the file has other content.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -128,9 +141,10 @@ class OutcomeFile:
         self.known = {outcome.key: outcome for outcome in self._file.found}
 
     def append(self, outcome: Outcome) -> None:
-        """
+        """Append an outcome.
+
         Raises:
-            FileError: the disk is full, or the folder has gone.
+            FileError: the disk is full, or the folder is gone.
         """
         self._file.append(line(outcome))
         self.known[outcome.key] = outcome

@@ -1,4 +1,4 @@
-"""`edge eval episodes`: columns on the same episodes; what is already there is not run again."""
+"""`edge eval episodes`: run experiment arms on the same episodes, except those already on file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EPISODES_NAME = "episodes.jsonl"
 TARGETS = "trash can,sofa,chair,bed,desk"
 
 Tell = Callable[[int, int, Outcome], None]
-"""Told of each outcome as it comes: its number, how many there are to come in all, and itself."""
+"""Called with each outcome as it comes: its number, the total number to come, and the outcome."""
 
 
 def run_all(
@@ -39,18 +39,21 @@ def run_all(
     tell: Tell = lambda number, total, outcome: None,
     stop: threading.Event | None = None,
 ) -> list[Outcome]:
-    """Every column on every episode; outcomes go to `out` as they come.
+    """Run every arm on every episode. Outcomes go to `out` as they come.
 
     Args:
-        out: a folder. An outcome that it has is taken from there, unless the episode crashed then
-            or the column's configuration was another. None: nothing is kept.
-        workers: processes; 1: in this one.
-        processes: over Zenoh, each with a simulator and a controller of its own.
-        pages: a folder for a report of each episode.
-        stop: ends it early.
+        columns: the arms.
+        episodes: the episodes.
+        out: a folder. Its outcomes are reused, except those of crashed episodes and of other
+            configurations. None: no file is written.
+        workers: number of processes; 1: only this one.
+        processes: run over Zenoh, each episode with its own simulator and controller processes.
+        pages: folder for a report of each episode.
+        tell: called with each new outcome.
+        stop: ends the run early.
 
     Returns:
-        In the order of episodes and columns; fewer where it was ended early.
+        Outcomes in the order of episodes and arms; fewer if the run was stopped early.
 
     Raises:
         UserError: `out` cannot be used.
@@ -77,7 +80,7 @@ def run_all(
 
 
 def changed(columns: Sequence[Column], out: Path) -> dict[str, int]:
-    """How many outcomes of columns of the same name, but other settings, a folder has."""
+    """Count the outcomes in a folder whose arm has the same name but other settings, by name."""
     ids = {column.name: column.id for column in columns}
     counts: dict[str, int] = {}
     for outcome in OutcomeFile(out).known.values():
@@ -87,7 +90,7 @@ def changed(columns: Sequence[Column], out: Path) -> dict[str, int]:
 
 
 def _keep(path: Path, episodes: Sequence[Episode]) -> None:
-    """Have a folder's file of episodes hold these, besides those that it has."""
+    """Add the episodes to a folder's file of episodes, if they are not there yet."""
     known = eps.read(path) if path.exists() else []
     ids = {episode.id for episode in known}
     new = [episode for episode in episodes if episode.id not in ids]
@@ -116,8 +119,8 @@ def run(args: argparse.Namespace) -> int:
     out = args.out or args.report
     if out is not None:
         for name, count in changed(columns, out).items():
-            print(f"{name}: its settings have changed; {count} outcomes of before do not count")
-    logging.getLogger("edge").setLevel(logging.WARNING)  # each has a story of its own
+            print(f"{name}: settings changed; {count} earlier outcomes are ignored")
+    logging.getLogger("edge").setLevel(logging.WARNING)  # each episode logs its mission
     outcomes = run_all(
         columns, episodes, out, workers=args.workers, processes=args.processes,
         pages=args.report, tell=lambda *news: print(_line(*news), flush=True),
@@ -132,7 +135,7 @@ def _columns(args: argparse.Namespace) -> dict[str, cols.Data]:
     for words in args.column or ():
         name, settings = cols.parse_column(words)
         if name in given:
-            raise UserError(f"--column {name}: there is a column of that name already")
+            raise UserError(f"--column {name}: this name is used twice; choose another")
         given[name] = settings
     return given
 
@@ -162,6 +165,6 @@ def _line(number: int, total: int, o: Outcome) -> str:
     return (
         f"{number:3}/{total} {verdict} {o.column:12} {o.world:18} "
         f"{o.instruction or o.target:12} {o.elapsed_s:6.1f} s, {o.path_m:5.1f} m driven, "
-        f"{o.shortest_m:4.1f} m shortest, {o.collisions} bumps, {o.wall_s:.1f} s of real time: "
+        f"{o.shortest_m:4.1f} m shortest, {o.collisions} collisions, {o.wall_s:.1f} s real time: "
         f"{o.reason}"
     )

@@ -1,4 +1,4 @@
-"""A seeded drive through the built-in house, as the messages its sensors would publish."""
+"""A seeded drive through the built-in house, as the messages of the robot's sensors."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _STOPS = 40
 
 
 def tour(config: Config, seconds: float) -> Iterator[tuple[Topic, int, bytes]]:
-    """Messages of a robot that drives from room to room, in order of time.
+    """Yield the messages of a robot that drives from room to room, in order of time.
 
     Args:
         config: its sensors and robot are used; the world is the built-in house.
         seconds: simulated length.
 
     Yields:
-        (topic, stamp in ns, CDR or JSON payload): camera at its rate, odometry at its rate.
+        (topic, stamp in ns, CDR or JSON payload) of the camera and the odometry, each at its rate.
     """
     sim = config.sim.model_copy(update={"world": WorldHouse(), "start": None})
     config = config.model_copy(update={"sim": sim})
@@ -46,7 +46,7 @@ def tour(config: Config, seconds: float) -> Iterator[tuple[Topic, int, bytes]]:
 
 
 def _drive(config: Config, world: World, seconds: float) -> Iterator[Motion]:
-    """The robot at the odometry's rate, driving from stop to stop on the true map."""
+    """Yield the robot's motion at the odometry's rate, from stop to stop on the true map."""
     train = DriveTrain(config.robot, config.sim, world, world.start, _START_NS)
     controller = Controller(config)
     plan = world.plan

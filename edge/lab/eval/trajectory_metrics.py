@@ -1,5 +1,4 @@
-"""How near a trajectory comes to the one that was meant (OpenNav IV): where it ends, its shape, and
-what it runs into."""
+"""Similarity of a trajectory to its reference (OpenNav IV): end, shape and collisions."""
 
 from __future__ import annotations
 
@@ -16,20 +15,20 @@ from edge.tasks.value_map import closed_cells
 from edge.trajectory.smoothing import resample
 
 SPACING_M = 0.5
-"""NDTW compares points this far apart, however densely a trajectory was written down."""
+"""NDTW compares points at this distance, however densely a trajectory was sampled."""
 _jit = {"nogil": True, "cache": True}
 
 
 @dataclass(frozen=True, slots=True)
 class Likeness:
-    """A trajectory beside its reference.
+    """The scores of a trajectory against its reference.
 
     Attributes:
-        success: it ends within 1 m of where the reference does.
-        error_m: navigation error, how far from there.
+        success: it ends within 1 m of the reference's end.
+        error_m: navigation error, the distance between the ends.
         frechet_m: Fréchet distance.
-        ndtw: normalised dynamic time warping, 1 for the same.
-        contacts: how many times it runs into something.
+        ndtw: normalised dynamic time warping; 1 for the same trajectory.
+        contacts: number of collisions.
     """
 
     success: bool
@@ -42,12 +41,13 @@ class Likeness:
 def likeness(
     path_m: np.ndarray, reference_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0
 ) -> Likeness:
-    """All of OpenNav's figures of one trajectory (tables I and II).
+    """Return all of OpenNav's scores of one trajectory (tables I and II).
 
     Args:
-        path_m, reference_m: (n, 2) and (m, 2) float64 in `map`, n, m >= 1; of a robot that was
-            refused a trajectory, the place where it stands.
-        occupancy: int8, 100 where something is.
+        path_m: (n, 2) float64 in `map`, n >= 1. If the trajectory was refused: the robot's place.
+        reference_m: (m, 2) float64 in `map`, m >= 1.
+        occupancy: int8 cells, 100 for occupied.
+        clearance_m: distance that counts as a collision; the robot's radius.
     """
     error_m = navigation_error_m(path_m, reference_m)
     return Likeness(
@@ -60,20 +60,21 @@ def likeness(
 
 
 def navigation_error_m(path_m: np.ndarray, reference_m: np.ndarray) -> float:
-    """Distance of the ends (NE). OpenNav's success rate counts those within 1 m."""
+    """Return the distance between the ends (NE). OpenNav's success rate counts those within 1 m."""
     path, reference = _points(path_m), _points(reference_m)
     return math.dist(path[-1], reference[-1])
 
 
 def frechet_m(a_m: np.ndarray, b_m: np.ndarray) -> float:
-    """Fréchet distance of two polylines (Alt & Godau 1995, section 3.1), within 0.1 mm.
+    """Return the Fréchet distance of two polylines (Alt & Godau 1995, section 3.1), within 0.1 mm.
 
-    The shortest leash with which a dog and its owner can go along the two, neither of them
-    backward. Found by halving between the distance of the ends, below which it cannot be, and the
-    distance by points (Eiter & Mannila 1994), above which it cannot be.
+    It is the shortest leash with which a dog and its owner can walk along the two without going
+    back. Bisection finds it between the distance of the ends, a lower bound, and the discrete
+    Fréchet distance (Eiter & Mannila 1994), an upper bound.
 
     Args:
-        a_m, b_m: (n, 2) and (m, 2) float64, n, m >= 1.
+        a_m: (n, 2) float64, n >= 1.
+        b_m: (m, 2) float64, m >= 1.
     """
     a, b = _points(a_m), _points(b_m)
     low, high = max(math.dist(a[0], b[0]), math.dist(a[-1], b[-1])), _by_points(a, b)
@@ -89,23 +90,30 @@ def frechet_m(a_m: np.ndarray, b_m: np.ndarray) -> float:
 
 
 def ndtw(path_m: np.ndarray, reference_m: np.ndarray, within_m: float = REACHED_M) -> float:
-    """Normalised dynamic time warping (Ilharco et al. 2019): exp(-DTW / (|R| d_th)).
+    """Return the normalised dynamic time warping (Ilharco et al. 2019): exp(-DTW / (|R| d_th)).
 
     Args:
-        path_m, reference_m: (n, 2) and (m, 2) float64, n, m >= 1; compared at points `SPACING_M`
-            apart.
-        within_m: d_th, within which a robot has reached a place.
+        path_m: (n, 2) float64, n >= 1; compared at points `SPACING_M` apart.
+        reference_m: (m, 2) float64, m >= 1; likewise.
+        within_m: d_th, the distance at which a robot has reached a place.
 
     Returns:
-        In (0, 1]; 1 for the same.
+        A number in (0, 1]; 1 for the same trajectory.
+
+    Example:
+        >>> path = np.array([(0.0, 0.0), (1.0, 0.0)])
+        >>> ndtw(path, path)
+        1.0
     """
     path, reference = (evenly(_points(p), SPACING_M) for p in (path_m, reference_m))
     return math.exp(-_warp(reference, path) / (len(reference) * within_m))
 
 
 def evenly(path_m: np.ndarray, spacing_m: float) -> np.ndarray:
-    """(k, 2): points as far apart along a path (n, 2) as divides it evenly, at most `spacing_m`;
-    a corner between two of them is left out."""
+    """Resample a path (n, 2) at equal distances of at most `spacing_m`: (k, 2).
+
+    The ends stay. A corner between two samples is lost.
+    """
     along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(path_m, axis=0).T)))
     if along_m[-1] == 0.0:
         return path_m[:1]
@@ -114,9 +122,9 @@ def evenly(path_m: np.ndarray, spacing_m: float) -> np.ndarray:
 
 
 def contacts(path_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0) -> int:
-    """How many stretches of a path lie in, or nearer than `clearance_m` to, an occupied cell.
+    """Count the stretches of a path in, or within `clearance_m` of, an occupied cell.
 
-    Outside the map nothing is.
+    Outside the map, nothing is occupied.
     """
     points = resample(_points(path_m), 0.25 * occupancy.resolution_m)
     cells = np.floor(occupancy.of_metres(points)).astype(np.int64)
@@ -128,10 +136,12 @@ def contacts(path_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0) -> i
 
 
 def point_contacts(path_m: np.ndarray, solid_m: np.ndarray, clearance_m: float) -> int:
-    """How many stretches of a path lie nearer than `clearance_m` to a point of what is there.
+    """Count the stretches of a path within `clearance_m` of any obstacle point.
 
     Args:
-        solid_m: (n, 2) float64.
+        path_m: (n, 2) float64.
+        solid_m: (m, 2) float64, the obstacle points.
+        clearance_m: the distance.
     """
     points = resample(_points(path_m), 0.05)
     away_m, _ = cKDTree(solid_m.reshape(-1, 2)).query(points)
@@ -148,7 +158,7 @@ def _points(path_m: np.ndarray) -> np.ndarray:
 
 @njit(**_jit)
 def _by_points(a, b):
-    """The discrete Fréchet distance (Eiter & Mannila 1994): both jump from point to point."""
+    """Return the discrete Fréchet distance (Eiter & Mannila 1994): jumps from point to point."""
     row = np.empty(len(b))
     for i in range(len(a)):
         diagonal = 0.0
@@ -167,7 +177,7 @@ def _by_points(a, b):
 
 @njit(**_jit)
 def _warp(reference, path):
-    """The least sum of distances over a matching of points that goes back on neither."""
+    """Return the least sum of distances over all monotone matchings of the points."""
     row = np.full(len(path) + 1, math.inf)
     row[0] = 0.0
     for i in range(len(reference)):
@@ -183,10 +193,10 @@ def _warp(reference, path):
 
 @njit(**_jit)
 def _free(x, y, ax, ay, bx, by, leash):
-    """Which part (from, to) of the leg a to b lies within `leash` of (x, y); empty: from > to."""
+    """Return the part (from, to) of segment a-b within `leash` of (x, y); from > to if empty."""
     dx, dy, ox, oy = bx - ax, by - ay, ax - x, ay - y
     square, half, rest = dx * dx + dy * dy, dx * ox + dy * oy, ox * ox + oy * oy - leash * leash
-    # Rounding must not shut what is exactly as far as the leash is long.
+    # Rounding must not exclude a point at exactly the length of the leash.
     slack = 1e-12 * (1.0 + leash * leash)
     if square == 0.0:
         return (0.0, 1.0) if rest <= slack else (1.0, 0.0)
@@ -195,7 +205,7 @@ def _free(x, y, ax, ay, bx, by, leash):
         return 1.0, 0.0
     root = math.sqrt(max(root, 0.0))
     low, high = max((-half - root) / square, 0.0), min((-half + root) / square, 1.0)
-    # An end of the leg that only touches is reached.
+    # A segment that only touches the circle counts as reached.
     if low > high and low - high < 1e-9:
         high = low
     return low, high
@@ -203,9 +213,10 @@ def _free(x, y, ax, ay, bx, by, leash):
 
 @njit(**_jit)
 def _fits(a, b, leash):
-    """Whether a leash is long enough: a way through the free space, cell by cell.
+    """Return True if a leash is long enough: a path through the free space, cell by cell.
 
-    `below[i]` is what can be reached of the lower side of cell (i, j), `left` of its left side.
+    `below[i]` is the reachable part of the lower side of cell (i, j), `left_low` to `left_high`
+    that of its left side.
     """
     n, m = len(a), len(b)
     if n == 1 or m == 1:
@@ -236,8 +247,8 @@ def _fits(a, b, leash):
             top_low, top_high = _free(bx1, by1, a[i, 0], a[i, 1], a[i + 1, 0], a[i + 1, 1], leash)
             right_low, right_high = _free(a[i + 1, 0], a[i + 1, 1], bx0, by0, bx1, by1, leash)
             from_left, from_below = left_low <= left_high, below[i, 0] <= below[i, 1]
-            # Free space in a cell is convex: from its left side all of the top is in reach, from
-            # below what lies to the right of where one came in; and so for the right side.
+            # Free space in a cell is convex. From the left side, all of the top is reachable. From
+            # below, only the part to the right of the entry is. The right side is symmetric.
             if not from_left:
                 top_low = max(top_low, below[i, 0]) if from_below else 2.0
             if not from_below:

@@ -1,11 +1,11 @@
-"""`edge eval translate`: how many instructions a translator gets right, by language equivalence.
+"""`edge eval translate`: count correct translations of instructions, by language equivalence.
 
-Four sets: the 2000 tasks of the task-level benchmark (ViTL V-C); Lang2LTL's symbolic utterances
-(Liu et al., CoRL 2023), whose formulas are about endless words; what people wrote for a robot in a
-house of coloured rooms (Gopalan et al., RSS 2018); and sentences of one's own. A mission ends, so a
-formula about endless words applies to the words that fulfil it when nothing more is reached
-afterwards; it counts where there is such a word with one object or nothing per step. "Visit a for
-ever" has none.
+There are four sets: the 2000 tasks of the task-level benchmark (ViTL V-C); Lang2LTL's symbolic
+utterances (Liu et al., CoRL 2023), whose formulas are about infinite traces; instructions that
+people wrote for a robot in a house of coloured rooms (Gopalan et al., RSS 2018); and a user's own
+sentences. A mission ends. So a formula about infinite traces applies to the traces that fulfil it
+if nothing more is reached afterwards. The case counts if such a trace exists with one object or
+nothing per step. For "visit a for ever" none exists.
 """
 
 from __future__ import annotations
@@ -52,17 +52,19 @@ from edge.text import aligned, one_line
 
 _TASKS = 2000
 _SHOWN_FAILURES = 5
-_SHOWN_CHARS = 400  # of each
+_SHOWN_CHARS = 400
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """An instruction with the formula it should give.
+    """An instruction with the formula that it should give.
 
     Attributes:
-        part: what it is counted under.
-        others: further formulas that are right.
-        endless: the formula is about endless words.
+        part: group of cases that the counts are by.
+        sentence: the instruction.
+        formula: the correct formula.
+        endless: the formula is about infinite traces.
+        others: more correct formulas.
     """
 
     part: str
@@ -74,13 +76,14 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How one case went.
+    """The result of one case.
 
     Attributes:
-        outcome: "right", "right if weak" (once the reference's `!x U y` is read as the weak
-            until), "wrong", "asked" (which of several readings is meant) or "refused".
-        got: the translator's formula as text, or why it asked or refused.
-        witness: a shortest word on which reference and translation differ.
+        case: the case.
+        outcome: "right"; "right if weak" (if the reference's `!x U y` is read as the weak until);
+            "wrong"; "asked" (the translator asked which reading is meant); or "refused".
+        got: the translator's formula as text, or its reason to ask or refuse.
+        witness: a shortest trace on which reference and translation differ.
     """
 
     case: Case
@@ -93,7 +96,7 @@ OUTCOMES = ("right", "right if weak", "wrong", "asked", "refused")
 
 
 def benchmark_cases(n: int, seed: int = 0) -> list[Case]:
-    """The benchmark's tasks."""
+    """Return the tasks of the benchmark."""
     return [Case(task.template, task.sentence, task.formula) for task in generate(n, seed)]
 
 
@@ -102,7 +105,7 @@ def _table(path: Path, what: str) -> Iterator[io.TextIOWrapper]:
     """Open a table of sentences.
 
     Raises:
-        UserError: the file cannot be read, or is no such table.
+        UserError: the file cannot be read or has another form.
     """
     try:
         with open_regular(path) as file:
@@ -114,10 +117,10 @@ def _table(path: Path, what: str) -> Iterator[io.TextIOWrapper]:
 
 
 def lang2ltl_cases(path: Path) -> tuple[list[Case], Counter[str]]:
-    """The utterances whose formulas a mission can fulfil, and how many others by pattern.
+    """Read the utterances whose formulas a mission can fulfil, and count the others by pattern.
 
     Raises:
-        UserError: the file cannot be read, or is no such table.
+        UserError: the file cannot be read or has another form.
     """
     cases: list[Case] = []
     left_out: Counter[str] = Counter()
@@ -141,11 +144,12 @@ _ROOM = re.compile(
 
 
 def clean_up_cases(path: Path) -> tuple[list[Case], Counter[str]]:
-    """The sentences that name the rooms of their formulas, "the blue" written "the blue room";
-    how many others: they name other rooms, or a thing to be carried.
+    """Read the sentences that name the rooms of their formulas, and count the others by pattern.
+
+    "The blue" becomes "the blue room". The others name other rooms, or an object to carry.
 
     Raises:
-        UserError: the file cannot be read, or is no such table.
+        UserError: the file cannot be read or has another form.
     """
     cases: list[Case] = []
     left_out: Counter[str] = Counter()
@@ -154,9 +158,9 @@ def clean_up_cases(path: Path) -> tuple[list[Case], Counter[str]]:
             row = json.loads(line)
             prefix = [_ROOMS.get(word, word) for word in row["raw_ltl"].split()]
             rooms = {word for word in prefix if word in _ROOMS.values() or word in "XZ"}
-            said = {found[1].lower() for found in _ROOM.finditer(row["natural"])}
+            named = {found[1].lower() for found in _ROOM.finditer(row["natural"])}
             part = " ".join("r" if word in rooms else word for word in prefix)
-            if said != rooms:
+            if named != rooms:
                 left_out[part] += 1
                 continue
             formula = renamed(from_prefix(" ".join(prefix)), "{} room".format)
@@ -169,35 +173,43 @@ TO_READ, MAY_REFUSE = "to be read", "may be refused or asked about"
 
 
 def own_cases(path: Path) -> tuple[list[Case], Counter[str]]:
-    """Sentences of one's own, in a table with tabs: a sentence in double quotes, as JSON has it,
-    and a JSON list of the formulas that are right; an empty list among them says that refusing or
-    asking is right. Without a formula any is wrong.
+    """Read a user's own sentences from a table with tabs, and count those that are left out.
+
+    A row is a sentence in double quotes, as in JSON, and a JSON list of the correct formulas. An
+    empty list among them allows the translator to refuse or ask. Without a formula, any formula is
+    wrong.
 
     Raises:
-        UserError: the file cannot be read, or is no such table.
+        UserError: the file cannot be read or has another form.
     """
     cases: list[Case] = []
     left_out: Counter[str] = Counter()
     with _table(path, "a table of sentences") as file:
         next(file, None)
         for line in file:
-            said, right = (json.loads(cell) for cell in line.split("\t")[:2])
+            sentence, right = (json.loads(cell) for cell in line.split("\t")[:2])
             if right == ["LONG"]:
                 left_out[TO_READ] += 1
                 continue
             part = MAY_REFUSE if [] in right else TO_READ
             formulas = tuple(parse(text) for text in right if text)
-            cases.append(Case(part, said, formulas[0] if formulas else FALSE, others=formulas[1:]))
+            cases.append(
+                Case(part, sentence, formulas[0] if formulas else FALSE, others=formulas[1:])
+            )
     return cases, left_out
 
 
 def from_prefix(text: str) -> Formula:
-    """The formula that prefix text writes, as Lang2LTL's data does: `& F a U ! b c`.
+    """Parse a formula in prefix notation, as in Lang2LTL's data: `& F a U ! b c`.
 
-    `i` is implication and `e` equivalence; a word that is no operator is a proposition.
+    `i` is implication and `e` equivalence. A word that is not an operator is a proposition.
 
     Raises:
-        ValueError: the text is no formula.
+        ValueError: the text is not a formula.
+
+    Example:
+        >>> to_text(from_prefix("& F a F b"))
+        'F a & F b'
     """
     done: list[Formula] = []
     for word in reversed(text.split()):
@@ -211,16 +223,16 @@ def from_prefix(text: str) -> Formula:
         else:
             done.append(Formula(op, tuple(args)) if n else ap(op))
     if len(done) != 1:
-        raise ValueError(f"{text!r}: it is {len(done)} formulas")
+        raise ValueError(f"{text!r}: expected one formula, got {len(done)}")
     return done[0]
 
 
 def score(case: Case, translator: Translator) -> Score:
-    """One case, translated and compared.
+    """Translate one case and compare it with the reference.
 
     Raises:
-        UserError: the translator failed, as a server does that is down, or the languages are
-            beyond the compiler's limits; neither says anything about the translation.
+        UserError: the translator failed (for example its server is down), or a formula exceeds the
+            compiler's limits. Neither judges the translation.
     """
     try:
         formula = translator.translate(case.sentence).formula
@@ -239,7 +251,7 @@ def score(case: Case, translator: Translator) -> Score:
 
 
 def summary(scores: Sequence[Score], left_out: Counter[str]) -> dict[str, Any]:
-    """Counts by part and in total."""
+    """Count outcomes by part and in total."""
     parts = dict.fromkeys([*(s.case.part for s in scores), *left_out])
     return {
         "cases": len(scores),
@@ -257,7 +269,7 @@ def _counts(scores: Sequence[Score], left_out: int) -> dict[str, int]:
 
 
 def table(title: str, counts: dict[str, Any]) -> str:
-    """What `summary` counts as aligned text."""
+    """Return the counts of `summary` as aligned text."""
     columns = (*OUTCOMES, "not_expressible")
     rows = [[part, [count[c] for c in columns]] for part, count in counts["parts"].items()]
     rows.append(["all", [counts[c] for c in columns]])
@@ -267,7 +279,7 @@ def table(title: str, counts: dict[str, Any]) -> str:
 
 
 def failure_lines(scores: Iterable[Score], translator: str) -> Iterator[str]:
-    """What failed, one line of JSON each."""
+    """Yield each failure as a line of JSON."""
     for s in scores:
         if s.outcome != "right":
             yield json.dumps({
@@ -282,11 +294,11 @@ def failure_lines(scores: Iterable[Score], translator: str) -> Iterator[str]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`edge eval translate`: tables on the screen, failures and counts into files.
+    """Handle `edge eval translate`: print tables, write failures and counts to files.
 
     Raises:
-        UserError: bad options; a file cannot be read or written; the scoring was stopped (what
-            was done until then is printed and written before).
+        UserError: an option is wrong; a file cannot be read or written; or the scoring was stopped,
+            after its results so far were printed and written.
     """
     translators = {name: make_translator(_config(name, args)) for name in args.backend}
     sets = {VITL: (benchmark_cases(_TASKS, args.seed), Counter[str]())}
@@ -330,39 +342,41 @@ SEEN = {
     LANG2LTL: "seen while the grammar was written, and by the model",
     CLEAN_UP: "seen while the grammar was written, and by the model",
 }
-"""Set → what is to be known of its figures."""
+"""Set → note on its figures."""
 NOT_SEEN = "not seen by this model; seen while grammar and composer were written"
-"""Said of figures of a model that did not learn from the set."""
+"""Note on figures of a model that was not trained on the set."""
 _OF_THE_CARD = ("model", "auto")
 
 
 def overview(result: dict[str, Any], not_seen: dict[str, dict[str, dict[str, int]]]) -> str:
-    """One row for each set and translator, as shares.
+    """Return a table of shares with one row for each set and translator.
 
     Args:
-        result: set → translator → what `summary` counts; other entries are passed over.
-        not_seen: set → translator → outcomes, of models that did not see the set.
+        result: set → translator → counts of `summary`; other entries are ignored.
+        not_seen: set → translator → outcomes of models that were not trained on the set.
     """
     rows = [["set", "translator", "cases", *OUTCOMES, ""]]
     for title, by in result.items():
         if isinstance(by, dict):
-            rows += [_shares(title, name, told, SEEN.get(title, "")) for name, told in by.items()]
             rows += [
-                _shares(title, name, told, NOT_SEEN)
-                for name, told in not_seen.get(title, {}).items()
+                _shares(title, name, counts, SEEN.get(title, "")) for name, counts in by.items()
+            ]
+            rows += [
+                _shares(title, name, counts, NOT_SEEN)
+                for name, counts in not_seen.get(title, {}).items()
                 if name in by
             ]
     return aligned(rows)
 
 
-def _shares(title: str, name: str, told: dict[str, Any], note: str) -> list[str]:
-    cases = sum(told[outcome] for outcome in OUTCOMES)
-    shares = (f"{100 * told[outcome] / max(cases, 1):.1f} %" for outcome in OUTCOMES)
+def _shares(title: str, name: str, counts: dict[str, Any], note: str) -> list[str]:
+    cases = sum(counts[outcome] for outcome in OUTCOMES)
+    shares = (f"{100 * counts[outcome] / max(cases, 1):.1f} %" for outcome in OUTCOMES)
     return [title, name, str(cases), *shares, note]
 
 
 def _not_seen() -> dict[str, dict[str, dict[str, int]]]:
-    """What the small model's card tells of models that did not learn from a set."""
+    """Return the outcomes of models that were not trained on a set, from the small model's card."""
     measured = load_card(SMALL_TRANSLATOR).measured
     found = {
         title: {name: measured.get(f"{title.lower()}, not seen, {name}") for name in _OF_THE_CARD}
@@ -374,9 +388,9 @@ def _not_seen() -> dict[str, dict[str, dict[str, int]]]:
 def _scored(
     title: str, cases: Sequence[Case], translator: Translator
 ) -> tuple[list[Score], BaseException | None]:
-    """The scores, and what stopped it early.
+    """Score cases until one fails; return the scores and the error that stopped it.
 
-    A server that fails is not asked again: at a time limit a case it would take hours to say so.
+    After a failure of the server no more is asked: each case could take the whole time limit.
     """
     scores: list[Score] = []
     try:
@@ -391,7 +405,7 @@ def _scored(
 
 
 def _shown(lines: Sequence[str]) -> Iterator[str]:
-    """The first of the failures, for the screen."""
+    """Yield the first failures, for the screen."""
     for line in lines[:_SHOWN_FAILURES]:
         yield f"  {one_line(line, _SHOWN_CHARS)}"
     if len(lines) > _SHOWN_FAILURES:
@@ -399,7 +413,7 @@ def _shown(lines: Sequence[str]) -> Iterator[str]:
 
 
 def _sample(cases: Sequence[Case], limit: int | None) -> Sequence[Case]:
-    """Evenly spread, so that a small sample has every part."""
+    """Return `limit` evenly spaced cases, so that a small sample has every part."""
     if limit is None or limit >= len(cases):
         return cases
     return [cases[i * len(cases) // limit] for i in range(limit)]

@@ -1,4 +1,4 @@
-"""What truly happened in an episode, by the simulator's ground truth, seen tick by tick."""
+"""Ground-truth logger: the true course of an episode, recorded tick by tick from the simulator."""
 
 from __future__ import annotations
 
@@ -19,16 +19,21 @@ from edge.loop.result import TickResult
 from edge.types import Goal, Instance, MissionStatus, Observation
 
 TRAIL_M = 0.25
-MIN_PX = 40  # of a thing in the picture for it to be seen
+MIN_PX = 40  # pixels of an object from which it counts as seen
 SURE = ("confirmed", "reached")
-SAME_M = 0.5  # an instance this near a thing is that thing
-STANDING_M, STANDING_S = 1.0, 60.0  # within this for so long, the robot was stuck
+SAME_M = 0.5  # an instance within this distance of an object is that object
+STANDING_M, STANDING_S = 1.0, 60.0  # a robot within this radius for this time is stuck
 
 
 class Truth(NamedTuple):
-    """The simulator's account of one instant.
+    """The simulator's ground truth of one instant.
 
     Attributes:
+        x_m: x of the robot in `map`.
+        y_m: y of the robot in `map`.
+        yaw_rad: its heading.
+        path_m: driven so far.
+        collisions: so far.
         ids: (h, w) uint16 object ids of the picture, 0 = none.
     """
 
@@ -42,28 +47,35 @@ class Truth(NamedTuple):
 
 @dataclass
 class Sight:
-    """When a target was first to be seen."""
+    """The first time that a target was in view.
+
+    Attributes:
+        seconds: since the start.
+        path_m: driven until then.
+    """
 
     seconds: float
     path_m: float
 
 
 class Witness:
-    """A sink that compares what the service says with what is so.
+    """Sink that compares the service's results with ground truth.
 
     Args:
-        truth: of the instant of an observation, by its stamp (ns).
+        config: of the episode.
+        world: the simulated world.
+        truth: returns the ground truth of an observation's stamp [ns].
 
     Attributes:
-        fault: what went wrong in the witness itself: a service outlives its sinks' errors.
-        things: of each target of the mission, the world's.
-        now: the last instant; None before the first.
-        sights: of each target that was seen, when.
-        stops: of each thing that was declared reached: its label, and how far it truly was [m].
-        confirmed: of each target, the ids of instances that are such a thing and were confirmed;
-            `mistaken` of those that are not.
-        revisited_m2: floor that a search saw again though an earlier leg of the mission had seen
-            it; None: of one target.
+        fault: the first error in this sink. The service ignores errors of its sinks.
+        things: by target, the objects of the world.
+        now: the latest ground truth; None before the first.
+        sights: by target that was seen, the first time.
+        stops: for each `reached` report, the label and the true distance [m].
+        confirmed: by target, the ids of instances that were confirmed correctly.
+        mistaken: ids of instances that were confirmed but are not the target.
+        revisited_m2: floor that a search saw again after an earlier leg of the mission; None for a
+            single target.
     """
 
     def __init__(self, config: Config, world: World, truth: Callable[[int], Truth]) -> None:
@@ -78,7 +90,7 @@ class Witness:
         self.now: Truth | None = None
         self.seconds = 0.0
         self.things: dict[str, list[WorldObject]] = {}
-        self._mine: dict[str, np.ndarray] = {}
+        self._target_masks: dict[str, np.ndarray] = {}
         self.trail: list[list[float]] = []
         self.goals: list[Goal] = []
         self.status: MissionStatus | None = None
@@ -97,18 +109,18 @@ class Witness:
             self.goals += result.goals
             self.status = result.status
             if result.observation is not None:
-                self._look(result, result.observation)
+                self._on_observation(result, result.observation)
         except Exception as error:
             self.fault = self.fault or error
             raise
 
-    def _look(self, result: TickResult, observation: Observation) -> None:
+    def _on_observation(self, result: TickResult, observation: Observation) -> None:
         truth = self._truth(observation.stamp_ns)
         if self.now is None:
             self._begin(result.targets, truth, observation.stamp_ns)
         self.now, self.seconds = truth, 1e-9 * (observation.stamp_ns - self._began_ns)
         self._follow(truth)
-        self._see(truth, observation.depth_m)
+        self._record_sights(truth, observation.depth_m)
         if result.events:
             self._judge_steps(result, truth)
         instances = result.instances()
@@ -119,12 +131,14 @@ class Witness:
     def _begin(self, targets: Sequence[str], truth: Truth, stamp_ns: int) -> None:
         self.things = {target: named(self._world, target) for target in targets}
         most = max((thing.id for thing in self._world.objects), default=0)
-        self._mine = {target: mask_of(things, most) for target, things in self.things.items()}
+        self._target_masks = {
+            target: mask_of(things, most) for target, things in self.things.items()
+        }
         self.confirmed = {target: set() for target in targets}
         self._began_ns, self._anchor = stamp_ns, (0.0, truth.x_m, truth.y_m)
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Do nothing: there is nothing to release."""
 
     def _follow(self, truth: Truth) -> None:
         place = [round(truth.x_m, 3), round(truth.y_m, 3)]
@@ -133,11 +147,11 @@ class Witness:
         if math.dist(self._anchor[1:], (truth.x_m, truth.y_m)) > STANDING_M:
             self._anchor = (self.seconds, truth.x_m, truth.y_m)
 
-    def _see(self, truth: Truth, depth_m: np.ndarray | None) -> None:
-        for target, mine in self._mine.items():
+    def _record_sights(self, truth: Truth, depth_m: np.ndarray | None) -> None:
+        for target, mask in self._target_masks.items():
             if target in self.sights or depth_m is None or not len(self.things[target]):
                 continue
-            if visible_px(truth.ids, depth_m, mine, self._range_m) >= MIN_PX:
+            if visible_px(truth.ids, depth_m, mask, self._range_m) >= MIN_PX:
                 self.sights[target] = Sight(self.seconds, truth.path_m)
 
     def _judge_steps(self, result: TickResult, truth: Truth) -> None:
@@ -158,41 +172,46 @@ class Witness:
             (known if right else self.mistaken).add(instance.id)
 
     def _follow_leg(self, target: str, instances: Sequence[Instance], truth: Truth) -> None:
-        """A leg ends where the target turns, or is reached: then the same may be next again."""
+        """Count revisited floor. A leg ends if the target changes or is reached."""
         known = [i.center_m[:2] for i in instances if i.label == target and i.state in SURE]
         where = truth.x_m, truth.y_m, truth.yaw_rad
+        # The number of stops tells two legs with the same target apart.
         turn, known_xy_m = (target, len(self.stops)), np.reshape(known, (-1, 2))
         self._legs.update(turn, target, known_xy_m, *where)
         self.revisited_m2 = self._legs.again_m2
 
-    # -- the verdict ------------------------------------------------------------------------------
+    # -- the outcome ------------------------------------------------------------------------------
 
     def away_m(self, target: str, x_m: float, y_m: float) -> float:
-        """From a place to the nearest footprint of a target; inf where there is none."""
+        """Return the distance to the nearest footprint of a target; inf if there is none."""
         things = self.things.get(target, [])
         return min((thing.distance_m(x_m, y_m) for thing in things), default=math.inf)
 
     @property
     def wrong_stops(self) -> list[tuple[str, float]]:
-        """Of `stops`, those that were too far from any such thing."""
+        """The entries of `stops` that were too far from any such object."""
         return [stop for stop in self.stops if stop[1] > REACHED_M]
 
     @property
     def standing_s(self) -> float:
-        """How long the robot has not got away from one place."""
+        """Time for which the robot has stayed within `STANDING_M` [s]."""
         return self.seconds - self._anchor[0]
 
     def first_sight(self) -> Sight | None:
-        """Of whichever target was seen first."""
+        """Return the first time that any target was seen; None: never."""
         return min(self.sights.values(), key=lambda sight: sight.seconds, default=None)
 
     def failure(self, pursued: str) -> str | None:
-        """Which kind of failure it was, of `edge.lab.eval.outcome.FAILURES`; None for a success.
+        """Return the kind of failure, one of `edge.lab.eval.outcome.FAILURES`; None for a success.
 
-        Something declared reached that was not: `wrong thing`. The robot in one place for the last
-        minute: `stuck`. Else by what it was after: to be seen, but never confirmed: `seen, not
-        confirmed`; time or path at an end, before it was seen or on the way to it: `budget`; given
-        up though confirmed: `stuck`; given up and never to be seen: `never seen`.
+        The first that holds:
+
+        - `wrong thing`: a `reached` report was wrong.
+        - `stuck`: the robot stayed in one place for the last minute.
+        - `seen, not confirmed`: the target was in view but never confirmed.
+        - `budget`: time or path ran out.
+        - `never seen`: the mission was abandoned, and the target was never in view.
+        - `stuck`: the mission was abandoned although the target was confirmed.
 
         Args:
             pursued: the target at the end.
@@ -212,7 +231,7 @@ class Witness:
 
 
 def named(world: World, target: str) -> list[WorldObject]:
-    """The world's things that a target means: by that very name, else by its noun."""
+    """Return the world's objects that a target means: those of its name, else of its noun."""
     exact = [item for item in world.objects if names.same(item.label, target)]
     return exact or [item for item in world.objects if names.same(item.label, _noun(target))]
 
@@ -223,7 +242,7 @@ def _noun(target: str) -> str:
 
 
 def mask_of(things: Sequence[WorldObject], most: int) -> np.ndarray:
-    """(most + 1,) bool by object id."""
+    """Return (most + 1,) bool by object id: True for these objects."""
     mask = np.zeros(most + 1, np.bool_)
     mask[[thing.id for thing in things]] = True
     return mask
@@ -231,10 +250,13 @@ def mask_of(things: Sequence[WorldObject], most: int) -> np.ndarray:
 
 @njit(nogil=True, cache=True)
 def visible_px(ids: np.ndarray, depth_m: np.ndarray, mine: np.ndarray, range_m: float) -> int:
-    """How many pixels show one of the things within a range.
+    """Count the pixels that show one of the objects within a range.
 
     Args:
-        ids: (h, w) uint16; `depth_m` (h, w) float32, NaN = no return; `mine` (n,) bool by id.
+        ids: (h, w) uint16 object ids.
+        depth_m: (h, w) float32, NaN = no return.
+        mine: (n,) bool by object id.
+        range_m: the range.
     """
     count = 0
     for v in range(ids.shape[0]):

@@ -1,7 +1,7 @@
-"""Episodes one by one or by several processes: the same outcomes from each.
+"""Episodes in this process or in several; both give the same outcomes.
 
-A task is an episode of a column; whoever runs it gets all that it needs with it, so that nothing
-depends on what ran before it. What breaks a task costs its own outcome and no other.
+A task is an episode with an arm. It carries all that it needs, so that nothing depends on earlier
+tasks. An error in a task affects only its own outcome.
 """
 
 from __future__ import annotations
@@ -33,11 +33,13 @@ _END_S = 5.0
 
 
 class Task(NamedTuple):
-    """An episode of a column.
+    """An episode with an arm.
 
     Attributes:
-        processes: over Zenoh, with simulator and controller in processes of their own.
-        page: a folder for a report; None: none is written.
+        column: the arm.
+        episode: the episode.
+        processes: run over Zenoh, with simulator and controller as processes.
+        page: folder for a report; None: no report.
     """
 
     column: Column
@@ -47,7 +49,8 @@ class Task(NamedTuple):
 
 
 def run_task(task: Task, stop: threading.Event | None = None) -> Outcome:
-    """
+    """Run a task in this process.
+
     Raises:
         Stopped: `stop` was set before its end.
     """
@@ -56,7 +59,7 @@ def run_task(task: Task, stop: threading.Event | None = None) -> Outcome:
 
 
 def one_by_one(tasks: Iterable[Task], stop: threading.Event) -> Iterator[Outcome]:
-    """In this process."""
+    """Run the tasks in this process, and yield their outcomes."""
     for task in tasks:
         if stop.is_set():
             return
@@ -71,7 +74,7 @@ def one_by_one(tasks: Iterable[Task], stop: threading.Event) -> Iterator[Outcome
 
 @dataclass(eq=False)
 class _Worker:
-    """A process, and what it is at."""
+    """A worker process and its current task."""
 
     process: Any
     pipe: connection.Connection
@@ -82,7 +85,7 @@ class _Worker:
         self.pipe.send(task)
 
     def take(self) -> Outcome:
-        """What came of its task; a process that ended has failed it."""
+        """Return the outcome of its task; "crashed" if the process ended."""
         task, self.task = self.task, None
         assert task is not None
         try:
@@ -90,13 +93,15 @@ class _Worker:
         except (EOFError, OSError):
             self.process.join(_END_S)
             code = self.process.exitcode
-            return crashed(task.column, task.episode, f"its process ended (exit code {code})")
+            return crashed(
+                task.column, task.episode, f"its worker process ended (exit code {code})"
+            )
 
 
 def by_workers(tasks: Iterable[Task], count: int, stop: threading.Event) -> Iterator[Outcome]:
-    """By `count` processes of one thread each; outcomes come as they are done.
+    """Run the tasks in `count` processes of one thread each; yield outcomes as they are done.
 
-    When `stop` is set, what is under way is left out.
+    If `stop` is set, unfinished tasks have no outcome.
     """
     waiting = deque(tasks)
     workers: list[_Worker] = []
@@ -132,7 +137,7 @@ def _start() -> _Worker:
 
 @contextmanager
 def _environment(values: dict[str, str]) -> Iterator[None]:
-    """For processes started meanwhile: a library reads these when it is loaded."""
+    """Set environment variables for child processes: libraries read them when they load."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:
@@ -146,7 +151,7 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 
 
 def _serve(pipe: connection.Connection) -> None:
-    """A worker's life: it ends with its parent, whose Ctrl-C is not for it."""
+    """Run the tasks of a pipe until the parent closes it. Ctrl-C is for the parent only."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
     while True:

@@ -1,4 +1,4 @@
-"""Worlds by lists: which ones an evaluation takes, and the one at hand, loaded once."""
+"""Lists of worlds for an evaluation, and a cache of the worlds loaded last."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _LOADED = 2
 
 
 def sections(specs: Sequence[str]) -> list[Section]:
-    """What `--worlds` names, in its order.
+    """Return the worlds that `--worlds` names, in its order.
 
     Args:
-        specs: each `KNOWN` shows a form: houses of a ProcTHOR file by their places in it,
-            generated houses by seed, a built-in house or a house's file, a mesh with its objects.
+        specs: each has a form of `KNOWN`: houses of a ProcTHOR file by position, generated houses
+            by seed, a built-in house or a house's file, or a mesh with its objects.
 
     Raises:
-        UserError: one is of no such form, or its range is empty.
+        UserError: a spec has another form, or its range is empty.
     """
     return [section for spec in specs for section in _sections(spec)]
 
@@ -44,7 +44,7 @@ def _sections(spec: str) -> list[Section]:
         houses = [house.get("name") for house in read_houses(resources.expand(name))]
         chosen = [houses[k] for k in _range(spec, matched, len(houses)) if k < len(houses)]
         if not chosen:
-            raise UserError(f"--worlds {spec}: {name} has {len(houses)} houses, none of them there")
+            raise UserError(f"--worlds {spec}: {name} has {len(houses)} houses, none in this range")
         return [{"kind": "procthor", "file": name, "name": house} for house in chosen]
     if name == "generated" and ranged:
         seeds = _range(spec, matched, None)
@@ -59,23 +59,23 @@ def _sections(spec: str) -> list[Section]:
 
 
 def _range(spec: str, matched: re.Match[str], length: int | None) -> range:
-    """The numbers in `[first:end]`, `[one]` or, of what has an end, nothing."""
+    """Return the numbers of `[first:end]` or `[one]`; without brackets, all up to `length`."""
     if matched["first"] is None:
         return range(length or 0)
     first = int(matched["first"] or 0)
     end = first + 1 if matched["to"] is None else int(matched["end"] or length or 0)
     if not first < end <= first + _MAX_SEEDS:
-        raise UserError(f"--worlds {spec}: an empty range, or one without an end")
+        raise UserError(f"--worlds {spec}: the range is empty or has no end")
     return range(first, end)
 
 
 def load(config: Config) -> World:
-    """The world of a configuration; those loaded last are kept.
+    """Load the world of a configuration. The last ones stay in memory.
 
     Raises:
         edge.lab.sim.base.WorldError: see `load_world`.
     """
-    # All that a world is made of: the robot's height and the camera's depths besides its file.
+    # All that a world depends on: its file, and also the robot's height and the camera's depths.
     about = config.model_dump(mode="json", include={"robot", "sensors", "sim", "perception"})
     about["sim"] = {"world": about["sim"]["world"]}
     about["perception"] = {"detector": {"kind": "sim"}}

@@ -1,4 +1,4 @@
-"""The reference motion controller, a process of its own that drives to published goals.
+"""Reference motion controller: a separate process that drives to published goals.
 
-It knows the service by its topics alone, so that any controller of a robot may take its place.
+It uses only the service's topics, so a robot's own controller can replace it.
 """

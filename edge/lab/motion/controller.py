@@ -1,6 +1,6 @@
-"""The reference motion controller as a state machine: no Zenoh, no clock.
+"""Reference motion controller as a state machine, without Zenoh and without a clock.
 
-`step` is told the time; see `edge/lab/motion/process.py` for the process around it.
+`step` gets the time as an argument. `edge/lab/motion/process.py` runs it as a process.
 """
 
 from __future__ import annotations
@@ -34,35 +34,41 @@ from edge.types import GoalStatus
 log = logging.getLogger("edge.lab.motion")
 
 GOAL_TOLERANCE_M, YAW_TOLERANCE_RAD = 0.12, 0.15
-NEAR_M = 0.4  # cells so near to an obstacle cost more
+NEAR_M = 0.4  # cells within this distance of an obstacle cost more
 LOOKAHEAD_M = 0.45
 REPLAN_S = 0.5
-GIVE_UP_NS = 3_000_000_000  # so long a goal may stay without a path
-CONTACT_M = 0.3  # driven, as it was told, without coming anywhere: it pushes against something
-AIM_FRACTIONS = (1.0, 0.6, 0.35)  # of the look-ahead, tried until the way there is free
-SAFE_M = 0.3  # this much of the path has to be free in the newest map
-DRIFT_M = 0.4  # off the path by more than this: plan again
-BETTER = 0.85  # a new path has to cost less than this part of the old one's rest
-SNAP_M = 0.25  # a goal that a newer map has closed is moved by at most this
-CLEAR_S = (0.15, 0.3, 0.45)  # looked at along the arc of a command
-CAREFUL_MPS = 0.15  # where no arc is clear, for example out of an obstacle that the robot is in
+GIVE_UP_NS = 3_000_000_000  # a goal without a path for longer fails
+CONTACT_M = 0.3  # commanded distance without movement after which the robot pushes an obstacle
+AIM_FRACTIONS = (1.0, 0.6, 0.35)  # of the look-ahead, tried until the straight line is free
+SAFE_M = 0.3  # length of path ahead that must be free in the newest map
+DRIFT_M = 0.4  # farther off the path than this: plan again
+BETTER = 0.85  # a new path must cost less than this share of the old path's rest
+SNAP_M = 0.25  # a goal that a newer map has closed moves at most this far
+CLEAR_S = (0.15, 0.3, 0.45)  # times along a command's arc at which cells must be free
+CAREFUL_MPS = 0.15  # speed if no arc is free, for example if the robot is inside an obstacle
 FACING_RAD = 0.2
-ARRIVE = 0.7  # of the goal tolerance: nearer than this the robot stops and turns
-# Driven since the last recovery, the next standstill, or contact, gets one of its own.
+ARRIVE = 0.7  # share of the goal tolerance within which the robot stops and turns
+# A standstill, or a contact, this far from the last recovery gets a new recovery.
 AGAIN_M, AGAIN_CONTACT_M = 1.0, 0.3
 STILL_MPS, STILL_RADPS = 0.03, 0.1
-MIN_CELL_M, MAX_CELL_M = 0.001, 10.0  # what a map to drive by can be made of
-RESTART_NS = 1_000_000_000  # time that goes back by more is another run; on, nobody looked
-REPLACED = 64  # goals that are remembered as replaced
+MIN_CELL_M, MAX_CELL_M = 0.001, 10.0  # limits of a usable map's resolution
+RESTART_NS = 1_000_000_000  # a larger step back in time is a new run, a larger step on is a gap
+REPLACED = 64  # replaced goals to remember
 
 
 class Controller:
-    """Drives to one goal at a time.
+    """State machine that drives to one goal at a time.
 
-    The goal that came last replaces the one before, whatever their stamps: those of two services,
-    or of one whose clock was set, do not compare. Each goal is answered `accepted`, then `reached`
-    or `failed` with a reason; a goal that is sent again is answered again with how it stands.
-    Where the robot was told to drive and was held up is told with the answer (`blocked`).
+    The newest goal replaces the one before. Stamps do not decide: those of two services, or of one
+    service whose clock was set, cannot be compared. Each goal is answered `accepted`, then
+    `reached` or `failed` with a reason. If a goal is sent again, its current status is sent again.
+    If the robot was commanded to drive but was held up, the answer has the place (`blocked`).
+
+    Example:
+        >>> from edge.config import parse
+        >>> controller = Controller(parse({"perception": {"detector": {"kind": "sim"}}}))
+        >>> [status.state for status in controller.on_goal(1, SE2(1.0, 0.0, 0.0))]
+        ['accepted']
     """
 
     def __init__(self, settings: config.Config) -> None:
@@ -78,21 +84,21 @@ class Controller:
         self._now_ns: int | None = None
         self._last = STOP
         self._goal: SE2 | None = None
-        self._order: tuple[int, SE2] | None = None  # the newest goal as it came
+        self._order: tuple[int, SE2] | None = None  # the newest goal as received
         self._replaced: deque[tuple[int, SE2]] = deque(maxlen=REPLACED)
         self._status: GoalStatus | None = None
         self._blocked: tuple[float, float] | None = None
-        self._begin(None)
+        self._start_goal(None)
 
-    def _begin(self, goal: SE2 | None) -> None:
-        """Forget everything that belonged to the goal before."""
+    def _start_goal(self, goal: SE2 | None) -> None:
+        """Start with a goal, or with none; reset all state of the goal before."""
         self._goal = goal
         self._target = (goal.x_m, goal.y_m) if goal else (0.0, 0.0)
         self._arrived = False
         self._recovery: Recovery | None = None
         self._recovered_at: SE2 | None = None
-        self._trouble_ns: int | None = None
-        if goal is None:  # a robot that is held up may be given one goal after another
+        self._no_path_since_ns: int | None = None
+        if goal is None:  # not for a new goal: a blocked robot may get one goal after another
             self._stuck.reset()
             self._contact.reset()
         self._progress.reset()
@@ -105,23 +111,23 @@ class Controller:
 
     @property
     def path_m(self) -> np.ndarray:
-        """(n, 2) float64: the path being followed; (0, 2) when there is none."""
+        """(n, 2) float64, the path that the robot follows; (0, 2) if there is none."""
         return self._path
 
-    # -- what comes in --------------------------------------------------------------------------
+    # -- inputs ---------------------------------------------------------------------------------
 
     def on_map(self, grid: Grid) -> None:
-        """Take a newer map; a path that it closes is planned again at the next step.
+        """Use a newer map; if it closes the path, plan again at the next step.
 
         Args:
-            grid: an occupancy grid, inflated by the robot's radius.
+            grid: occupancy grid, inflated by the robot's radius.
 
         Raises:
-            ValueError: not a map; the one before stays.
+            ValueError: the map cannot be used; the map before stays.
         """
         if not MIN_CELL_M <= grid.resolution_m <= MAX_CELL_M:
             raise ValueError(
-                f"map resolution has to be {MIN_CELL_M:g} to {MAX_CELL_M:g} m, "
+                f"map resolution must be {MIN_CELL_M:g} to {MAX_CELL_M:g} m, "
                 f"got {grid.resolution_m:g}"
             )
         clearance_m = self._motion.clearance_m
@@ -130,7 +136,7 @@ class Controller:
             self._planned_ns = None
 
     def on_goal(self, stamp_ns: int, goal: SE2) -> list[GoalStatus]:
-        """Take a goal, or answer for one that is sent again."""
+        """Start a new goal, or answer again for a repeated one."""
         order = (stamp_ns, goal)
         if order == self._order:
             return [self._status]
@@ -141,23 +147,25 @@ class Controller:
         if self._order is not None:
             self._replaced.append(self._order)
         self._order = order
-        self._begin(goal)
+        self._start_goal(goal)
         self._status = GoalStatus(stamp_ns, "accepted")
         return [self._status]
 
     def step(
         self, pose: SE2, v_mps: float, w_radps: float, now_ns: int
     ) -> tuple[Command, list[GoalStatus]]:
-        """One control step.
+        """Run one control step.
 
         Args:
-            pose: of the robot in `map`; `v_mps` and `w_radps` are its measured speeds.
-            now_ns: of the pose.
+            pose: robot pose in `map`.
+            v_mps: measured speed.
+            w_radps: measured turn rate.
+            now_ns: stamp of the pose.
 
         Returns:
-            What to do until the next step, and answers to the goal (none, or one).
+            The command until the next step, and answers to the goal (none, or one).
         """
-        dt_s = self._pass_time(now_ns)
+        dt_s = self._advance_time(now_ns)
         wanted, answers = STOP, []
         self._blocked = None
         if _is_finite(pose):
@@ -167,29 +175,29 @@ class Controller:
             still = abs(v_mps) <= STILL_MPS and abs(w_radps) <= STILL_RADPS
             wanted = self._drive(self._goal, pose, still, dt_s, now_ns)
             if self._status is not before or self._blocked is not None:
-                # Told once: a goal that is sent again is answered without it.
+                # Report the place once; the stored status does not have it.
                 answers = [replace(self._status, blocked=self._blocked)]
         self._last = self._limits.ramp(wanted, self._last, dt_s) if wanted.moves else STOP
         return self._last, answers
 
     def pause(self) -> None:
-        """The robot is being stopped without a step; the goal stays, standing still is no fault."""
+        """Stop outside of a step: keep the goal, and do not count the standstill as being stuck."""
         self._last = STOP
         self._recovery = None
-        self._trouble_ns = None
+        self._no_path_since_ns = None
         self._stuck.reset()
         self._contact.reset()
         self._progress.reset()
 
-    def _pass_time(self, now_ns: int) -> float:
-        """Take up what the step's time tells of the run; how long the step is, in seconds."""
+    def _advance_time(self, now_ns: int) -> float:
+        """Handle a new stamp (restart, gap or normal step); return the step's length in s."""
         last = now_ns if self._now_ns is None else self._now_ns
         if now_ns < last - RESTART_NS:
-            self._begin(None)
+            self._start_goal(None)
             self._order = self._status = self._map = None
             self._replaced.clear()
         elif now_ns > last + RESTART_NS:
-            self.pause()  # what the robot did meanwhile, nobody saw
+            self.pause()  # the robot's motion during the gap is unknown
         self._now_ns = now_ns
         # A first step, or one after a gap, may change the speed like any other.
         return min(max((now_ns - last) / 1e9, 1.0 / self._motion.rate_hz), 0.2)
@@ -217,7 +225,7 @@ class Controller:
         return command
 
     def _has_arrived(self, pose: SE2) -> bool:
-        """Near the goal, with hysteresis, so that turning does not begin driving again."""
+        """Return True near the goal, with hysteresis, so that turning does not restart driving."""
         tolerance = GOAL_TOLERANCE_M * (1.0 if self._arrived else ARRIVE)
         self._arrived = pose.distance_to(*self._target) <= tolerance
         return self._arrived
@@ -227,7 +235,7 @@ class Controller:
         if still and error <= YAW_TOLERANCE_RAD:
             self._finish("reached")
             return STOP
-        # Stop a little inside the tolerance, so that coasting does not lead out of it.
+        # Stop well inside the tolerance, so that coasting does not leave it.
         return (
             STOP if error <= 0.5 * YAW_TOLERANCE_RAD else turn_to(pose, goal.yaw_rad, self._limits)
         )
@@ -244,7 +252,7 @@ class Controller:
         return self._follow(pose, remaining)
 
     def _follow(self, pose: SE2, remaining_m: float) -> Command:
-        """Aim as far along the path as can be driven to in a straight line."""
+        """Aim as far along the path as a straight line is free."""
         here = (pose.x_m, pose.y_m)
         escaping = not self._map.is_free(*here)
         ahead = self._path[self._index : index_ahead(self._path, self._index, SAFE_M) + 1]
@@ -257,7 +265,7 @@ class Controller:
             command = pursue(pose, *aim, remaining_m, self._limits)
             if smoothing.line_is_free(self._map, here, aim) and self._is_clear(pose, command):
                 return command
-        # No way round without touching: face the nearest aim, then creep towards it.
+        # Every arc touches an obstacle: face the nearest aim, then creep towards it.
         bearing = pose.bearing_to(*aim)
         if abs(bearing) > FACING_RAD:
             return turn(bearing, self._limits)
@@ -265,7 +273,7 @@ class Controller:
         return Command(command.v_mps * scale, command.w_radps * scale)
 
     def _is_clear(self, pose: SE2, command: Command) -> bool:
-        """Whether the arc of a command stays on open cells for a while."""
+        """Return True if the arc of a command stays on free cells at all times of `CLEAR_S`."""
         for t_s in CLEAR_S:
             yaw = pose.yaw_rad + 0.5 * command.w_radps * t_s
             x = pose.x_m + command.v_mps * t_s * math.cos(yaw)
@@ -287,31 +295,31 @@ class Controller:
         return len(self._path) > 0 and pose.distance_to(*self._path[self._index]) > DRIFT_M
 
     def _path_is_open(self) -> bool:
-        """Whether the rest of the path is open in the newest map, but for where it begins."""
+        """Return True if the newest map leaves the rest of the path free, but for its start."""
         rest = self._path[self._index :]
         free = [self._map.is_free(*point) for point in rest]
         return any(free) and all(free[free.index(True) :])
 
     def _plan(self, pose: SE2, now_ns: int) -> None:
-        """Look for a path; keep the old one unless it is closed or clearly worse."""
+        """Plan a path; keep the old one unless it is closed or clearly worse."""
         self._planned_ns = now_ns
         if self._map is None:
-            self._trouble("no map", now_ns)
+            self._on_no_path("no map", now_ns)
             return
         self._target = self._open_target()
         found = astar.plan(self._map, (pose.x_m, pose.y_m), self._target, self._workspace)
         old_cost = self._rest_cost(pose)
         if found.ok:
-            self._trouble_ns = None
+            self._no_path_since_ns = None
             path = smoothing.smooth(self._map, found.path_m)
             if smoothing.polyline_cost_m(self._map, path) < BETTER * old_cost or found.escape_m:
                 self._path, self._index = path, 0
         elif math.isinf(old_cost):
             self._path, self._index = np.empty((0, 2)), 0
-            self._trouble(found.reason, now_ns)
+            self._on_no_path(found.reason, now_ns)
 
     def _open_target(self) -> tuple[float, float]:
-        """The goal, or the nearest open cell where a newer map has closed it."""
+        """Return the goal, or the nearest free cell if a newer map has closed it."""
         goal = (self._goal.x_m, self._goal.y_m)
         cell = self._map.cell_of(*goal)
         if cell is None or self._map.weight[cell] != 0:
@@ -323,24 +331,24 @@ class Controller:
         return float(x), float(y)
 
     def _rest_cost(self, pose: SE2) -> float:
-        """Cost of the path still to drive; inf when there is none, or it is closed or far off."""
+        """Return the cost of the remaining path; inf if it is empty, closed or far away."""
         if not len(self._path) or math.dist(self._path[-1], self._target) > 1e-6:
             return math.inf
         if pose.distance_to(*self._path[self._index]) > DRIFT_M:
             return math.inf
         return smoothing.polyline_cost_m(self._map, self._path[self._index :])
 
-    # -- when it does not go well -----------------------------------------------------------------
+    # -- failures and recovery --------------------------------------------------------------------
 
-    def _trouble(self, reason: str, now_ns: int) -> None:
-        """No way now: wait for a better map, but not for ever."""
-        if self._trouble_ns is None or now_ns < self._trouble_ns:
-            self._trouble_ns = now_ns
-        elif now_ns - self._trouble_ns >= GIVE_UP_NS:
+    def _on_no_path(self, reason: str, now_ns: int) -> None:
+        """Handle a missing path: wait for a better map, at most `GIVE_UP_NS`."""
+        if self._no_path_since_ns is None or now_ns < self._no_path_since_ns:
+            self._no_path_since_ns = now_ns
+        elif now_ns - self._no_path_since_ns >= GIVE_UP_NS:
             self._finish("failed", reason)
 
     def _unstick(self, pose: SE2, again_m: float, now_ns: int) -> Command:
-        """Back up or turn once; a second standstill within `again_m` is a failure."""
+        """Back up or turn once; fail at a second standstill within `again_m`."""
         if self._last.v_mps != 0.0:
             self._blocked = pose.ahead(math.copysign(self._radius_m, self._last.v_mps))
         last = self._recovered_at
@@ -354,7 +362,7 @@ class Controller:
 
     def _finish(self, state: str, reason: str = "") -> None:
         self._status = GoalStatus(self._status.stamp_ns, state, reason)
-        self._begin(None)
+        self._start_goal(None)
 
 
 def _is_finite(pose: SE2) -> bool:

@@ -1,7 +1,7 @@
-"""The reference motion controller as a process of its own on the Zenoh bus.
+"""Reference motion controller as a separate process on the Zenoh bus.
 
-Reads `map`, `goal` and `odom`, writes `cmd_vel` and `goal_status` (`edge/bus/topics.py`). Any other
-controller that does so can take its place.
+It reads `map`, `goal` and `odom`, and writes `cmd_vel` and `goal_status` (`edge/bus/topics.py`).
+Any other controller with these topics can replace it.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ log = logging.getLogger("edge.lab.motion")
 T = TypeVar("T")
 
 ODOMETRY_LOST_S = 1.0
-MAP_LOST_S = 3.0  # or three maps, where they come less often
-_PAUSE_S = 0.0003  # between two looks at the rings, in lockstep
+MAP_LOST_S = 3.0  # at least; three map periods if maps come less often
+_PAUSE_S = 0.0003  # between two reads of the rings, in lockstep
 _RINGS = {topics.MAP: 1, topics.GOAL: 8, topics.ODOMETRY: 64, topics.TICK: 16}
 _MAX_JSON = 4096
 
 
 def main(config: Config, stop: threading.Event) -> int:
-    """Run until `stop` is set; returns the exit status."""
+    """Run until `stop` is set; return the exit status."""
     unless_stopped(partial(warm_up, config), stop)
     with zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
         bus = Bus(session, config)
@@ -57,7 +57,7 @@ def main(config: Config, stop: threading.Event) -> int:
 
 
 def warm_up(config: Config) -> None:
-    """Drive one step on a small map, so that no goal waits for a compiler."""
+    """Drive one step on a small map, so that the first goal does not wait for the compiler."""
     controller = Controller(config)
     controller.on_map(Grid(np.zeros((64, 64), np.int8), (0.0, 0.0), 0.05))
     controller.on_goal(1, SE2(2.0, 1.0, 0.0))
@@ -65,11 +65,11 @@ def warm_up(config: Config) -> None:
 
 
 class Bus:
-    """The controller's topics: what came in since the last look, and what goes out.
+    """The controller's subscribers and publishers.
 
     Attributes:
-        malformed: messages that could not be read, by topic key.
-        map_heard_s: when the newest map came (`time.monotonic`); None before the first.
+        malformed: number of unreadable messages by topic key.
+        map_heard_s: time at which the newest map came (`time.monotonic`); None before the first.
     """
 
     def __init__(self, session: zenoh.Session, config: Config) -> None:
@@ -90,7 +90,7 @@ class Bus:
         )
 
     def read(self, topic: Topic, decode: Callable[[bytes], T]) -> list[T]:
-        """What came, oldest first, at most a ring's worth; what cannot be read is counted."""
+        """Return the messages since the last call, oldest first; count unreadable ones."""
         read = []
         for sample in self._rings[topic].take():
             try:
@@ -104,7 +104,7 @@ class Bus:
     def _count(self, topic: Topic, error: Exception) -> None:
         self.malformed[topic.key] = self.malformed.get(topic.key, 0) + 1
         if self.malformed[topic.key] == 1:
-            log.warning("%s: %s; further ones are only counted", topic.key, error)
+            log.warning("%s: unreadable message: %s; more are only counted", topic.key, error)
 
     def command(self, command: Command, stamp_ns: int) -> None:
         self._commands.put(messages.encode_twist_stamped(stamp_ns, command.v_mps, command.w_radps))
@@ -119,8 +119,8 @@ class Bus:
     def feed(self, controller: Controller) -> None:
         """Give the controller the newest map and all goals, and send its answers."""
         for stamp_ns, grid in self.read(topics.MAP, messages.decode_occupancy_grid):
-            # In lockstep one is sent again while nobody answers, which is no newer map: taking it
-            # in would plan anew, and the run depend on how slow the computer is.
+            # In lockstep a map is sent again until it is answered. Using the copy would plan
+            # again, and the run would depend on the computer's speed.
             if self._lockstep and stamp_ns == self._map_ns:
                 continue
             try:
@@ -140,10 +140,10 @@ class Bus:
 
 
 def parse_tick(payload: bytes) -> int:
-    """The stamp of `{"stamp": ns}`.
+    """Return the stamp of `{"stamp": ns}`.
 
     Raises:
-        ValueError: with one line that says what is wrong.
+        ValueError: one line that says what is wrong.
     """
     stamp = read_json_object(payload, _MAX_JSON).get("stamp")
     if type(stamp) is not int:
@@ -154,8 +154,8 @@ def parse_tick(payload: bytes) -> int:
 def run(bus: Bus, controller: Controller, stop: threading.Event, config: Config) -> None:
     """Step at `motion.rate_hz` on the newest odometry.
 
-    The robot is stopped when there is no odometry for 1 s, and when the maps that it was driven
-    by have ceased: whoever sends them no longer sees where it goes.
+    The robot stops if there is no odometry for 1 s. It also stops if the maps cease: without them
+    the controller drives blind.
     """
     period_s = 1.0 / config.motion.rate_hz
     map_lost_s = max(MAP_LOST_S, 3.0 / config.report.map_hz)
@@ -167,7 +167,7 @@ def run(bus: Bus, controller: Controller, stop: threading.Event, config: Config)
         bus.feed(controller)
         was_held, is_held = is_held, _is_lost(bus.map_heard_s, map_lost_s)
         if is_held and not was_held:
-            log.warning("no map for %.1f s: standing still until one comes", map_lost_s)
+            log.warning("no map for %.1f s: robot stopped until a map comes", map_lost_s)
             controller.pause()
         if odometry and odometry[-1].stamp_ns != stamp_ns:
             newest = odometry[-1]
@@ -180,15 +180,15 @@ def run(bus: Bus, controller: Controller, stop: threading.Event, config: Config)
 
 
 def _is_lost(heard_s: float | None, after_s: float) -> bool:
-    """Whether something that was heard once has been silent for so long."""
+    """Return True if something that was heard once has been silent for longer than `after_s`."""
     return heard_s is not None and time.monotonic() - heard_s > after_s
 
 
 def run_lockstep(bus: Bus, controller: Controller, stop: threading.Event) -> None:
-    """Answer each odometry stamp once the service's tick for it has come.
+    """Answer each odometry stamp after the service's tick for it has come.
 
-    A tick is sent after the map and the goal that came with it, so ticks are read first. A
-    stamp that comes again (its answer was lost) is answered again with the same command.
+    The service sends a tick after the map and the goal of that tick, so ticks are read first. A
+    stamp that comes again (its answer was lost) gets the same command again.
     """
     last: tuple[Command, int] | None = None
     waiting: dict[int, messages.Odometry] = {}
@@ -211,7 +211,7 @@ def run_lockstep(bus: Bus, controller: Controller, stop: threading.Event) -> Non
 
 
 def _step(bus: Bus, controller: Controller, odometry: messages.Odometry) -> tuple[Command, int]:
-    """Step, send the answers; the command and its stamp are for the caller to send."""
+    """Step and send the answers; return the command and its stamp for the caller to send."""
     pose = se2_of(odometry.T_map_base)
     command, answers = controller.step(pose, odometry.v_mps, odometry.w_radps, odometry.stamp_ns)
     bus.answer(answers)

@@ -1,4 +1,4 @@
-"""Noticing a robot that drives and gets nowhere."""
+"""Detection of a robot that drives without progress."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ DETOURS = 8
 
 
 class Progress:
-    """Whether the way left keeps getting shorter.
+    """Checks that the remaining path keeps getting shorter.
 
-    A longer way is a detour that a newer map has forced: it starts the wait afresh, but only
-    so many times, so that a robot that swings between two paths is found out too.
+    A longer path is a detour that a newer map has forced: it restarts the wait. At most `DETOURS`
+    detours restart it, so that a robot that swings between two paths is detected too.
     """
 
     def __init__(self, wait_s: float) -> None:
@@ -25,7 +25,7 @@ class Progress:
         self._detours = 0
 
     def update(self, remaining_m: float, now_ns: int) -> bool:
-        """False when the wait is over without the robot having come `NEARER_M` nearer."""
+        """Return False if `wait_s` is over and the robot has not come `NEARER_M` nearer."""
         if self._best_m is None or remaining_m <= self._best_m - NEARER_M:
             self._best_m, self._since_ns = remaining_m, now_ns
         elif remaining_m > self._best_m + 1.0 and self._detours < DETOURS:
@@ -35,32 +35,34 @@ class Progress:
 
 
 class Contact:
-    """Whether the robot pushes against something: told to drive, it does not leave its place.
+    """Checks if the robot pushes against something: commanded to drive, it does not move.
 
     Args:
-        told_m: so far it was told to drive by then. Longer than what a base that is slow to
-            answer lets pass before it moves.
-        moved_m: what counts as having left the place.
+        commanded_m: commanded distance after which this counts as contact. It must be longer than a
+            slow base needs to start moving.
+        moved_m: distance that counts as having moved.
     """
 
-    def __init__(self, told_m: float, moved_m: float) -> None:
-        self._enough_m, self._moved_m = told_m, moved_m
+    def __init__(self, commanded_m: float, moved_m: float) -> None:
+        self._enough_m, self._moved_m = commanded_m, moved_m
         self.reset()
 
     def reset(self) -> None:
-        """The robot was not driving."""
-        self._from: SE2 | None = None
-        self._told_m = 0.0
+        """Start again: the robot was not driving."""
+        self._start: SE2 | None = None
+        self._commanded_m = 0.0
 
     def update(self, pose: SE2, v_mps: float, dt_s: float) -> bool:
-        """True once it was told so far in vain.
+        """Return True if the commanded distance since the last movement is `commanded_m` or more.
 
         Args:
-            pose: after `dt_s` in which it was told to drive at `v_mps`, backwards if negative.
+            pose: robot pose after the step.
+            v_mps: speed that was commanded in the step, negative for backwards.
+            dt_s: length of the step.
         """
-        last = self._from
+        last = self._start
         left = last is None or pose.distance_to(last.x_m, last.y_m) >= self._moved_m
-        if left or v_mps == 0.0 or v_mps * self._told_m < 0.0:
-            self._from, self._told_m = pose, 0.0
-        self._told_m += v_mps * dt_s
-        return abs(self._told_m) >= self._enough_m
+        if left or v_mps == 0.0 or v_mps * self._commanded_m < 0.0:
+            self._start, self._commanded_m = pose, 0.0
+        self._commanded_m += v_mps * dt_s
+        return abs(self._commanded_m) >= self._enough_m

@@ -1,4 +1,4 @@
-"""Getting a robot free that does not move: out the way it came, else back up, else turn."""
+"""Recovery of a robot that does not move: drive back the way it came, else back up, else turn."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BACK_M = 0.3
 HELD_M = 0.05
 TURN_RAD = 0.6
 TIME_NS = 5_000_000_000
-FACING_RAD = 0.5  # the trail lies farther to the side: turn to it before driving
+FACING_RAD = 0.5  # if the trail lies farther to the side, turn to it before driving
 STEP_M, JUMP_M, STEPS = 0.05, 0.5, 40
 
 
@@ -29,9 +29,9 @@ class Trail:
         self.xy_m: deque[tuple[float, float]] = deque(maxlen=STEPS)
 
     def extend(self, pose: SE2) -> None:
-        """Add the pose if the robot moved; start over after a jump.
+        """Add the pose if the robot moved; start again after a jump.
 
-        Where the robot comes back to the trail, what it drove since then is dropped.
+        If the robot comes back to the trail, the loop since then is removed.
         """
         moved_m = pose.distance_to(*self.xy_m[-1]) if self.xy_m else math.inf
         if moved_m > JUMP_M:
@@ -58,14 +58,17 @@ class Trail:
 
 
 class Recovery:
-    """One attempt, at most `TIME_NS` long.
+    """One recovery attempt, at most `TIME_NS` long.
 
-    The robot goes back along its trail, in reverse where that is nearer to how it stands. Without
-    a trail it backs up straight where the map is open, else it turns.
+    The robot drives back along its trail, in reverse if this needs less turning. Without a trail it
+    backs up straight if the map is free there, else it turns.
 
     Args:
-        pose: where the robot is held up.
-        trail: where it drove before.
+        pose: pose at which the robot is held up.
+        costmap: map to check the straight way back on.
+        trail: places it drove before.
+        limits: speed limits.
+        now_ns: start of the attempt.
     """
 
     def __init__(
@@ -80,11 +83,11 @@ class Recovery:
         self._drove_back = False  # in reverse
 
     def is_held(self, pose: SE2) -> bool:
-        """Return whether it drove in reverse and the robot is where it was."""
+        """Return True if it drove in reverse and the robot has not moved."""
         return self._drove_back and pose.distance_to(self._start.x_m, self._start.y_m) < HELD_M
 
     def step(self, pose: SE2, now_ns: int) -> Command | None:
-        """Return what to do now; None when the attempt is over."""
+        """Return the command for now; None if the attempt is over."""
         if not 0 <= now_ns - self._since_ns < TIME_NS:
             return None
         if self._turns:

@@ -1,4 +1,4 @@
-"""What a run leaves to look at: one PNG and one HTML page (see `page.write_report`).
+"""Reports of a run: one PNG and one HTML page (see `page.write_report`).
 
-`recorder` is a sink that collects during a run; the rest draws when that is over.
+`recorder` is a sink that collects data during a run. The other modules draw after the run.
 """

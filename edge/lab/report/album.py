@@ -1,4 +1,4 @@
-"""The few camera images of a run that its report shows."""
+"""Selection of the few camera images of a run that its report shows."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ MAX_FRAME_PX = 640
 
 
 class Album:
-    """At most `capacity` frames: half for the best views of the targets, the rest for the newest.
+    """At most `capacity` frames: half are the best views of the targets, the rest are the newest.
 
-    With several targets each has its turn for a best view. Frames with boxes come before frames
-    without.
+    Several targets take turns for the best views. Frames with boxes come before frames without.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -30,7 +29,7 @@ class Album:
         self._taken_ns: int | None = None
 
     def offer(self, detections: Detections, targets: Sequence[str]) -> None:
-        """Copy the frame if the last is a second old, or shows the targets less well."""
+        """Copy the frame if the last one is a second old, or shows the targets less well."""
         if self._capacity == 0 or detections.observation.rgb is None:
             return
         stamp_ns = detections.observation.stamp_ns
@@ -54,7 +53,7 @@ class Album:
         return min(others, key=lambda f: (len(f.labels) > 0, f.stamp_ns))
 
     def _best_views(self) -> list[Keyframe]:
-        """The best view of each target, the second best of each, and so on, `_best` in all."""
+        """Return the best view of each target, then the second best of each, …: `_best` in all."""
         ranks: list[tuple[int, float, int, Keyframe]] = []
         for label in dict.fromkeys(label for f in self._frames for label in f.best):
             views = [f for f in self._frames if label in f.best]
@@ -78,7 +77,7 @@ def _target_score(detections: Detections, targets: Sequence[str]) -> float:
 
 def _copy(detections: Detections, targets: Sequence[str]) -> Keyframe:
     rgb = detections.observation.rgb
-    assert rgb is not None  # `Album.offer` has looked
+    assert rgb is not None  # `Album.offer` has checked
     stride = -(-max(rgb.shape[:2]) // MAX_FRAME_PX)
     labels = tuple(detections.prompts[i] for i in detections.class_id)
     return Keyframe(

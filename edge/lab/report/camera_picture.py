@@ -1,4 +1,4 @@
-"""A trajectory in the camera's picture: the strip of ground that the robot is to drive over."""
+"""A trajectory drawn into the camera image: the strip of ground that the robot will drive over."""
 
 from __future__ import annotations
 
@@ -15,26 +15,28 @@ from edge.tasks.speeds import headings_rad
 COARSE_RGB, REFINED_RGB = (240, 140, 0), (214, 34, 91)
 NEAREST_M = 0.3
 COVER, HIDDEN_COVER = 0.5, 0.16
-"""How much of the picture the strip covers; less where a thing stands before it."""
+"""Opacity of the strip; `HIDDEN_COVER` if an object stands in front of it."""
 LEAST_PX = 1280
-"""Smaller pictures are enlarged until they are so wide."""
+"""Narrower images are enlarged to at least this width."""
 _STEP = 3
-"""Every how many poses the strip has a seam."""
+"""Number of poses from one seam of the strip to the next."""
 _WHITE = (255, 255, 255)
 
 
 def drawn(
     scene: Scene, coarse_m: np.ndarray | None, poses_m: np.ndarray | None, half_m: float
 ) -> np.ndarray | None:
-    """The scene's picture with a trajectory in it.
+    """Return the scene's image with a trajectory in it.
 
     Args:
-        coarse_m: (n, 3) float64 in `map`, as it was written: a dashed line; None: there is none.
-        poses_m: (n, 3) float64 in `map`, as it was refined: a strip; None: there is none.
-        half_m: of the strip's width: the robot's radius.
+        scene: image, camera and objects.
+        coarse_m: (n, 3) float64 in `map`, the coarse trajectory, drawn as a dashed line; None for
+            none.
+        poses_m: (n, 3) float64 in `map`, the refined trajectory, drawn as a strip; None for none.
+        half_m: half the strip's width, the robot's radius.
 
     Returns:
-        (h, w, 3) uint8; None where the scene has no picture.
+        (h, w, 3) uint8; None if the scene has no image.
     """
     if scene.rgb is None or scene.camera is None or scene.T_map_camera is None:
         return None
@@ -56,7 +58,7 @@ def drawn(
 def _strip(
     image: np.ndarray, scene: Scene, poses_m: np.ndarray, half_m: float, scale: float
 ) -> None:
-    """From far to near, so that what is nearer lies on top."""
+    """Draw the strip from far to near, so that nearer parts lie on top."""
     heading = headings_rad(poses_m[:, :2])
     aside = half_m * np.stack([-np.sin(heading), np.cos(heading), 0 * heading], axis=1)
     seams = np.unique(np.append(np.arange(0, len(poses_m), _STEP), len(poses_m) - 1))
@@ -78,7 +80,7 @@ def _strip(
 
 
 def _end(image: np.ndarray, scene: Scene, end_m: np.ndarray, half_m: float, scale: float) -> None:
-    """A ring on the ground where it ends."""
+    """Draw a ring on the ground at the end of the trajectory."""
     turn = np.linspace(0.0, 2.0 * np.pi, 33)
     ring = end_m + half_m * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
     outline = _pixels(scene, ring, scale)
@@ -87,8 +89,8 @@ def _end(image: np.ndarray, scene: Scene, end_m: np.ndarray, half_m: float, scal
         cv2.polylines(image, [outline], True, REFINED_RGB, 2, cv2.LINE_AA)
 
 
-def _is_hidden(scene: Scene, point_m: np.ndarray, away_m: float) -> bool:
-    """Whether a thing that is nearer covers a point."""
+def _is_hidden(scene: Scene, point_m: np.ndarray, distance_m: float) -> bool:
+    """Return True if a nearer object covers a point."""
     at = _pixels(scene, point_m[None], 1.0)
     if not len(at):
         return False
@@ -97,13 +99,13 @@ def _is_hidden(scene: Scene, point_m: np.ndarray, away_m: float) -> bool:
         thing = scene.objects[number]
         nearest_m = np.linalg.norm(thing.points_m - eye, axis=1).min(initial=np.inf)
         inside = any(cv2.pointPolygonTest(o, at[0].tolist(), False) >= 0 for o in outlines)
-        if inside and nearest_m < away_m:
+        if inside and nearest_m < distance_m:
             return True
     return False
 
 
 def _pixels(scene: Scene, points_m: np.ndarray, scale: float) -> np.ndarray:
-    """(k, 2) int32: the polygon of some points in the picture, cut off before the camera."""
+    """Return (k, 2) int32: a polygon's pixels, clipped in front of the camera."""
     camera: CameraModel = scene.camera
     T = invert(scene.T_map_camera)
     seen = _before(points_m @ T[:3, :3].T + T[:3, 3])
@@ -116,8 +118,10 @@ def _pixels(scene: Scene, points_m: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _before(polygon: np.ndarray) -> np.ndarray:
-    """What of a polygon (n, 3) in the optical frame lies before the camera (Sutherland & Hodgman
-    1974, of one plane)."""
+    """Return the part of a polygon (n, 3) in the optical frame that lies in front of the camera.
+
+    Clips at one plane (Sutherland & Hodgman 1974).
+    """
     out = []
     for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         ahead = a[2] >= NEAREST_M, b[2] >= NEAREST_M
@@ -129,7 +133,7 @@ def _before(polygon: np.ndarray) -> np.ndarray:
 
 
 def _pieces(line_m: np.ndarray, length_m: float) -> Sequence[tuple[np.ndarray, np.ndarray]]:
-    """A polyline in pieces of about a length, for a dashed line."""
+    """Cut a polyline into pieces of about `length_m`, for a dashed line."""
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line_m, axis=0), axis=1)))
     at = np.linspace(0.0, along[-1], max(2, round(along[-1] / length_m) + 1))
     points = np.stack([np.interp(at, along, axis) for axis in line_m.T], axis=1)

@@ -1,6 +1,6 @@
-"""Pages to draw on with matplotlib, and their content as SVG and PNG.
+"""Pages drawn with matplotlib, and their content as SVG and PNG.
 
-matplotlib is imported where it is used: importing it takes long.
+matplotlib is imported inside the functions, because the import is slow.
 """
 
 from __future__ import annotations
@@ -20,12 +20,15 @@ if TYPE_CHECKING:
 
 PAPER = "#ffffff"
 PNG_SCALE = 2.0
-_MOST_SAID = 4000  # characters about a drawing for who cannot see it
+_MAX_ALT = 4000  # characters of a drawing's alternative text
 
 
 class Style(NamedTuple):
-    """The look of a line: Okabe and Ito's colours, which colour-blind readers can tell apart, then
-    four more; and a mark and a dash of its own for where colour is missing."""
+    """Look of a line: colour, marker and dash pattern.
+
+    The colours are those of Okabe and Ito, which colour-blind readers can tell apart, and four
+    more. Marker and dash pattern tell lines apart without colour.
+    """
 
     colour: str
     mark: str
@@ -41,13 +44,13 @@ _DASHES: tuple[str | tuple, ...] = ("-", (0, (5, 1.6)), (0, (1, 1.2)), (0, (6, 1
 
 
 def style_of(index: int) -> Style:
-    """Return the look of a line by its place; after twelve, colours come again, dashed."""
+    """Return the look of a line by its index; after twelve, the colours repeat."""
     k, turn = index % len(_COLOURS), index // len(_COLOURS)
     return Style(_COLOURS[k], _MARKS[(k + turn) % len(_MARKS)], _DASHES[(k + turn) % len(_DASHES)])
 
 
 def page(width_px: float, height_px: float) -> Axes:
-    """Empty axes that fill a figure: x to the right and y downwards, in px of the SVG."""
+    """Return empty axes that fill a figure: x to the right, y downwards, in px of the SVG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -62,7 +65,7 @@ def page(width_px: float, height_px: float) -> Axes:
 def plots(
     size_in: tuple[float, float], dpi: int, columns: int = 1, rows: int = 1
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with empty axes for numbers, row by row: a grid, and no frame around it."""
+    """Return a figure with empty axes for plots, row by row, with a grid and no frame."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -82,23 +85,23 @@ def plots(
 
 
 def write(axes: Axes, text: str, x: float, y: float, size: float, **style: Any) -> None:
-    """Plain text, vertically centred at `y`."""
+    """Write plain text, vertically centred at `y`."""
     axes.text(x, y, text, fontsize=size, va="center_baseline", parse_math=False, **style)
 
 
 def text_width(text: str, size: float) -> float:
-    """About how wide text is in a sans-serif face, on the wide side."""
+    """Return the approximate width of text in a sans-serif font; rather too wide."""
     ems = sum(1.0 if unicodedata.east_asian_width(c) in "WF" else 0.6 for c in text)
     return ems * size
 
 
 def content(figure: Figure, kind: str, **options: Any) -> bytes:
-    """A figure as the content of an "svg" or "png" file; the same for the same drawing."""
+    """Return a figure as the content of an "svg" or "png" file, repeatably."""
     from matplotlib import rc_context
 
     out = io.BytesIO()
     metadata = {"Date": None} if kind == "svg" else None
-    # Text stays text: a browser knows more letters than matplotlib's own face.
+    # Text stays text: a browser has more characters than matplotlib's font.
     with rc_context({"svg.hashsalt": "edge", "svg.fonttype": "none"}), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
         figure.savefig(out, format=kind, metadata=metadata, **options)
@@ -106,24 +109,25 @@ def content(figure: Figure, kind: str, **options: Any) -> bytes:
 
 
 def svg(axes: Axes) -> bytes:
-    """A page as an SVG file's content."""
+    """Return a page as the content of an SVG file."""
     return content(axes.figure, "svg")
 
 
 def png(axes: Axes) -> bytes:
-    """A page as a PNG file's content, `PNG_SCALE` pixels to a px."""
+    """Return a page as the content of a PNG file, with `PNG_SCALE` pixels for each px."""
     return content(axes.figure, "png", dpi=72 * PNG_SCALE)
 
 
 def img(axes: Axes, words: str) -> str:
-    """A page as an `<img>` that holds its SVG: no script can run in it, nothing is fetched.
+    """Return a page as an `<img>` with its SVG inside: no script can run in it, nothing is fetched.
 
     Args:
-        words: what it shows.
+        axes: the page.
+        words: alternative text.
     """
     width_px = 72 * axes.figure.get_figwidth()
     source = quote(svg(axes).decode("utf-8"), safe=" /:=(),;'")
     return (
         f'<img style="display:block;width:100%;max-width:{width_px:.0f}px;height:auto" '
-        f'alt="{escape(words[:_MOST_SAID])}" src="data:image/svg+xml,{source}">'
+        f'alt="{escape(words[:_MAX_ALT])}" src="data:image/svg+xml,{source}">'
     )

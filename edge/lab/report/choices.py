@@ -1,4 +1,4 @@
-"""The few moments of a run in which a model chose a direction, that its report shows."""
+"""Selection and HTML of the few moments of a run in which a model chose a direction."""
 
 from __future__ import annotations
 
@@ -23,8 +23,11 @@ _FIRST_NS = 2_000_000_000
 
 
 class Choices:
-    """At most `capacity` answers, spread over the run: when it is full every other one goes, and
-    the time between those to come doubles."""
+    """At most `capacity` answers, spread over the run.
+
+    When the buffer is full, every second answer is dropped, and the least time between answers
+    doubles.
+    """
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
@@ -32,7 +35,7 @@ class Choices:
         self._apart_ns, self._last_ns = _FIRST_NS, 0
 
     def offer(self, result: TickResult) -> None:
-        """Copy the image with the letters of the newest answer, if the last is old enough."""
+        """Keep the image with the letters of the newest answer, if the last one is old enough."""
         choice, observation = result.choice, result.observation
         if self._capacity == 0 or choice is None or observation is None or observation.rgb is None:
             return
@@ -43,49 +46,49 @@ class Choices:
         there = result.candidates()
         mine = np.isin(there.id, choice.ids) & (there.kind == FRONTIER)
         marks = visible_marks(observation, there.xy_m[mine], there.id[mine])
-        if not marks:  # the robot has turned away meanwhile
+        if not marks:  # the robot has turned away since then
             return
         image, lettered = draw(observation.rgb, marks, MAX_FRAME_PX)
         p = dict(zip(choice.ids, choice.p.tolist(), strict=True))
-        said = tuple((a, p[m.id]) for a, m in zip(LETTERS, lettered, strict=False))
+        shares = tuple((a, p[m.id]) for a, m in zip(LETTERS, lettered, strict=False))
         self._last_ns = choice.stamp_ns
         self._kept.append(
-            Asked(choice.stamp_ns, image, choice.target, said, choice.elsewhere, choice.scene)
+            Asked(choice.stamp_ns, image, choice.target, shares, choice.elsewhere, choice.scene)
         )
         if len(self._kept) > self._capacity:
             del self._kept[1::2]
             self._apart_ns *= 2
 
     def kept(self) -> tuple[Asked, ...]:
-        """In order of time."""
+        """Return the answers in order of time."""
         return tuple(self._kept)
 
 
 def section(record: RunRecord) -> str:
-    """Letters, answers and the value maps in HTML; empty where no model was asked."""
+    """Return letters, answers and value maps as HTML; empty if no model was asked."""
     if not record.asked and not record.values:
         return ""
     figures = "".join(_figure(one, record) for one in record.asked)
     figures += "".join(_value(name, grid) for name, grid in record.values.items())
     return (
-        f"<section><h2>Directions: what was asked, and the value map at the end</h2>"
+        f"<section><h2>Directions: questions to the model, and the final value map</h2>"
         f'<div class="frames">{figures}</div><p class="note">Letters: the frontiers in view; '
-        "V = S · P of ViTL eq. 6. The value map is brighter where more is promised.</p></section>"
+        "V = S · P of ViTL eq. 6. Brighter cells of the value map have higher values.</p></section>"
     )
 
 
 def _figure(asked: Asked, record: RunRecord) -> str:
     h, w = asked.rgb.shape[:2]
-    said = " · ".join(f"{letter} {p:.2f}" for letter, p in asked.letters)
+    shares = " · ".join(f"{letter} {p:.2f}" for letter, p in asked.letters)
     words = (
-        f"{record.seconds(asked.stamp_ns):.1f} s, {asked.target}: {said} · elsewhere "
+        f"{record.seconds(asked.stamp_ns):.1f} s, {asked.target}: {shares} · elsewhere "
         f"{asked.elsewhere:.2f}; scene {asked.scene:.2f}"
     )
     return _svg(_jpeg(asked.rgb), w, h, words)
 
 
 def _value(name: str, grid: Grid) -> str:
-    """The known part of a value map, the highest of it white."""
+    """Return the known part of a value map as HTML; the highest value is brightest."""
     known = grid.cells > 0
     if not known.any():
         return ""

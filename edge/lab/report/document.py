@@ -1,4 +1,4 @@
-"""A self-contained HTML document: nothing is fetched, and no script runs but the one given."""
+"""Self-contained HTML document: nothing is fetched, and only the given script can run."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from edge.lab.report.style import CSS
 
 
 def document(title: str, body: str, machine: str, style: str = "", script: str = "") -> str:
-    """A whole page in the reports' style, with a footer that names version and machine.
+    """Return a whole page in the reports' style, with a footer that names version and machine.
 
     Args:
-        title, machine: plain text.
-        body: markup, every text in it escaped.
-        style: rules beside the reports' own.
-        script: what may run in it; the page's policy holds its hash, so nothing else can.
+        title: plain text.
+        body: markup with all text escaped.
+        machine: plain text.
+        style: CSS rules in addition to the reports' own.
+        script: JavaScript that may run. The page's policy holds its hash, so no other script can
+            run.
     """
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
     if script:
@@ -35,9 +37,10 @@ def document(title: str, body: str, machine: str, style: str = "", script: str =
 
 
 def data_url(kind: str, content: bytes) -> str:
-    """An image within the page.
+    """Return an image as a data URL.
 
     Args:
         kind: "png" or "jpeg".
+        content: the image file's bytes.
     """
     return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"

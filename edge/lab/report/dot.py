@@ -1,4 +1,4 @@
-"""An automaton as Graphviz text, whole: for `dot`, and for automata too large to draw here."""
+"""Export of a whole automaton as Graphviz text, also for automata too large to draw here."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from edge.mission.logic.automaton import Automaton
 
 
 def to_dot(automaton: Automaton, state: int | None = None, plan: Sequence[str] = ()) -> str:
-    """The whole automaton as Graphviz text, for `dot`; letters with the same way share an edge.
+    """Return the automaton as Graphviz text, for `dot`; letters with the same target share an edge.
 
-    Letters that leave a state as it is are left out. States from which success is impossible are
-    grey; the current state is filled, the plan's edges are bold.
+    Letters that keep the state are left out. States without a path to success are grey, the current
+    state is filled, and the plan's edges are bold.
     """
     at, planned = 0 if state is None else state, set()
     for letter in plan:
@@ -27,27 +27,27 @@ def to_dot(automaton: Automaton, state: int | None = None, plan: Sequence[str] =
         "  entry -> 0;",
     ]
     for s in range(automaton.n_states):
-        looks = {"label": str(s)}
+        attributes = {"label": str(s)}
         if automaton.accepting[s]:
-            looks["shape"] = "doublecircle"
+            attributes["shape"] = "doublecircle"
         if automaton.dead(s):
-            looks.update(color="gray60", fontcolor="gray60", style="dashed")
+            attributes.update(color="gray60", fontcolor="gray60", style="dashed")
         if s == state:
-            looks.update(style="filled", fillcolor=CURRENT, fontcolor="white")
-        lines.append(f"  {s} [{_looks(looks)}];")
+            attributes.update(style="filled", fillcolor=CURRENT, fontcolor="white")
+        lines.append(f"  {s} [{_looks(attributes)}];")
     for s in range(automaton.n_states):
-        for to, those in ways_on(automaton, s).items():
-            looks = {"label": in_words(those, automaton.letters)}
+        for to, letters in ways_on(automaton, s).items():
+            attributes = {"label": in_words(letters, automaton.letters)}
             if automaton.dead(to):
-                looks.update(color="gray60", fontcolor="gray60", style="dashed")
+                attributes.update(color="gray60", fontcolor="gray60", style="dashed")
             if (s, to) in planned:
-                looks.update(color=STYLES["plan"].colour, penwidth="2.5")
-            lines.append(f"  {s} -> {to} [{_looks(looks)}];")
+                attributes.update(color=STYLES["plan"].colour, penwidth="2.5")
+            lines.append(f"  {s} -> {to} [{_looks(attributes)}];")
     return "\n".join([*lines, "}", ""])
 
 
 def _looks(attributes: dict[str, str]) -> str:
-    """Attributes as Graphviz's quoted strings, in which a backslash begins an escape."""
+    """Return attributes as Graphviz strings, in which a backslash starts an escape."""
     return ", ".join(
         '{}="{}"'.format(key, value.replace("\\", "\\\\").replace('"', '\\"'))
         for key, value in attributes.items()

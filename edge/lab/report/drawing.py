@@ -1,8 +1,7 @@
-"""The picture of an automaton: a scene in columns, drawn by matplotlib.
+"""Drawing of an automaton with matplotlib, laid out in columns.
 
-States stand in even columns by their rank, the labels of arrows in odd ones, so that no label lies
-on a state or on another label. `edge.lab.report.dot` writes text for Graphviz, which draws it
-better.
+States stand in even columns by rank, and the labels of arrows in odd ones, so no label covers a
+state or another label. `edge.lab.report.dot` writes text for Graphviz, which draws better.
 """
 
 from __future__ import annotations
@@ -25,17 +24,17 @@ if TYPE_CHECKING:
 
 RADIUS = 15.0
 MARGIN = 14.0
-ENTRY = 26.0  # length of the arrow that comes from nowhere to the initial state
+ENTRY = 26.0  # length of the entry arrow into the initial state
 LABEL, CAPTION, NOTE = 11.0, 9.2, 10.0
 LEADING = 1.25
 MIN_WIDTH = 430.0
-GAP = 40.0  # beside a label, where arrows bend
-FAN = 0.3  # how steeply arrows that part at a state leave it
+GAP = 40.0  # space next to a label, where arrows bend
+FAN = 0.3  # slope of arrows that leave a state in different directions
 FORBIDDEN, CURRENT, DEAD, STATE = "#a61e4d", "#1864ab", "#e3e6eb", "#f4f6f9"
 
 
 class Style(NamedTuple):
-    """Look of an arrow; `order` says what it covers."""
+    """Look of an arrow; arrows with a higher `order` lie on top."""
 
     colour: str
     width: float
@@ -51,15 +50,17 @@ STYLES: dict[Role, Style] = {
 
 
 Slot = Union[int, tuple[int, int]]
-"""What stands in a column: a node by its number, or an arrow that passes as (number, column)."""
+"""Item of a column: a node by its number, or a passing arrow as (number, column)."""
 
 
 class Layout(NamedTuple):
-    """Places in px, y downwards.
+    """Positions in px, y downwards.
 
     Attributes:
+        width: of the page.
+        height: of the page.
         nodes: (x, y) of each node.
-        routes: of each arrow the (x, y) that it passes; its label is at the first.
+        routes: points (x, y) of each arrow; its label is at the first one.
         half: half the width of the widest label.
     """
 
@@ -71,10 +72,10 @@ class Layout(NamedTuple):
 
 
 def draw(scene: Scene) -> Axes:
-    """Draw a scene: arrows, labels on a ground of their own, states, and the note.
+    """Draw a scene: arrows, labels on their own background, states, and the note.
 
-    Green: the way there. Blue: the plan from there. Filled: the current state. Two rings: it
-    accepts.
+    Green: the way to the current state. Blue: the plan from there. Filled: the current state.
+    Double ring: an accepting state.
     """
     layout = lay_out(scene)
     width = max(MIN_WIDTH, layout.width)
@@ -93,7 +94,7 @@ def draw(scene: Scene) -> Axes:
 
 
 def lay_out(scene: Scene) -> Layout:
-    """Place states, labels and where arrows pass: in each column evenly, near what they join."""
+    """Place states, labels and arrow routes: evenly in each column, near their neighbours."""
     column: dict[Slot, int] = {i: 2 * rank for i, rank in _ranks(scene).items()}
     near: dict[Slot, list[Slot]] = defaultdict(list)
     chains: list[list[Slot]] = []
@@ -133,7 +134,7 @@ def lay_out(scene: Scene) -> Layout:
 
 
 def _ranks(scene: Scene) -> dict[int, int]:
-    """The longest way to each node, arrows back within a cycle turned round."""
+    """Return the longest path to each node; arrows back within a cycle count in reverse."""
     import networkx as nx
 
     graph = nx.DiGraph()
@@ -163,13 +164,13 @@ def _draw_arrow(
 
 
 def _port(centre: tuple[float, float], side: int, towards_y: float) -> tuple[float, float]:
-    """Where an arrow touches a state's rim: the nearer to the top the higher it goes."""
+    """Return the point where an arrow touches a state's rim: higher on the rim if it goes up."""
     up = max(-0.65 * RADIUS, min(0.65 * RADIUS, FAN * (towards_y - centre[1])))
     return centre[0] + side * math.sqrt(RADIUS**2 - up**2), centre[1] + up
 
 
 def _draw_line(axes: Axes, stops: Sequence[tuple[float, float]], style: Style) -> None:
-    """A curve through points, level at each of them, with a head at its end."""
+    """Draw a curve through points, horizontal at each of them, with an arrow head at its end."""
     from matplotlib.patches import FancyArrowPatch
     from matplotlib.path import Path
 
@@ -208,6 +209,6 @@ def _draw_node(axes: Axes, node: Node, x: float, y: float) -> None:
 
 
 def _captions(node: Node) -> list[tuple[str, str]]:
-    """Lines under a state, with their colours."""
+    """Return the lines under a state, with their colours."""
     lines = [(line, FORBIDDEN) for line in node.forbidden]
     return [*lines, (f"+ {node.hidden}", MUTED)] if node.hidden else lines

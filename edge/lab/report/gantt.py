@@ -1,4 +1,4 @@
-"""A mission over time: which target was pursued when, and what became of it."""
+"""Gantt chart of a mission: which target was pursued when, and its outcome."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BAR = 0.5  # of a row
 TEXT = 11.0
 MAX_ROWS = 40
 LINE, ZEBRA = "#dde2ea", "#f6f8fb"
-# What happened to a target: matplotlib's mark, its fill, its rim, its size in px, what it means.
+# Event of a target → matplotlib marker, fill, rim, size in px, meaning.
 MARKS = {
     "seen": ("o", "#ffffff", palette.INK, 9.0, "seen"),
     "warning": ("^", palette.WARNING, palette.WARNING, 11.0, "warning"),
@@ -31,7 +31,10 @@ TICKS_S = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600, 7200, 18000, 3600
 
 
 class Span(NamedTuple):
-    """A time in which one target was pursued; `settled` when it was reached or failed then."""
+    """Time in which one target was pursued.
+
+    `settled` is True if the target was reached or failed in that time, and for the last span.
+    """
 
     label: str
     start_s: float
@@ -41,7 +44,7 @@ class Span(NamedTuple):
 
 
 def spans(record: RunRecord) -> list[Span]:
-    """The targets that were pursued, in order of time."""
+    """Return the spans of the pursued targets, in order of time."""
     done: list[Span] = []
     pursued: Step | None = None
     settled = False
@@ -62,7 +65,7 @@ def _span(record: RunRecord, step: Step | None, end_s: float, settled: bool) -> 
 
 
 def _last_s(record: RunRecord) -> float:
-    """When the newest thing that the record knows of happened."""
+    """Return the time of the newest event in the record."""
     times = [t_s for t_s, _ in record.events[-1:]]
     times += record.trajectory_t_s[-1:].tolist()
     times += [record.seconds(step.stamp_ns) for step in record.steps[-1:]]
@@ -70,7 +73,7 @@ def _last_s(record: RunRecord) -> float:
 
 
 def draw(record: RunRecord) -> Axes | None:
-    """Bars for what was pursued, marks for what happened; None when there is nothing to show."""
+    """Draw bars for pursued targets and marks for events; None if there is nothing to show."""
     steps = record.steps
     labels = list(dict.fromkeys(s.label for s in steps if s.label))
     if not labels:
@@ -96,13 +99,13 @@ def draw(record: RunRecord) -> Axes | None:
 
 
 def in_words(record: RunRecord) -> str:
-    """What the picture shows, for who cannot see it."""
-    told = (f"{s.start_s:.1f} to {s.end_s:.1f} s: {shorten(s.reason, 300)}" for s in spans(record))
-    return "; ".join(["The mission over time", *told])
+    """Return the chart as text, for readers who cannot see it."""
+    parts = (f"{s.start_s:.1f} to {s.end_s:.1f} s: {shorten(s.reason, 300)}" for s in spans(record))
+    return "; ".join(["The mission over time", *parts])
 
 
 def _frame(chart: Axes, rows: dict[str, int], targets: Sequence[str]) -> None:
-    """A row for each target, and round numbers along the time."""
+    """Draw a row for each target, and round numbers along the time axis."""
     for k in range(0, len(rows), 2):
         chart.axhspan(k - 0.5, k + 0.5, color=ZEBRA, zorder=0)
     names = [shorten(label, 22) for label in rows]
@@ -123,7 +126,7 @@ def _frame(chart: Axes, rows: dict[str, int], targets: Sequence[str]) -> None:
 def _bars(
     chart: Axes, pursued: Sequence[Span], rows: dict[str, int], targets: Sequence[str]
 ) -> None:
-    """A switch before the target was reached is an arrow from the end of a bar to the next."""
+    """Draw the bars; a switch before the target was reached is an arrow to the next bar."""
     least_s = (chart.get_xlim()[1] - chart.get_xlim()[0]) / 400
     chart.barh(
         [rows[span.label] for span in pursued],
@@ -141,15 +144,15 @@ def _bars(
 
 
 def _marks(chart: Axes, record: RunRecord, rows: dict[str, int]) -> None:
-    """The mission's end, and what happened to its targets; the reached ones are numbered."""
+    """Draw the mission's end, and the targets' events; reached targets are numbered."""
     steps = record.steps
     for step in steps:
         if step.kind == "end":
             colour = palette.outcome_colour(record.mission.phase)
             chart.axvline(record.seconds(step.stamp_ns), color=colour, lw=2.0, clip_on=False)
     for order, (kind, look) in enumerate(MARKS.items(), start=5):
-        those = [s for s in steps if s.kind == kind]
-        for number, step in enumerate(those, start=1):
+        same_kind = [s for s in steps if s.kind == kind]
+        for number, step in enumerate(same_kind, start=1):
             if step.label in rows:
                 at = (max(record.seconds(step.stamp_ns), chart.get_xlim()[0]), rows[step.label])
                 chart.plot(*at, **_look(look), zorder=order, clip_on=False)
@@ -168,4 +171,4 @@ def _legend(chart: Axes) -> list:
 
     handles = [Line2D([], [], **_look(mark), label=mark[-1]) for mark in MARKS.values()]
     switch = {"marker": r"$\downarrow$", "color": palette.INK, "ls": "none", "ms": 8}
-    return [*handles, Line2D([], [], **switch, label="switched to another before that")]
+    return [*handles, Line2D([], [], **switch, label="switched to another target")]

@@ -1,4 +1,4 @@
-"""The key beside the map."""
+"""Legend next to the map."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None:
-    """What each mark means, from `corner` downwards, in parts of the figure."""
+    """Draw the legend downwards from `corner`, which is in fractions of the figure."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -39,7 +39,7 @@ def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None
         mark("frontier at the end", "s", palette.FRONTIER, palette.FRONTIER, 6),
         mark("goal: frontier", "D", "white", palette.FRONTIER),
         mark("goal: instance", "*", "white", palette.TARGET, 14),
-        mark("turn to look", "o", "white", palette.MUTED, 5),
+        mark("goal: spin", "o", "white", palette.MUTED, 5),
         *seen,
         mark("refuted", "o", palette.MUTED, "white", 7),
         mark("robot at the start", dart(math.pi / 2), "white", palette.START, 13),
@@ -47,9 +47,9 @@ def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None
     ]
     if record.task is not None:
         handles += [
-            Line2D([], [], color=tasks.REFINED, lw=6, alpha=0.45, label="trajectory to drive"),
+            Line2D([], [], color=tasks.REFINED, lw=6, alpha=0.45, label="refined trajectory"),
             Line2D(
-                [], [], color=tasks.COARSE, lw=1.6, ls=(0, (1.2, 1.6)), label="as it was written"
+                [], [], color=tasks.COARSE, lw=1.6, ls=(0, (1.2, 1.6)), label="coarse trajectory"
             ),
         ]
     legend = figure.legend(

@@ -1,4 +1,4 @@
-"""What stands on the map: goals, instances with their labels, and the robot."""
+"""Marks on the map: goals, instances with their labels, and the robot."""
 
 from __future__ import annotations
 
@@ -28,8 +28,10 @@ GOAL_STYLES = {
 
 
 def goals(axes: Axes, record: RunRecord, scale: float) -> None:
-    """Each goal's pose, numbered where there is room, with a thin line to its candidate; those on
-    a task's trajectory lie on its line (`edge.lab.report.tasks`)."""
+    """Draw each goal's pose, numbered if there is room, with a thin line to its candidate.
+
+    Goals on a task's trajectory are left out: they lie on its line (`edge.lab.report.tasks`).
+    """
     numbered: list[tuple[float, float]] = []
     for number, goal in enumerate(record.goals, start=1):
         if goal.kind == "trajectory":
@@ -50,7 +52,7 @@ def goals(axes: Axes, record: RunRecord, scale: float) -> None:
 
 
 def instances(axes: Axes, record: RunRecord, scale: float) -> None:
-    """Surface points of every instance; labels where there is room, the target's first."""
+    """Draw the surface points of every instance, and labels if there is room."""
     numbers = _order_reached(record)
     ranked = sorted(record.instances, key=lambda i: _rank(record, i))
     taken: list[raster.Box] = []
@@ -77,9 +79,9 @@ def instances(axes: Axes, record: RunRecord, scale: float) -> None:
 
 
 def _order_reached(record: RunRecord) -> dict[int, str]:
-    """Of a mission with several targets: instance to the places it has in the order of reaching.
+    """Map instances to their places in the order of reaching, for a mission with several targets.
 
-    Where several of a name were reached, the one nearest to the robot at that time counts.
+    If several instances of a name were reached, the one nearest to the robot at that time counts.
     """
     numbers: dict[int, str] = {}
     if record.simple:
@@ -106,7 +108,7 @@ def _distance_m(record: RunRecord, step: Step, instance: Instance) -> float:
 
 
 def _number(axes: Axes, number: str, xy_m: tuple[float, float]) -> None:
-    """A disc with the place in the order of reaching."""
+    """Draw a disc with the place in the order of reaching."""
     style = {"color": palette.OUTCOME["reached"], "edgecolor": "white", "lw": 1.4, "zorder": 11}
     axes.scatter(*xy_m, s=260, **style)
     size = 10 if len(number) < 3 else 7
@@ -116,7 +118,7 @@ def _number(axes: Axes, number: str, xy_m: tuple[float, float]) -> None:
 
 
 def _rank(record: RunRecord, instance: Instance) -> tuple[int, bool, float]:
-    """What is labelled first: the target, found before guessed, then the surest."""
+    """Return the sort key for labels: targets first, then reached ones, then the highest score."""
     refuted = instance.state == "refuted"
     order = 2 if refuted else 0 if record.is_target(instance.label) else 1
     return order, instance.state != "reached", -instance.score
@@ -130,8 +132,11 @@ def _label(
     taken: list[raster.Box],
     prominent: bool,
 ) -> None:
-    """Text beside a point, at the first of several places that is inside the map and covers no
-    earlier label; without such a place none, unless it is prominent."""
+    """Draw a label next to a point, inside the map and not over an earlier label.
+
+    It takes the first of several positions that fits. If none fits, the label is left out unless it
+    is prominent.
+    """
     size = 10.5 if prominent else 8.0
     width, height = 0.57 * size * len(words) + 8, 1.5 * size
     to_points = 72.0 / axes.figure.dpi
@@ -169,12 +174,12 @@ def _overlap(a: raster.Box, b: raster.Box) -> bool:
 
 
 def plain(text: str) -> str:
-    """Text that matplotlib must not read as mathematics."""
+    """Escape text that matplotlib would read as mathematics."""
     return text.replace("$", r"\$")
 
 
 def poses(axes: Axes, record: RunRecord) -> None:
-    """The robot at the start (outlined) and at the end (filled), as arrow heads."""
+    """Draw the robot at the start (outlined) and at the end (filled) as arrow heads."""
     if not len(record.trajectory):
         return
     end = palette.outcome_colour(record.mission.phase)
@@ -185,7 +190,7 @@ def poses(axes: Axes, record: RunRecord) -> None:
 
 
 def dart(yaw_rad: float) -> MarkerStyle:
-    """A marker that points along `yaw_rad`."""
+    """Return a marker that points along `yaw_rad`."""
     from matplotlib.markers import MarkerStyle
     from matplotlib.path import Path as Outline
 

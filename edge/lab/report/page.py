@@ -1,4 +1,4 @@
-"""One self-contained HTML page about a run: no script, nothing fetched, every text escaped."""
+"""Self-contained HTML page about a run: no script, nothing fetched, all text escaped."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from edge.loop.latency import LatencyReport, StageLatency
 PNG_NAME = "report.png"
 HTML_NAME = "report.html"
 JPEG_QUALITY = 85
-LOUD = ("target", "reached", "failed")  # steps of a mission
+LOUD = ("target", "reached", "failed")  # mission steps that stand out in the timeline
 MAX_SEEN = 4  # targets named under a frame
 
 
 class ReportError(FileError):
-    """A report that cannot be written; the message is one line."""
+    """The report cannot be written; the message is one line."""
 
 
 class ReportPaths(NamedTuple):
-    """`scene`: the trajectory of a task in three dimensions; None where none was to be driven."""
+    """Paths of a report; `scene` is the 3-D view of a task's trajectory, or None without one."""
 
     html: Path
     png: Path
@@ -39,7 +39,7 @@ class ReportPaths(NamedTuple):
 
 
 def prepare(directory: Path | str) -> Path:
-    """Make sure that a report can be written, before the run that it is to be about.
+    """Make the report's directory and check that it is writable, before the run starts.
 
     Raises:
         ReportError: the directory cannot be made or written to.
@@ -53,16 +53,17 @@ def prepare(directory: Path | str) -> Path:
 
 
 def write_report(record: RunRecord, directory: Path | str) -> ReportPaths:
-    """Write `report.png` and `report.html`, and of a task the page that it links, into `directory`,
-    which is made if need be.
+    """Write `report.png` and `report.html` into `directory`; makes it if needed.
+
+    A task also gets the 3-D page that the report links to.
 
     Raises:
         ReportError: the directory cannot be made or written to.
     """
     directory = prepare(directory)
     scene = tasks.page(record)
-    beside = None if scene is None else directory / tasks.SCENE_NAME
-    paths = ReportPaths(directory / HTML_NAME, directory / PNG_NAME, beside)
+    scene_path = None if scene is None else directory / tasks.SCENE_NAME
+    paths = ReportPaths(directory / HTML_NAME, directory / PNG_NAME, scene_path)
     png = picture.png(record)
     page = html(record, png, linked=scene is not None)
     try:
@@ -81,9 +82,11 @@ def _unwritable(directory: Path, error: OSError) -> ReportError:
 
 
 def html(record: RunRecord, png: bytes, linked: bool = False) -> str:
-    """The page as text, with `png` as its picture.
+    """Return the page as text, with `png` as its picture.
 
     Args:
+        record: the run.
+        png: content of the map's PNG file.
         linked: see `edge.lab.report.tasks.section`.
     """
     mission = record.mission
@@ -145,7 +148,7 @@ def _latency(report: LatencyReport) -> str:
         f'<section><h2>Latency, ms</h2><div class="scroll"><table><tr>{head}</tr>{rows}</table>'
         '</div><p class="note">Bars: p50 dark, p95 light, thin line = max, dashed line = the '
         f"{limit} that p95 is held to. The tick's deadline of {report.deadline_ms:g} ms was missed "
-        f"{tick.overruns} of {tick.count} times. * runs beside the tick. "
+        f"{tick.overruns} of {tick.count} times. * runs outside the tick. "
         f"{escape(report.computer[:1].upper() + report.computer[1:])}.</p></section>"
     )
 
@@ -164,7 +167,7 @@ def _latency_row(row: StageLatency) -> str:
 
 
 def _bar(row: StageLatency) -> str:
-    """p50 and p95 as bars on a track that is 1.5 budgets long; what is longer is cut off."""
+    """Return p50 and p95 as SVG bars on a track of 1.5 budgets; longer bars are cut off."""
     budget_ms = row.budget_ms
     if budget_ms is None:
         return ""
@@ -197,11 +200,11 @@ def _frames(record: RunRecord) -> str:
 
 
 def _figure(frame: Keyframe, record: RunRecord) -> str:
-    """The image as JPEG under boxes and labels in SVG, which stay sharp at any size."""
+    """Return the image as JPEG, with boxes and labels as SVG, which stay sharp at any size."""
     h, w = frame.rgb.shape[:2]
     bgr = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR)
     jpeg = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes()
-    # The target's boxes last, so that they lie on top.
+    # The target's boxes come last, so that they lie on top.
     order = sorted(range(len(frame.labels)), key=lambda i: (frame.is_target[i], frame.score[i]))
     boxes = "".join(_svg_box(frame, i, w, h, record.targets) for i in order)
     seen = [f"{label} {score:.2f}" for label, score in frame.best.items() if score > 0]
@@ -235,7 +238,7 @@ def _svg_box(frame: Keyframe, i: int, w: int, h: int, targets: Sequence[str]) ->
 
 
 def _timeline(record: RunRecord) -> str:
-    """Events and goals in order of time; what a mission turns on stands out."""
+    """Return events and goals in order of time; the mission's main steps stand out."""
     kinds = {step.text: step.kind for step in record.steps if step.kind in LOUD}
     goals = [
         (record.seconds(g.stamp_ns), f"goal {i}: {g.kind} {g.candidate_id} at "

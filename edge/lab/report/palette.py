@@ -1,4 +1,4 @@
-"""Colours that the picture and the page share."""
+"""Colours that the map and the page share."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ INSTANCE = "#2b6cb0"
 FRONTIER = "#f08c00"
 START = "#2f9e44"
 WARNING = "#e8590c"
-# One for each target of a mission; the first is the only target's.
+# One for each target of a mission, in order.
 TARGETS = (
     TARGET, "#1c7ed6", "#9c36b5", "#0b7285", "#8d5524", "#5c940d", "#6741d9", "#5c6b7f",
 )  # fmt: skip
@@ -27,12 +27,12 @@ UNFINISHED = "#5c6b7f"
 
 
 def outcome_colour(phase: str) -> str:
-    """The colour of a mission's phase; phases that are not final share one."""
+    """Return the colour of a mission's phase; all phases that are not final share one."""
     return OUTCOME.get(phase, UNFINISHED)
 
 
 def target_colour(label: str, targets: Sequence[str]) -> str:
-    """The colour of a thing by its label: each target has its own, all else shares one."""
+    """Return the colour of an object by its label: one for each target, one for all others."""
     for k, target in enumerate(targets):
         if names.same(label, target):
             return TARGETS[k % len(TARGETS)]

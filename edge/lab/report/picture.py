@@ -1,4 +1,4 @@
-"""The map of a run as a PNG: where the robot went, what it saw, and what it chose."""
+"""Map of a run as a PNG: the robot's path, the objects it saw, and its goals."""
 
 from __future__ import annotations
 
@@ -26,7 +26,11 @@ class Layout(NamedTuple):
     """Sizes in inches; the map's shape decides the picture's.
 
     Attributes:
-        marks: how large marks are drawn, 1 in a small house and less on larger maps.
+        width: of the picture.
+        height: of the picture.
+        map_width: of the map.
+        map_height: of the map.
+        marks: scale of the marks: 1 in a small house, less on larger maps.
     """
 
     width: float
@@ -36,13 +40,13 @@ class Layout(NamedTuple):
     marks: float
 
     def place(self, left: float, top: float, width: float, height: float) -> Rect:
-        """A box given from the upper left corner, as matplotlib wants it."""
+        """Return a box, given from the upper left corner, in matplotlib's figure fractions."""
         bottom = self.height - top - height
         return (left / self.width, bottom / self.height, width / self.width, height / self.height)
 
 
 def png(record: RunRecord) -> bytes:
-    """The picture as a PNG file's content."""
+    """Return the map as the content of a PNG file."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -56,7 +60,7 @@ def png(record: RunRecord) -> bytes:
     _frontiers(axes, record, layout.marks)
     tasks.draw(axes, record)
     right = LEFT_IN + layout.map_width
-    below_in = 3.3 if record.task is None else 3.85  # of the key, which has two lines more
+    below_in = 3.3 if record.task is None else 3.85  # a task's legend has two more lines
     way.draw(figure, axes, record, layout.place(right + 0.3, TOP_IN + below_in, 0.17, 1.8))
     marks.goals(axes, record, layout.marks)
     marks.instances(axes, record, layout.marks)
@@ -81,7 +85,7 @@ def _layout(box: raster.Box) -> Layout:
 
 
 def _view(record: RunRecord) -> raster.Box:
-    """What the picture shows, in m: everything there is, with a margin and at least 4 m."""
+    """Return the shown area [m]: everything in the record with a margin, at least 4 m."""
     xs, ys = [np.zeros(0)], [np.zeros(0)]
     shown = (record.trajectory, record.frontiers_m, *_footprints(record), *tasks.points_m(record))
     for points in shown:
@@ -139,7 +143,7 @@ def _frontiers(axes: Axes, record: RunRecord, scale: float) -> None:
 
 
 def _scale_bar(axes: Axes, box: raster.Box) -> None:
-    """A round length below the map, where it covers nothing."""
+    """Draw a scale bar of a round length below the map, where it covers nothing."""
     from matplotlib.transforms import ScaledTranslation
 
     span_m = box[1] - box[0]
@@ -175,7 +179,7 @@ def _cut(text: str, length: float) -> str:
 
 
 def subtitle(record: RunRecord) -> str:
-    """Time, path, map and, where it failed, why: in one line."""
+    """Return time, path and mapped area in one line, and the reason of a failure."""
     mission = record.mission
     parts = [f"{mission.elapsed_s:.1f} s", f"{mission.path_m:.1f} m driven"]
     if record.map is not None:

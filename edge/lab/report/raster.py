@@ -1,4 +1,4 @@
-"""Occupancy cells to the pixels of a picture: crop to what is known, colour."""
+"""Occupancy cells to image pixels: crop to the known part, colour."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from edge.lab.report import palette
 
 MAX_SIDE_PX = 1600
 Box = tuple[float, float, float, float]
-"""(x_min, x_max, y_min, y_max) in metres of `map`, as matplotlib's `extent`."""
+"""(x_min, x_max, y_min, y_max) in metres of `map`, like matplotlib's `extent`."""
 
 
 def crop(grid: Grid) -> Grid | None:
-    """The smallest part of the map that holds every known cell; None when nothing is known."""
+    """Return the smallest part of the map with every known cell; None if nothing is known."""
     known = grid.cells >= 0
     rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     if not len(rows):
@@ -24,7 +24,7 @@ def crop(grid: Grid) -> Grid | None:
 
 
 def colour(cells: np.ndarray) -> np.ndarray:
-    """(h, w, 3) uint8 of the palette's unknown (< 0), free (0), inflated (1-99) and occupied."""
+    """Return (h, w, 3) uint8 colours of cells: unknown < 0, free 0, inflated 1-99, occupied."""
     kinds = (palette.UNKNOWN, palette.FREE, palette.INFLATED, palette.OCCUPIED)
     table = np.array([_rgb(kind) for kind in kinds])
     return table[np.searchsorted((-1, 0, 99), cells)]

@@ -1,4 +1,4 @@
-"""What a run's report shows, as data."""
+"""Data that a run's report shows."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ class Keyframe:
     """A camera image with its boxes.
 
     Attributes:
-        rgb: (h, w, 3) uint8, a copy, thinned where it was large.
+        stamp_ns: of the image.
+        rgb: (h, w, 3) uint8, a copy, downsampled if the image was large.
         xyxy_px: (n, 4) float32 in pixels of `rgb`.
         score: (n,) float32.
         labels: n prompts.
@@ -39,7 +40,7 @@ class Keyframe:
 
     @property
     def best(self) -> dict[str, float]:
-        """Target to the score of its best box, best first."""
+        """Score of the best box of each target, highest first."""
         pairs = zip(self.labels, self.score, self.is_target, strict=True)
         scores: dict[str, float] = {}
         for label, score, wanted in sorted(pairs, key=lambda pair: -pair[1]):
@@ -49,18 +50,21 @@ class Keyframe:
 
     @property
     def target_score(self) -> float:
-        """Score of the best box of a target; 0 when there is none."""
+        """Score of the best box of a target; 0 without one."""
         return max(self.best.values(), default=0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Asked:
-    """A model's answer about directions.
+    """A model's answer about directions, with its image.
 
     Attributes:
+        stamp_ns: of the image.
         rgb: (h, w, 3) uint8, with letters.
-        letters: (letter, P of ViTL eq. 4) of the marks that are still there.
-        elsewhere, scene: see `Choice`.
+        target: object that the question was about.
+        letters: (letter, P of ViTL eq. 4) of the marks that still exist.
+        elsewhere: see `Choice`.
+        scene: see `Choice`.
     """
 
     stamp_ns: int
@@ -73,20 +77,20 @@ class Asked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
-    """Everything a report shows.
+    """Everything that a report shows.
 
     Attributes:
-        targets: boxes and instances of these names, or others for the same, are targets'.
-        story: the mission, what was understood, what became of it; None when it is not known.
-        task: that the mission was, as it stood at the end; None: it was none.
-        driven: the task as it stood when each of its trajectories was begun, in order of time.
+        targets: boxes and instances with these names, or synonyms, are targets.
+        story: instruction, translation and outcome of the mission; None if unknown.
+        task: the task at the end of the run; None if the mission was no task.
+        driven: the task at the start of each of its trajectories, in order of time.
         start_ns: stamp that `trajectory_t_s` and `events` count from.
         trajectory: (n, 3) float64: x_m, y_m, yaw_rad in `map`.
         trajectory_t_s: (n,) float64.
-        frontiers_m: (n, 2) float32 cells or centroids in `map`, as they are at the end.
-        values: value maps by name, uint8, 0 where nothing was said.
+        frontiers_m: (n, 2) float32 cells or centroids in `map`, at the end of the run.
+        values: value maps by name, uint8, 0 for no value.
         events: (t_s, text) in order of time.
-        config: the whole configuration, as JSON types, without the secrets of its URLs.
+        config: the whole configuration as JSON types, without the secrets of its URLs.
     """
 
     title: str
@@ -116,7 +120,7 @@ class RunRecord:
 
     @property
     def simple(self) -> bool:
-        """Whether the mission was about reaching one thing and no more, as far as is known."""
+        """True if the mission was only to reach one object, as far as is known."""
         if self.story is None:
             return True
         automaton = self.story.brief.automaton
@@ -124,12 +128,12 @@ class RunRecord:
 
     @property
     def steps(self) -> tuple[Step, ...]:
-        """What happened to the mission, in order of time."""
+        """Steps of the mission, in order of time."""
         return () if self.story is None else self.story.steps
 
     @property
     def trajectories(self) -> tuple[TaskFacts, ...]:
-        """A task's trajectories as each was begun; the last as it stood in the end."""
+        """The task at the start of each trajectory; at the end of the run for the last one."""
         last = self.task
         if last is None or last.refined is None:
             return self.driven
@@ -137,13 +141,13 @@ class RunRecord:
 
     @property
     def reached(self) -> tuple[Step, ...]:
-        """The steps in which something was reached."""
+        """Steps in which a target was reached."""
         return tuple(step for step in self.steps if step.kind == "reached")
 
     def is_target(self, label: str) -> bool:
-        """Whether a prompt or an instance's label is another word for a target."""
+        """Return True if a prompt or an instance's label is a target's name or a synonym."""
         return names.same_as_any(label, self.targets)
 
     def seconds(self, stamp_ns: int) -> float:
-        """A stamp as seconds since the run began."""
+        """Return a stamp as seconds since the start of the run."""
         return (stamp_ns - self.start_ns) * _NS

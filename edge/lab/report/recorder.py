@@ -1,4 +1,4 @@
-"""Collects what a run's report needs, in bounded memory and without holding the loop up."""
+"""Sink that collects data for a run's report, in bounded memory and without delaying the loop."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from edge.text import shorten, without_secrets
 from edge.types import Goal, MissionStatus
 
 MAX_TITLE = 160
-_TOO_CLOSE = 50  # the map's value of cells near what is occupied, which reports draw apart
+_TOO_CLOSE = 50  # map value of cells near an obstacle, which reports draw in their own colour
 _NS = 1e-9
 
 T = TypeVar("T")
 
 
 class Ends(Generic[T]):
-    """The first and the last items of a sequence that may grow without limit."""
+    """The first and the last items of a sequence of any length."""
 
     def __init__(self, first: int = 100, last: int = 400) -> None:
         self._first: list[T] = []
@@ -53,7 +53,7 @@ class Ends(Generic[T]):
 
 
 class Recorder:
-    """A sink that keeps what the report of a run needs; every call is cheap."""
+    """Sink that keeps data for the report of a run; every call is cheap."""
 
     def __init__(self, config: Config, frames: int = FRAMES) -> None:
         self._config = config
@@ -76,15 +76,15 @@ class Recorder:
         self._choices.offer(result)
         for event in result.events:
             self._events.append(event)
-        if result.events:  # each trajectory is told of
-            self._note(result.task())
+        if result.events:  # each new trajectory comes with an event
+            self._keep_trajectory(result.task())
         for goal in result.goals:
             self._goals.append(goal)
         if observation is not None:
             self._trail.append(observation.stamp_ns, observation.pose)
 
-    def _note(self, task: TaskFacts | None) -> None:
-        """Keep a task's trajectory when it is another one than before."""
+    def _keep_trajectory(self, task: TaskFacts | None) -> None:
+        """Keep a task's trajectory if it is a new one."""
         refined = None if task is None else task.refined
         if task is not None and refined is not None and refined is not self._refined:
             self._driven.append(task)
@@ -94,10 +94,11 @@ class Recorder:
         """See `edge.loop.result.Sink`."""
 
     def record(self, end: TickResult, counters: Mapping[str, float]) -> RunRecord:
-        """The run so far, and how it ended.
+        """Return the record of the run, with its end.
 
         Args:
-            counters: of the source.
+            end: result of the last tick.
+            counters: the source's counters.
         """
         self.tick(end)
         start_ns = self._start_ns or 0
@@ -136,7 +137,7 @@ class Recorder:
 
 
 def _first_ns(result: TickResult) -> int | None:
-    """The stamp of the first thing that is told of a run, where this result tells of one."""
+    """Return the stamp of the first observation or event in this result; None without one."""
     if result.observation is not None:
         return result.observation.stamp_ns
     return result.events[0].now_ns if result.events else None
@@ -149,7 +150,7 @@ def _title(asked: Translation, mission: MissionStatus) -> str:
 
 
 def detector_name(config: Config) -> str:
-    """The detector in words; one that is no neural network is called what it is."""
+    """Return the detector as text; the simulated detector is named as such."""
     detector = config.perception.detector
     if detector.kind == "sim":
         return "simulated (object ids of the ray caster with a noise model, no neural network)"
@@ -157,7 +158,7 @@ def detector_name(config: Config) -> str:
 
 
 def machine() -> str:
-    """This machine in a few words: processor, cores that may be used, system, Python."""
+    """Return this machine as text: processor, usable cores, system, Python version."""
     cores, system = len(os.sched_getaffinity(0)), f"{platform.system()} {platform.release()}"
     return (
         f"{this_cpu()} ({platform.machine()}), {cores} cores, {system}, "

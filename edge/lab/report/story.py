@@ -1,4 +1,4 @@
-"""The part of the page that is about the mission: what was asked, understood and done."""
+"""Mission section of the page: the instruction, its translation, and the outcome."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MAX_TEXT = 4000
 
 
 def section(record: RunRecord) -> str:
-    """Nothing for a run that was told just to find one thing."""
+    """Return the mission's HTML; empty if the run was only asked to find one target."""
     story = record.story
     if story is None:
         return ""
@@ -37,7 +37,7 @@ def section(record: RunRecord) -> str:
 
 
 def _to_come(story: MissionFacts) -> tuple[str, ...]:
-    """The letters of the plan, of which the last stays when the mission is fulfilled."""
+    """Return the plan's letters; empty when the mission is fulfilled, since the last one stays."""
     return () if story.brief.automaton.accepting[story.state] else story.plan.steps
 
 
@@ -61,5 +61,6 @@ def _automaton(story: MissionFacts) -> str:
         f'<h2>Automaton</h2><div class="drawing">{canvas.img(drawing.draw(scene), words)}</div>'
         '<p class="note">Blue disc: the '
         "state at the end. Green: the way there. Blue arrows: the plan from there. Double ring: "
-        "the mission is fulfilled. An arrow is taken by reaching one of the things beside it.</p>"
+        "the mission is fulfilled. The robot follows an arrow by reaching an object named on it."
+        "</p>"
     )

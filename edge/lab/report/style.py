@@ -1,4 +1,4 @@
-"""The page's style sheet; colours follow the reader's light or dark setting."""
+"""Style sheet of the page; colours follow the reader's light or dark setting."""
 
 from __future__ import annotations
 

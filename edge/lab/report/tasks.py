@@ -1,4 +1,4 @@
-"""The part of the page that is about a task: what was asked, written and driven (OpenNav III-A)."""
+"""Task section of the page: the instruction and its trajectories (OpenNav III-A)."""
 
 from __future__ import annotations
 
@@ -30,15 +30,16 @@ _TOO_CLOSE = (1, 99)  # of the map's values
 
 
 def section(record: RunRecord, linked: bool) -> str:
-    """What was asked, by whom and how it was written; empty without a task.
+    """Return the task's HTML: instruction, writer, answers and trajectories; empty without a task.
 
     Args:
-        linked: `SCENE_NAME` lies beside the page.
+        record: the run.
+        linked: True if `SCENE_NAME` lies next to the page.
     """
     task = record.task
     if task is None:
         return ""
-    pairs = [("asked", task.instruction), ("written by", task.writer), ("came to", task.phase)]
+    pairs = [("asked", task.instruction), ("written by", task.writer), ("outcome", task.phase)]
     trajectories = _written(record)
     if task.understood and len(trajectories) < 2:
         pairs.append(("understood as", task.understood))
@@ -46,7 +47,7 @@ def section(record: RunRecord, linked: bool) -> str:
         pairs += [(step.state, step.said) for step in task.steps]
     if task.missing:
         pairs.append(("not seen", ", ".join(task.missing)))
-    pairs += _told(trajectories)
+    pairs += _described(trajectories)
     rows = "".join(
         f"<dt>{escape(k)}</dt><dd>{escape(one_line(v, MAX_TEXT))}</dd>" for k, v in pairs
     )
@@ -61,8 +62,7 @@ def section(record: RunRecord, linked: bool) -> str:
 
 
 def _written(record: RunRecord) -> list[list[TaskFacts]]:
-    """The trajectories that were written, in order of time: each as it was refined at first, and
-    each time again."""
+    """Return the coarse trajectories in order of time: each with all its refinements."""
     found: list[list[TaskFacts]] = []
     for one in record.trajectories:
         if found and found[-1][-1].coarse_m is one.coarse_m:
@@ -72,8 +72,8 @@ def _written(record: RunRecord) -> list[list[TaskFacts]]:
     return found
 
 
-def _told(written: Sequence[Sequence[TaskFacts]]) -> list[tuple[str, str]]:
-    """Each trajectory in words, and its notes, by a name."""
+def _described(written: Sequence[Sequence[TaskFacts]]) -> list[tuple[str, str]]:
+    """Return each trajectory as text, and its notes, as (name, text)."""
     pairs = []
     for number, refined in enumerate(written, start=1):
         name, words = "trajectory", _in_words(refined)
@@ -85,7 +85,7 @@ def _told(written: Sequence[Sequence[TaskFacts]]) -> list[tuple[str, str]]:
 
 
 def _in_words(written: Sequence[TaskFacts]) -> str:
-    """How long a trajectory was at first, and how often the rest of it was refined again."""
+    """Return the trajectory's first length, and how often the rest of it was refined again."""
     first, last = written[0], written[-1]
     assert first.refined is not None
     assert last.refined is not None
@@ -101,8 +101,8 @@ def _in_words(written: Sequence[TaskFacts]) -> str:
 
 
 def _round(number: int, said: Round) -> str:
-    """One answer of a model; its words where it holds no code."""
-    outcome = '<span class="over">refused</span>' if said.error else '<span class="ok">taken</span>'
+    """Return one answer of a model as HTML; its text if it has no code."""
+    outcome = '<span class="over">refused</span>' if said.error else '<span class="ok">used</span>'
     parts = []
     if said.error:
         parts.append(f'<p class="over">{escape(one_line(said.error, MAX_TEXT))}</p>')
@@ -119,7 +119,7 @@ def _folded(summary: str, body: str) -> str:
 
 
 def points_m(record: RunRecord) -> list[np.ndarray]:
-    """(n, 2 or more) each, in `map`: what `draw` draws."""
+    """Return the points of all trajectories, (n, 2 or more) each, in `map`."""
     lines = [
         line
         for one in record.trajectories
@@ -129,7 +129,7 @@ def points_m(record: RunRecord) -> list[np.ndarray]:
 
 
 def draw(axes: Axes, record: RunRecord) -> None:
-    """The trajectories on the map, under the way: as they were written, and refined."""
+    """Draw the coarse and the refined trajectories on the map, under the robot's path."""
     for one in record.trajectories:
         if one.refined is not None:
             x_m, y_m = one.refined.poses[:, :2].T
@@ -141,8 +141,10 @@ def draw(axes: Axes, record: RunRecord) -> None:
 
 
 def page(record: RunRecord) -> str | None:
-    """The map, the things and the trajectories in three dimensions, a page of its own; None where
-    nothing was to be driven, or nothing was mapped."""
+    """Return the 3-D page with map, objects and trajectories.
+
+    None if there is no trajectory or no map.
+    """
     task, known = record.task, None if record.map is None else raster.crop(record.map)
     trajectories = [again for again in _written(record) if again[0].coarse_m is not None]
     if task is None or not trajectories or known is None:
@@ -157,7 +159,7 @@ def page(record: RunRecord) -> str | None:
         (name, one_line(text, MAX_TEXT))
         for name, text in (
             ("asked", task.instruction), ("understood", task.understood), ("by", task.writer),
-            *_told(trajectories),
+            *_described(trajectories),
         )
         if text
     ]  # fmt: skip
@@ -168,7 +170,7 @@ def page(record: RunRecord) -> str | None:
 
 
 def _scene(record: RunRecord, known: Grid) -> Scene:
-    """What is known at the end of the run; the robot stands where it began."""
+    """Return the scene at the end of the run; the robot stands at its start."""
     cells = known.cells
     near = (cells >= _TOO_CLOSE[0]) & (cells <= _TOO_CLOSE[1])
     occupancy = Grid(

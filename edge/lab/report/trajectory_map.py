@@ -1,4 +1,4 @@
-"""A trajectory from above, as in OpenNav's figure 4: what is there, and what each cell costs."""
+"""A trajectory from above, as in OpenNav's figure 4: the scene, and the cost of each cell."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 
 COARSE, REFINED = "#e67700", palette.TARGET
 MARGIN_M, LEAST_M = 5.0, 24.0
-"""Around the trajectory so much is shown, and in all no less."""
+"""Margin around the trajectory, and least side of the shown area."""
 WIDTH_IN, MOST_HIGH_IN, DPI = 8.4, 6.0, 120
 _KEY_IN = 0.27
-"""How far the key lies below a panel."""
+"""Distance of the legend below a panel."""
 _KEY_COLUMNS = {1: 7, 2: 2}
-"""Of the key, by how many panels stand side by side: a key that is wider than its panel takes the
-room from it."""
+"""Columns of the legend, by the number of panels side by side. A wider legend would shrink its
+panel."""
 _KEY_ROW_IN = 0.17
 _VALUES = {
-    TUBE: ("around what was written", "#8ce99a"),
-    DRIVABLE: ("ground that was chosen", "#d3f9d8"),
+    TUBE: ("near the coarse trajectory", "#8ce99a"),
+    DRIVABLE: ("chosen ground", "#d3f9d8"),
     HIGH: ("other ground", "#ffe8cc"),
-    0: ("closed: too near, or not seen", "#4a5361"),
+    0: ("closed: near an obstacle, or not seen", "#4a5361"),
 }
 _Box = tuple[float, float, float, float]
 
@@ -43,12 +43,16 @@ _Box = tuple[float, float, float, float]
 def png(
     scene: Scene, coarse_m: np.ndarray | None, refined: Refined | None, costmap: CostMap | None
 ) -> bytes:
-    """The scene with its regions, objects and numbers, and beside it the value map, both with the
-    trajectory as it was written and as it was refined, as a PNG file's content.
+    """Return the content of a PNG file: the scene and, next to it, the value map.
+
+    The scene shows regions, objects and numbers. Both panels show the coarse and the refined
+    trajectory.
 
     Args:
-        coarse_m: (n, 2) float64 in `map`; None: nothing was written.
-        costmap: that it was refined on; None: only the scene.
+        scene: regions and objects.
+        coarse_m: (n, 2) float64 in `map`; None for no trajectory.
+        refined: the refined trajectory; None for none.
+        costmap: map that it was refined on; None draws the scene only.
     """
     box = _shown(scene, coarse_m, refined)
     wide, high = box[1] - box[0], box[3] - box[2]
@@ -80,8 +84,10 @@ def png(
 
 
 def _shown(scene: Scene, coarse_m: np.ndarray | None, refined: Refined | None) -> _Box:
-    """(x_min, x_max, y_min, y_max): the trajectory and its surroundings; without one, all that
-    there is around the robot."""
+    """Return the shown area (x_min, x_max, y_min, y_max): the trajectory with a margin.
+
+    Without a trajectory it is all objects around the robot.
+    """
     points = [np.array([[scene.pose.x_m, scene.pose.y_m]])]
     points += [] if coarse_m is None else [coarse_m]
     points += [] if refined is None else [refined.poses[:, :2]]
@@ -89,7 +95,7 @@ def _shown(scene: Scene, coarse_m: np.ndarray | None, refined: Refined | None) -
         points += [thing.position_m[None, :2] for thing in scene.objects.values()]
     every = np.concatenate(points)
     low, high = every.min(axis=0) - MARGIN_M, every.max(axis=0) + MARGIN_M
-    # Neither a strip nor a stamp: what is beside the way counts too.
+    # Not too narrow: the surroundings of the trajectory matter too.
     short = np.maximum(np.maximum(LEAST_M, 0.5 * (high - low).max()) - (high - low), 0.0)
     (x0, y0), (x1, y1) = low - 0.5 * short, high + 0.5 * short
     return float(x0), float(x1), float(y0), float(y1)
@@ -99,16 +105,16 @@ def _scene(axes: Axes, scene: Scene) -> None:
     cells, colours = ground_colours(scene)
     axes.set_facecolor(tuple(v / 255 for v in UNKNOWN_RGB))
     _image(axes, scene.occupancy, colours[cells])
-    axes.set_title("What is there", loc="left", color=palette.INK, fontsize=10)
+    axes.set_title("Scene", loc="left", color=palette.INK, fontsize=10)
 
 
 def _values(axes: Axes, costmap: CostMap) -> None:
     table = np.zeros((256, 3), np.uint8)
     for weight, (_, hexed) in _VALUES.items():
         table[weight] = np.frombuffer(bytes.fromhex(hexed[1:]), np.uint8)
-    axes.set_facecolor(_VALUES[0][1])  # nobody has seen what is outside of the map
+    axes.set_facecolor(_VALUES[0][1])  # outside of the map nothing was seen
     _image(axes, costmap.grid, table[costmap.weight])
-    axes.set_title("What each cell costs", loc="left", color=palette.INK, fontsize=10)
+    axes.set_title("Cost of each cell", loc="left", color=palette.INK, fontsize=10)
 
 
 def _image(axes: Axes, grid: Grid, rgb: np.ndarray) -> None:
@@ -131,14 +137,14 @@ def _lines(axes: Axes, scene: Scene, coarse_m: np.ndarray | None, refined: Refin
 
 
 def _arrow(axes: Axes, at: tuple[float, float], heading_rad: float, face: str) -> None:
-    """A dart that points along a heading."""
+    """Draw a dart that points along a heading."""
     marker = (3, 0, math.degrees(heading_rad) - 90.0)
     style = {"markeredgecolor": "white", "markeredgewidth": 1.2, "zorder": 8, "ls": ""}
     axes.plot(*at, marker=marker, markersize=12, markerfacecolor=face, **style)
 
 
 def _thing(axes: Axes, thing: SceneObject, box: _Box) -> None:
-    """Its outline on the ground and its number, in the colour that it has in the picture."""
+    """Draw an object's outline on the ground and its number, in its colour of the camera image."""
     own = tuple(0.8 * v / 255 for v in colour(thing.id))
     along, across = 0.5 * np.maximum(thing.size_m[:2], 0.15)
     c, s = math.cos(thing.heading_rad), math.sin(thing.heading_rad)
@@ -157,7 +163,7 @@ def _thing(axes: Axes, thing: SceneObject, box: _Box) -> None:
 def _keys(
     scene: Scene, coarse_m: np.ndarray | None, refined: Refined | None, box: _Box
 ) -> tuple[list[Artist], list[Artist]]:
-    """What is there, of each panel."""
+    """Return the legend's handles of each panel."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -174,7 +180,7 @@ def _keys(
         for label, value in known.items()
         if value in there
     ]
-    lines = [Line2D([], [], color=COARSE, lw=1.4, ls=(0, (3, 1.5)), label="as it was written")]
+    lines = [Line2D([], [], color=COARSE, lw=1.4, ls=(0, (3, 1.5)), label="coarse")]
     lines += [Line2D([], [], color=REFINED, lw=2.4, label="refined")]
     drawn = [
         line for line, what in zip(lines, (coarse_m, refined), strict=True) if what is not None
@@ -187,7 +193,7 @@ def _keys(
 
 
 def _key(axes: Axes, handles: Sequence[Artist], columns: int) -> None:
-    """Below a panel."""
+    """Draw the legend below a panel."""
     from matplotlib.transforms import ScaledTranslation
 
     below = ScaledTranslation(0.0, -_KEY_IN, axes.figure.dpi_scale_trans)

@@ -1,11 +1,11 @@
-// A scene in three dimensions on a plain canvas: no WebGL, so that it looks the same on a robot's
-// computer without a graphics card. The ground is looked up for each pixel, points go through a
-// depth buffer, lines and words lie on top.
+// A 3-D scene on a plain canvas, without WebGL, so that it looks the same on a computer without a
+// graphics card. The ground is looked up for each pixel, points go through a depth buffer, and
+// lines and text lie on top.
 "use strict";
 
 const canvas = document.querySelector("#view");
 const context = canvas.getContext("2d");
-// Downward angle, and how many times its extent the trajectory is away.
+// Downward angle, and the distance as a multiple of the trajectory's extent.
 const VIEWS = { behind: [0.55, 1.9], above: [1.5, 2.2] };
 const LEAST_EXTENT_M = 8;
 const NEAR_M = 0.2;
@@ -13,14 +13,14 @@ const eye = {};
 const shown = { boxes: true, words: true, lines: DATA.lines.map(() => true), at: 0 };
 let ground, cloud, pixels, depth, width, height, focal, basis;
 
-// Of zlib-packed bytes in base64.
+// Unpacks base64 text of zlib-compressed bytes.
 async function unpack(text) {
   const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Response(stream).arrayBuffer();
 }
 
-// 0xAABBGGRR of a canvas' bytes.
+// A colour as 0xAABBGGRR, the byte order of a canvas.
 const packed = ([r, g, b]) => (255 << 24) | (b << 16) | (g << 8) | r;
 
 function resize() {
@@ -32,7 +32,7 @@ function resize() {
   depth = new Float32Array(width * height);
 }
 
-// The eye looks at (x, y, z) from `far` metres, from above by `pitch`; it never gets below ground.
+// The eye looks at (x, y, z) from `far` metres away, `pitch` above; it stays above the ground.
 function aim() {
   const [cy, sy] = [Math.cos(eye.yaw), Math.sin(eye.yaw)];
   const [cp, sp] = [Math.cos(eye.pitch), Math.sin(eye.pitch)];
@@ -43,7 +43,7 @@ function aim() {
   };
 }
 
-// (right, down, forward) of a point, from the eye.
+// A point as (right, down, forward) from the eye.
 function seen(x, y, z) {
   const { forward: f, right: r, down: d, at } = basis;
   const [u, v, w] = [x - at[0], y - at[1], z - at[2]];
@@ -90,7 +90,7 @@ function drawCloud(out) {
     for (let y = Math.max(py, 0); y < Math.min(py + size, height); y++) {
       for (let x = Math.max(px, 0); x < Math.min(px + size, width); x++) {
         const at = y * width + x;
-        // A hand's breadth nearer, so that what stands on the ground is not half sunk in it.
+        // Draw points a little nearer, so that the ground does not hide what stands on it.
         if (c - 0.1 < depth[at]) {
           depth[at] = c - 0.1;
           out[at] = colour[i];
@@ -100,7 +100,7 @@ function drawCloud(out) {
   }
 }
 
-// A line through points, cut off at the eye.
+// Draws a line through points, clipped at the eye.
 function polyline(points, colour, breadth, casing) {
   context.beginPath();
   for (let i = 1; i < points.length; i++) {
@@ -154,8 +154,7 @@ function say(text, point, colour) {
   context.fillText(text, x - breadth / 2, y - 4);
 }
 
-// Where the robot is at this place of the slider: an arrow as long as a robot.
-// Where the robot is at this place of the slider; where it stands, without a trajectory.
+// The robot's pose at the slider's position; its start pose without a trajectory.
 function robotAt() {
   const [x, y, yaw] = DATA.start;
   return DATA.poses[Math.min(shown.at, DATA.poses.length - 1)] || [x, y, DATA.ground.level, yaw];
@@ -200,8 +199,8 @@ function redraw() {
   });
 }
 
-// All of the trajectory, or where there is none all things, or what the robot sees at this place of
-// the slider.
+// Shows the whole trajectory (all objects without one), or the view of the robot at the slider's
+// position.
 function look(name) {
   const level = DATA.ground.level;
   shown.view = name;
@@ -236,7 +235,7 @@ function zoom(by) {
   redraw();
 }
 
-// Along the ground: what is under the finger stays there.
+// Moves along the ground: the point under the finger stays there.
 function pan(dx, dy) {
   const step = eye.far / focal;
   const [c, s] = [Math.cos(eye.yaw), Math.sin(eye.yaw)];

@@ -1,7 +1,7 @@
-"""A scene and its trajectories to look at from all sides: one page, which fetches nothing.
+"""Interactive 3-D view of a scene and its trajectories: one page, which fetches nothing.
 
-A page of 60,000 points is 0.2 MB; plotly's export is 5.4 MB and pyvista's 1.6 MB, of which 4.8 and
-1.4 are the library.
+A page of 60,000 points is 0.2 MB. Plotly's export is 5.4 MB (4.8 MB of it the library), pyvista's
+1.6 MB (1.4 MB).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from edge.tasks.refine import Refined
 from edge.tasks.scene import Scene, SceneObject
 
 VOXEL_M = 0.1
-FARTHEST_M = 300.0  # centimetres in int16
-UNKNOWN, OCCUPIED = 254, 255  # beside the regions' ids
+FARTHEST_M = 300.0  # points are sent as centimetres in int16
+UNKNOWN, OCCUPIED = 254, 255  # the regions' ids are smaller
 _GROUND_RGB = {
     "": (150, 166, 138), "road": (98, 102, 110), "sidewalk": (186, 184, 178),
     "parking": (126, 130, 142), "floor": (198, 190, 176), "terrain": (140, 160, 122),
@@ -58,8 +58,10 @@ class Line:
     """A trajectory to draw.
 
     Attributes:
+        name: text of its check box.
         points_m: (n, 2 or 3) float64 in `map`; without heights it lies on the ground.
-        colour: of CSS.
+        colour: CSS colour.
+        breadth_px: width of the line.
     """
 
     name: str
@@ -69,9 +71,9 @@ class Line:
 
 
 def coarse_and_refined(coarse_m: np.ndarray, refined: Refined) -> tuple[Line, Line]:
-    """The two lines that any task has."""
+    """Return the two lines that every task has."""
     return (
-        Line("as it was written", coarse_m, "#f08c00", 2.0),
+        Line("coarse", coarse_m, "#f08c00", 2.0),
         Line("refined", refined.poses[:, :3], palette.TARGET, 4.0),
     )
 
@@ -87,13 +89,16 @@ def scene_page(
     facts: Sequence[tuple[str, str]] = (),
     ground_m: float = 0.0,
 ) -> str:
-    """The page, as HTML.
+    """Return the page as HTML.
 
     Args:
-        title, machine: plain text, as all of it.
-        refined: what the slider follows.
-        cloud_m: (n, 3) float32 in `map`, all points; the objects' own are drawn without it too.
-        facts: a name and a value each, under the picture.
+        title: plain text, like all other text arguments.
+        scene: ground and objects.
+        lines: trajectories.
+        machine: text for the footer.
+        refined: trajectory that the slider follows.
+        cloud_m: (n, 3) float32 in `map`, all points; the objects' own points are always drawn.
+        facts: (name, value) pairs, under the picture.
         ground_m: height of the ground in `map`.
     """
     kinds = list(dict.fromkeys(item.label for item in scene.objects.values()))
@@ -108,7 +113,7 @@ def scene_page(
         "when": when,
     }
     viewer = files(__package__).joinpath("view3d.js").read_text(encoding="utf-8")
-    # A "</script>" or "<!--" in a name would end it.
+    # A "</script>" or "<!--" in a name would end the script.
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     body = (
         f"<header><h1>{escape(title)}</h1></header>"
@@ -120,8 +125,12 @@ def scene_page(
 
 
 def ground_colours(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """(h, w) uint8, what each cell shows: its region's id, 0 without one, `UNKNOWN`, `OCCUPIED`;
-    and the colours of these, (256, 3) uint8."""
+    """Return the content of each cell, and the colours of the contents.
+
+    Returns:
+        (h, w) uint8: a region's id, 0 for none, `UNKNOWN` or `OCCUPIED`; and (256, 3) uint8
+            colours.
+    """
     occupancy = scene.occupancy.cells
     cells = np.where(occupancy < 0, np.uint8(UNKNOWN), scene.regions_grid.cells)
     cells = np.where(occupancy >= 50, np.uint8(OCCUPIED), cells).astype(np.uint8)
@@ -147,7 +156,7 @@ def _ground(scene: Scene, ground_m: float) -> dict[str, object]:
 
 
 def _cloud(scene: Scene, kinds: Sequence[str], cloud_m: np.ndarray | None) -> dict[str, object]:
-    """One point a voxel; those of objects in the colours of their kinds, which are 1 and on."""
+    """Return one point per voxel; objects' points have kinds from 1 on, with their own colours."""
     points, kind = [np.empty((0, 3), np.float32)], [np.empty(0, np.uint8)]
     for item in scene.objects.values():
         points.append(item.points_m)
@@ -158,7 +167,7 @@ def _cloud(scene: Scene, kinds: Sequence[str], cloud_m: np.ndarray | None) -> di
     xyz, of = np.concatenate(points), np.concatenate(kind)
     near = (np.abs(xyz) < FARTHEST_M).all(axis=1)  # a NaN is not
     xyz, of = xyz[near], of[near]
-    # Objects come first, and of a voxel's points the first stays.
+    # Objects come first, and the first point of each voxel is kept.
     _, first = np.unique(np.floor(xyz / VOXEL_M).astype(np.int32), axis=0, return_index=True)
     return {
         "xyz_cm": _packed(np.rint(100.0 * xyz[first]).astype("<i2")),
@@ -184,7 +193,7 @@ def _line(line: Line, ground_m: float) -> dict[str, object]:
     points = np.asarray(line.points_m, np.float64)
     if points.shape[1] == 2:
         points = np.column_stack([points, np.full(len(points), ground_m)])
-    points = points + np.array([0.0, 0.0, 0.05])  # as it lies on the ground
+    points = points + np.array([0.0, 0.0, 0.05])  # just above the ground
     return {
         "points": _rounded(points),
         "colour": line.colour,
@@ -216,7 +225,7 @@ def _controls(lines: Sequence[Line], when: Sequence[str]) -> str:
     slider = ""
     if when:
         slider = (
-            '<div class="bar"><label for="along">Along it</label><input type="range" id="along" '
+            '<div class="bar"><label for="along">Position</label><input type="range" id="along" '
             f'min="0" max="{len(when) - 1}" value="0"><output id="when">{escape(when[0])}</output>'
             "</div>"
         )
@@ -237,18 +246,18 @@ def _facts(facts: Sequence[tuple[str, str]]) -> str:
 
 
 def _things(scene: Scene) -> str:
-    """What the picture shows, for who cannot see it."""
+    """Return the objects as a table, for readers who cannot see the picture."""
     if not scene.objects:
-        return '<section><p class="note">Nothing was found.</p></section>'
+        return '<section><p class="note">No objects were found.</p></section>'
     rows = "".join(
         f"<tr><td>{item.id}</td><td>{escape(item.label)}</td><td>{escape(item.caption)}</td>"
         f"<td>({item.position_m[0]:.1f}, {item.position_m[1]:.1f})</td>"
         f"<td>{math.dist(item.position_m[:2], (scene.pose.x_m, scene.pose.y_m)):.1f} m</td></tr>"
         for item in scene.objects.values()
     )
-    head = "".join(f"<th>{word}</th>" for word in ("No.", "Thing", "Said of it", "At", "Away"))
+    head = "".join(f"<th>{word}</th>" for word in ("No.", "Object", "Caption", "At", "Distance"))
     return (
-        f"<section><details><summary>{len(scene.objects)} things</summary>"
+        f"<section><details><summary>{len(scene.objects)} objects</summary>"
         f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div></details></section>'
     )
 

@@ -1,4 +1,4 @@
-"""The robot's way on the map: coloured by the target that was pursued, or by time."""
+"""The robot's path on the map, coloured by the pursued target, or by time."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ Rect = tuple[float, float, float, float]
 
 
 def by_target(record: RunRecord) -> bool:
-    """Whether the way is coloured by target: several were pursued, and each has a colour. The
-    things that a task names are no ends of its way."""
+    """Return True if the path is coloured by target: several were pursued, each with a colour.
+
+    A task's path is coloured by time: the objects that a task names are not its goals.
+    """
     if record.task is not None:
         return False
     pursued = {span.label for span in gantt.spans(record)}
@@ -28,10 +30,13 @@ def by_target(record: RunRecord) -> bool:
 
 
 def draw(figure: Figure, axes: Axes, record: RunRecord, place: Rect) -> None:
-    """The way on a white casing that keeps it off the map, and its key.
+    """Draw the path with a white border that sets it off from the map, and its legend.
 
     Args:
-        place: of the key, in parts of the figure.
+        figure: figure for the legend.
+        axes: the map.
+        record: the run.
+        place: of the legend, in fractions of the figure.
     """
     from matplotlib.collections import LineCollection
 
@@ -52,7 +57,7 @@ def draw(figure: Figure, axes: Axes, record: RunRecord, place: Rect) -> None:
 
 
 def _colours(record: RunRecord) -> list[str]:
-    """One for each piece of the way, by when it ended."""
+    """Return one colour for each segment of the path, by the time of its end."""
     spans = gantt.spans(record)
     starts_s = np.array([span.start_s for span in spans])
     at = np.searchsorted(starts_s, record.trajectory_t_s[1:], side="right") - 1
@@ -75,7 +80,7 @@ def _targets(figure: Figure, record: RunRecord, place: Rect) -> None:
         handles.append(line)
     legend = figure.legend(
         handles=handles,
-        title="targets, and the ways to them",
+        title="targets, and the paths to them",
         loc="upper left",
         bbox_to_anchor=(place[0] - 0.015, place[1] + place[3]),
         frameon=False,

@@ -1,4 +1,4 @@
-"""Simulated houses and robots, which speak to the service as real sensors do.
+"""Simulated worlds and robots, which send the service the same messages as real sensors.
 
-The service learns of a world by messages only; what no robot could tell has topics of its own.
+The service learns about a world only from these messages. Ground truth has its own topics.
 """

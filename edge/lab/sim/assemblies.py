@@ -1,9 +1,9 @@
-"""What things look like: each category as an assembly of shapes, of any size and colour.
+"""Shapes of objects: each category as an assembly of primitives, for any size and colour.
 
-A row is (shape, centre, size, material[, texture]). Centres and sizes are fractions of the
-object's depth, width and height: x forward (the side one uses it from), y left, z up from the
-floor, so (0, 0, 0.5) is the middle. `main` takes the object's colour, `dark` and `light` are
-made from it, the rest are fixed.
+A row is (shape, centre, size, material[, texture]). Centres and sizes are fractions of the object's
+depth, width and height: x forward (the side it is used from), y left, z up from the floor, so (0,
+0, 0.5) is the middle. `main` is the object's colour, `dark` and `light` are derived from it, and
+all other materials are fixed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ FIXED: dict[str, RGB] = {
 
 
 def build(category: str, size_m: RGB, color: RGB) -> list[Part]:
-    """The parts of a thing that stands at the origin, facing +x.
+    """Return the primitives of an object that stands at the origin and faces +x.
 
     Raises:
         KeyError: no such category.

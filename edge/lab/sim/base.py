@@ -1,4 +1,4 @@
-"""What every simulated world offers: objects, floor plan, camera and LiDAR."""
+"""Interface of all simulated worlds: objects, floor plan, camera and LiDAR."""
 
 from __future__ import annotations
 
@@ -13,30 +13,31 @@ from edge.config import Lidar
 from edge.errors import UserError
 from edge.geometry import SE2, CameraModel, Grid
 
-# Thresholds, sills and carpets below this are driven over.
+# The robot drives over thresholds, sills and carpets lower than this.
 FLOOR_CLEARANCE_M = 0.05
 
 
 Room = tuple[tuple[float, float, float, float], ...]
-"""Rectangles (x0, y0, x1, y1) [m] that make up its floor."""
+"""Rectangles (x0, y0, x1, y1) [m] that make up the room's floor."""
 
 
 class WorldError(UserError):
-    """A world that cannot be used; the message names file, place and what to do."""
+    """The world cannot be used; the message names file, place and what to do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorldObject:
-    """A thing in a world.
+    """An object in a world.
 
     Attributes:
-        id: its value in the images of object ids, from 1.
-        label: what people call it (`edge.names`).
-        category: what the world's file calls it.
-        center_m: middle of its box, in `map`.
+        id: value in the images of object ids, from 1.
+        name: unique name.
+        label: common name (`edge.names`).
+        category: name in the world's file.
+        center_m: centre of its box, in `map`.
         size_m: extents of the box along its own x, y, z.
-        yaw_rad: of the box.
-        footprint_m: (k, 2) float32 samples of what it covers on the floor; None: the whole box.
+        yaw_rad: yaw of the box.
+        footprint_m: (k, 2) float32 samples of the floor that it covers; None for the whole box.
     """
 
     id: int
@@ -49,7 +50,7 @@ class WorldObject:
     footprint_m: np.ndarray | None = None
 
     def distance_m(self, x_m: float, y_m: float) -> float:
-        """Planar distance from a point to the nearest point of the footprint; 0 inside a box."""
+        """Return the planar distance from a point to the footprint; 0 inside a box."""
         if self.footprint_m is not None:
             d = self.footprint_m - np.array([x_m, y_m], dtype=np.float32)
             return float(np.sqrt((d * d).sum(axis=1).min()))
@@ -62,12 +63,14 @@ class WorldObject:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fan:
-    """The rays of a rotating LiDAR in its own frame.
+    """Rays of a rotating LiDAR in its own frame.
 
     Attributes:
-        directions: (rings, columns, 3) float64 unit vectors; ring r at elevation
-            `el_min_rad + r el_step_rad`, column c at azimuth `-pi + c 2 pi / columns`.
-        range_m: nothing beyond returns.
+        directions: (rings, columns, 3) float64 unit vectors; ring r at elevation `el_min_rad + r
+            el_step_rad`, column c at azimuth `-pi + c 2 pi / columns`.
+        el_min_rad: elevation of the first ring.
+        el_step_rad: elevation step between rings.
+        range_m: objects farther away give no return.
     """
 
     directions: np.ndarray
@@ -77,7 +80,7 @@ class Fan:
 
     @classmethod
     def of(cls, lidar: Lidar) -> Fan:
-        """The fan of a configured LiDAR; a single ring lies at elevation 0."""
+        """Return the rays of a configured LiDAR; a single ring lies at elevation 0."""
         vfov = math.radians(lidar.vfov_deg)
         single = lidar.rings == 1
         el_min, step = (0.0, 1.0) if single else (-0.5 * vfov, vfov / (lidar.rings - 1))
@@ -88,10 +91,10 @@ class Fan:
 
 
 class FloorPlan:
-    """Where a robot can stand, as a raster of the geometry from 0.05 m up to its height.
+    """Raster of the geometry from 0.05 m above the floor up to the robot's height.
 
     Attributes:
-        grid: uint8, 1 = something is there.
+        grid: uint8, 1 = occupied.
         clearance_m: (rows, columns) float32, distance to the nearest occupied cell's edge.
     """
 
@@ -101,19 +104,19 @@ class FloorPlan:
         self.update()
 
     def update(self) -> None:
-        """Measure the clearance again after the grid's cells have changed."""
+        """Compute the clearance again after the grid's cells have changed."""
         free, cell_m = np.uint8(1) - self.grid.cells, self.grid.resolution_m
         distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         np.multiply(distance, cell_m, out=self.clearance_m)
         np.maximum(self.clearance_m - 0.5 * cell_m, 0.0, out=self.clearance_m)
 
     def clearance_at(self, x_m: float, y_m: float) -> float:
-        """Distance to the nearest obstacle, within a cell; 0 inside one or off the plan."""
+        """Return the distance to the nearest obstacle, to a cell; 0 inside one or off the plan."""
         cell = self.grid.cell_of(x_m, y_m)
         return 0.0 if cell is None else float(self.clearance_m[cell])
 
     def reachable(self, x_m: float, y_m: float, clearance_m: float) -> np.ndarray:
-        """(rows, columns) bool: where a robot of radius `clearance_m` gets to from a point."""
+        """Return (rows, columns) bool: cells that a robot of radius `clearance_m` can reach."""
         free = (self.clearance_m > clearance_m).astype(np.uint8)
         cell = self.grid.cell_of(x_m, y_m)
         if cell is None or not free[cell]:
@@ -126,7 +129,7 @@ class World(Protocol):
     """A place for the simulated robot; see `edge.lab.sim.worlds.load_world`.
 
     Attributes:
-        rooms: each as rectangles of its floor (x0, y0, x1, y1) [m]; none where nobody knows.
+        rooms: each as rectangles of its floor (x0, y0, x1, y1) [m]; empty if unknown.
     """
 
     name: str
@@ -143,20 +146,21 @@ class World(Protocol):
         out_depth_m: np.ndarray,
         out_ids: np.ndarray,
     ) -> None:
-        """Take a picture: rgb (h, w, 3) uint8, z-depth (h, w) float32 with NaN where there is
-        nothing, object ids (h, w) uint16 with 0 for structure.
+        """Render an image into the given buffers.
 
-        Without `out_rgb` nothing is shaded, which costs half as much; depth and ids are the same.
+        `out_rgb` is (h, w, 3) uint8, `out_depth_m` (h, w) float32 z-depth with NaN for nothing,
+        `out_ids` (h, w) uint16 object ids with 0 for structure. Without `out_rgb` nothing is
+        shaded, which takes half the time; depth and ids are the same.
         """
 
     def cast(self, fan: Fan, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
-        """Fill (rings, columns) float32 with ranges, NaN where nothing returns."""
+        """Fill (rings, columns) float32 with ranges [m]; NaN for no return."""
 
 
 def free_poses(
     world: World, count: int, seed: int, radius_m: float, margin_m: float = 0.1
 ) -> list[SE2]:
-    """Poses that a robot could have reached from the world's start, the same for a seed.
+    """Return random poses that the robot can reach from the world's start, repeatably for a seed.
 
     Raises:
         WorldError: the start itself is not free for this radius.
@@ -168,7 +172,7 @@ def free_poses(
     if len(rows) == 0:
         raise WorldError(
             f"{world.name}: no free space of radius {radius_m} m around the start "
-            f"({world.start.x_m:.2f}, {world.start.y_m:.2f}): choose another, in sim.start"
+            f"({world.start.x_m:.2f}, {world.start.y_m:.2f}): set another start in sim.start"
         )
     picks = rng.integers(0, len(rows), count)
     yaws = rng.uniform(-math.pi, math.pi, count)

@@ -1,4 +1,4 @@
-"""A world of primitive shapes, rendered by the numba ray caster (`edge.lab.sim.kernels`)."""
+"""World of primitive shapes, rendered by the numba ray caster (`edge.lab.sim.kernels`)."""
 
 from __future__ import annotations
 
@@ -22,9 +22,11 @@ class Part:
 
     Attributes:
         shape: `kernels.BOX`, `CYLINDER` or `ELLIPSOID`.
-        center_m, size_m: full extents along its own axes.
+        center_m: centre.
+        size_m: full extents along its own axes.
         color: r, g, b in 0..255.
         texture: one of `shading.PLAIN` … `PICTURE`.
+        yaw_rad: yaw.
     """
 
     shape: int
@@ -35,7 +37,7 @@ class Part:
     yaw_rad: float = 0.0
 
     def placed(self, x_m: float, y_m: float, z_m: float, yaw_rad: float) -> Part:
-        """This part of an object that stands at a pose."""
+        """Return this primitive of an object that stands at a pose."""
         c, s = math.cos(yaw_rad), math.sin(yaw_rad)
         x, y, z = self.center_m
         center = (x_m + c * x - s * y, y_m + s * x + c * y, z_m + z)
@@ -43,7 +45,7 @@ class Part:
 
 
 class BoxWorld:
-    """See `edge.lab.sim.base.World`; `move` shifts an object while the world runs."""
+    """World of primitives (see `edge.lab.sim.base.World`), whose objects can move."""
 
     def __init__(
         self,
@@ -64,7 +66,7 @@ class BoxWorld:
         owned = [(0, part) for part in structure]
         owned += [(item.id, part) for item, parts in furniture for part in parts]
         if not owned:
-            raise WorldError(f"{name}: nothing in it: give it walls or objects")
+            raise WorldError(f"{name}: the world is empty: add walls or objects")
         parts = [part for _, part in owned]
         self.owner = np.array([owner for owner, _ in owned], np.uint16)
         self.shape = np.array([part.shape for part in parts], np.uint8)
@@ -100,7 +102,7 @@ class BoxWorld:
         out_ranges_m[out_ranges_m > fan.range_m] = np.nan
 
     def move(self, object_id: int, x_m: float, y_m: float) -> None:
-        """Put an object's centre somewhere else on the floor."""
+        """Move an object's centre to another place on the floor."""
         k = next((k for k, item in enumerate(self.objects) if item.id == object_id), None)
         if k is None:
             raise KeyError(f"no object {object_id} in {self.name}")

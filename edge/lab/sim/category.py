@@ -1,4 +1,4 @@
-"""The vocabulary of assemblies; see `edge.lab.sim.assemblies`."""
+"""Building blocks of assemblies; see `edge.lab.sim.assemblies`."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ VIVID: tuple[RGB, ...] = ((206, 62, 48), (46, 104, 186), (236, 150, 34), (58, 15
 
 @dataclass(frozen=True, slots=True)
 class Category:
-    """How one kind of thing is built.
+    """Shape of one kind of object.
 
     Attributes:
         size_m: usual depth, width, height.
         colors: usual colours.
-        rows: the assembly, see the module.
+        rows: the assembly; see `edge.lab.sim.assemblies`.
     """
 
     size_m: RGB
@@ -32,7 +32,7 @@ class Category:
 
 
 def legs(height: float, size: float, material: str, inset: float = 0.08) -> tuple[tuple, ...]:
-    """Four legs under a top at `height` (fractions)."""
+    """Return four legs under a top at `height`; all values are fractions."""
     d = 0.5 - inset
     return tuple(
         (B, (x, y, height / 2), (size, size, height), material)

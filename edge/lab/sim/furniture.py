@@ -1,4 +1,4 @@
-"""Furniture, as assemblies (rows as in `edge.lab.sim.assemblies`)."""
+"""Furniture as assemblies (rows as in `edge.lab.sim.assemblies`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from edge.lab.sim.category import CLOTHS, VIVID, WHITES, WOODS, B, C, Category, 
 
 
 def _seat(*cushions: float) -> tuple[tuple, ...]:
-    """A sofa with a cushion at each y fraction."""
+    """Return a sofa with a cushion at each y fraction."""
     width = 0.78 / len(cushions) - 0.01
     return (
         (B, (0.03, 0, 0.22), (0.9, 0.96, 0.28), "dark", s.FABRIC),
@@ -21,7 +21,7 @@ def _seat(*cushions: float) -> tuple[tuple, ...]:
 
 
 def _drawers(count: int, knob: str = "brass") -> tuple[tuple, ...]:
-    """A chest's body with `count` drawer fronts."""
+    """Return a chest's body with `count` drawer fronts."""
     step = 0.86 / count
     rows: list[tuple] = [
         (B, (0, 0, 0.5), (0.94, 0.98, 0.92), "main", s.GRAIN),
@@ -36,7 +36,7 @@ def _drawers(count: int, knob: str = "brass") -> tuple[tuple, ...]:
 
 
 def _doors(y_handles: tuple[float, float]) -> tuple[tuple, ...]:
-    """A cupboard's body with two doors."""
+    """Return a cupboard's body with two doors."""
     return (
         (B, (-0.01, 0, 0.51), (0.94, 0.98, 0.94), "main", s.GRAIN),
         (B, (0, 0, 0.985), (1.0, 1.0, 0.03), "dark", s.GRAIN),
@@ -48,7 +48,7 @@ def _doors(y_handles: tuple[float, float]) -> tuple[tuple, ...]:
 
 
 def _wardrobe() -> tuple[tuple, ...]:
-    """Two long doors with bar handles over one wide drawer, under a cornice."""
+    """Return two long doors with bar handles over one wide drawer, under a cornice."""
     return (
         (B, (-0.02, 0, 0.5), (0.92, 0.96, 0.94), "main", s.GRAIN),
         (B, (0, 0, 0.975), (1.0, 1.0, 0.05), "dark", s.GRAIN),

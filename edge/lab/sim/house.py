@@ -1,8 +1,8 @@
-"""Houses of our own: rooms, walls with openings and furniture, read from JSON.
+"""Houses read from our JSON format: rooms, walls with openings, and furniture.
 
-`houses/demo.json` is an example of everything. Lengths are metres, angles degrees; a wall's
-openings count from its first end; an object stands at `at`, faces +x when `yaw_deg` is 0, and
-takes its category's usual size and first colour unless it names its own.
+`houses/demo.json` shows every field. Lengths are in metres, angles in degrees. A wall's openings
+count from its start. An object stands at `at` and faces +x at `yaw_deg` 0. Without its own size and
+color it takes its category's usual size and first colour.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def read_house(path: Path) -> House:
     """Read and validate a house file.
 
     Raises:
-        WorldError: one line: file, place, what is wrong.
+        WorldError: one line with file, place and fault.
     """
     try:
         data = json.loads(read_regular(path))
@@ -118,7 +118,7 @@ def read_house(path: Path) -> House:
 
 
 def load_house(section: WorldHouse, config: Config) -> BoxWorld:
-    """A built-in house by name, or one from a JSON file.
+    """Load a built-in house by name, or a house from a JSON file.
 
     Raises:
         WorldError: no such house, or a fault in its file.
@@ -127,12 +127,12 @@ def load_house(section: WorldHouse, config: Config) -> BoxWorld:
     path = built_in if built_in.is_file() else resources.expand(section.house)
     if not path.is_file():
         choices = ", ".join(sorted(p.stem for p in HOUSES.glob("*.json")))
-        raise WorldError(f"{config.at('sim.world.house')}: no {path} (built-in: {choices})")
+        raise WorldError(f"{config.at('sim.world.house')}: no file {path} (built-in: {choices})")
     return build_house(read_house(path), config)
 
 
 def build_house(house: House, config: Config) -> BoxWorld:
-    """The world of a validated house."""
+    """Return the world of a validated house."""
     structure = [part for room in house.rooms for part in _room_parts(room, house)]
     structure += [part for wall in house.walls for part in _wall_parts(wall, house)]
     furniture = [_furnish(k + 1, thing) for k, thing in enumerate(house.objects)]
@@ -160,7 +160,7 @@ def _room_parts(room: Room, house: House) -> list[Part]:
 
 
 def _wall_parts(wall: Wall, house: House) -> list[Part]:
-    """Solid stretches between the openings, and what is left above and below them."""
+    """Return the solid parts of a wall: between, above and below its openings."""
     (x0, y0), (x1, y1) = wall.start, wall.end
     length, yaw = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
     parts: list[Part] = []
@@ -175,7 +175,7 @@ def _wall_parts(wall: Wall, house: House) -> list[Part]:
             foot = (b - a, house.wall_thickness_m + 0.02, 0.08)
             parts.append(Part(kernels.BOX, (mid[0], 0.0, 0.04), foot, _SKIRTING))
 
-    # The ends reach half a thickness further, so that corners close.
+    # The ends extend by half a thickness, so that corners close.
     at = -0.5 * house.wall_thickness_m
     for opening in sorted(wall.openings, key=lambda o: o.at_m):
         left, right = opening.at_m - 0.5 * opening.width_m, opening.at_m + 0.5 * opening.width_m

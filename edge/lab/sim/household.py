@@ -1,4 +1,4 @@
-"""Appliances, bathroom and small things, as assemblies (rows as in `edge.lab.sim.assemblies`)."""
+"""Appliances, bathroom fittings and small objects as assemblies (see `edge.lab.sim.assemblies`)."""
 
 from __future__ import annotations
 

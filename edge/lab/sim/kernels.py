@@ -4,9 +4,9 @@ A primitive is a solid in its own frame: yawed about z, centred, with half exten
 `shape` (n,) uint8 is BOX, CYLINDER (axis z, elliptic) or ELLIPSOID; `pose` (n, 8) float64 holds
 centre x, y, z [m], half extents x, y, z [m], cos(yaw), sin(yaw).
 
-Depth first, shading after (`edge.lab.sim.shading`): every pixel is shaded once. Primitives are
-drawn front to back, each only inside the rectangle it projects to, and tiles already covered by
-something nearer are skipped.
+Depth comes first, then shading (`edge.lab.sim.shading`), so every pixel is shaded once. Primitives
+are drawn front to back, each only inside the rectangle that it projects to. Tiles that a nearer
+primitive already covers are skipped.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _jit = {"nogil": True, "cache": True, "error_model": "numpy"}
 
 @njit(**_jit)
 def _slab(o, d, h):
-    """Entry and exit of the ray o + t d in |x| <= h."""
+    """Return entry and exit of the ray o + t d in |x| <= h."""
     inverse = 1.0 / (d if abs(d) > _TINY else _TINY)
     t_a, t_b = (-h - o) * inverse, (h - o) * inverse
     return (t_a, t_b) if t_a < t_b else (t_b, t_a)
@@ -36,7 +36,7 @@ def _slab(o, d, h):
 
 @njit(**_jit)
 def _quadratic(a, b, c):
-    """Entry and exit where a t^2 + 2 b t + c <= 0; an empty interval when nowhere."""
+    """Return entry and exit of a t^2 + 2 b t + c <= 0; an empty interval if there is none."""
     if a < _TINY:
         return (-math.inf, math.inf) if c <= 0.0 else (math.inf, -math.inf)
     disc = b * b - a * c
@@ -48,7 +48,7 @@ def _quadratic(a, b, c):
 
 @njit(**_jit)
 def _hit(shape, ox, oy, oz, dx, dy, dz, hx, hy, hz):
-    """Distance t along d at which a ray enters the solid; inf for a miss or from inside."""
+    """Return the distance t along d where a ray enters the solid; inf for a miss or inside."""
     if shape == ELLIPSOID:
         px, py, pz, qx, qy, qz = ox / hx, oy / hy, oz / hz, dx / hx, dy / hy, dz / hz
         t_in, t_out = _quadratic(
@@ -71,7 +71,7 @@ def _hit(shape, ox, oy, oz, dx, dy, dz, hx, hy, hz):
 
 @njit(**_jit)
 def into_local(pose, T, local):
-    """Fill `local` (3, 4): sensor coordinates to the primitive's frame."""
+    """Fill `local` (3, 4) with the transform from the sensor's frame to the primitive's."""
     c, s = pose[6], pose[7]
     for j in range(3):
         local[0, j] = c * T[0, j] + s * T[1, j]
@@ -96,7 +96,8 @@ def _corners(pose, local, corners):
 def _rectangle(corners, fx, fy, cx, cy, width, height, rect):
     """Fill `rect` (u0, v0, u1, v1, inclusive) with the projection of a box cut at the near plane.
 
-    Returns the nearest z-depth of the box, or inf when none of it is in view.
+    Returns:
+        The nearest z-depth of the box, or inf if no part of it is in view.
     """
     u0, v0, u1, v1 = math.inf, math.inf, -math.inf, -math.inf
     z_min = math.inf
@@ -127,9 +128,10 @@ def _rectangle(corners, fx, fy, cx, cy, width, height, rect):
 
 @njit(**_jit)
 def _box_row(index, hx, hy, hz, local, u0, fx, bx, by, bz, depth, prim):
-    """`_hit` of a box for a row of pixels, without a branch: the compiler takes several at once.
+    """Ray-test a row of pixels against a box, without branches, so that the compiler vectorises it.
 
-    Returns how many it hits first.
+    Returns:
+        The number of pixels for which the box is nearest.
     """
     count = 0
     ox, oy, oz = local[0, 3], local[1, 3], local[2, 3]
@@ -219,13 +221,15 @@ def render_depth(shape, pose, T_map_camera, fx, fy, cx, cy, depth, prim):
 
 @njit(**_jit)
 def name_hits(hit, owner, near_m, far_m, depth, ids):
-    """Fill `ids` with the owner of what each ray hit, and blank depths the camera does not give.
+    """Fill `ids` with each hit's owner, and set depths outside the camera's range to NaN.
 
     Args:
         hit: (...) int32 index into `owner`, -1 = nothing.
         owner: (n,) uint16 object ids, 0 = structure.
-        near_m, far_m: of the camera; `depth` (...) float32 outside becomes NaN, in place.
-        ids: (...) uint16, 0 where nothing is.
+        near_m: least depth of the camera.
+        far_m: largest depth of the camera.
+        depth: (...) float32, changed in place.
+        ids: (...) uint16, 0 for nothing.
     """
     hits, depths, named = hit.reshape(-1), depth.reshape(-1), ids.reshape(-1)
     for k in range(len(hits)):
@@ -238,7 +242,8 @@ def name_hits(hit, owner, near_m, far_m, depth, ids):
 def _fan_window(corners, n_azimuth, el_min, el_step, n_rings, window):
     """Fill `window` (ring0, ring1, column0, columns) with the rays that can meet a box.
 
-    Conservative. Columns count from azimuth -pi; a box around the sensor's axis takes them all.
+    The window may be too large, never too small. Columns count from azimuth -pi; a box around the
+    sensor's axis takes all columns.
     """
     r_max, z_lo, z_hi = 0.0, math.inf, -math.inf
     mid_x, mid_y = 0.0, 0.0
@@ -253,7 +258,7 @@ def _fan_window(corners, n_azimuth, el_min, el_step, n_rings, window):
         off = math.atan2(corners[k, 1], corners[k, 0]) - middle
         off -= 2.0 * math.pi * math.floor(off / (2.0 * math.pi) + 0.5)
         low, high = min(low, off), max(high, off)
-        # The nearest point of the planar hull is no nearer than the corners' projections on the
+        # The planar hull is at least as far away as the nearest projection of a corner on the
         # line of sight to its middle.
         r_min = min(r_min, corners[k, 0] * math.cos(middle) + corners[k, 1] * math.sin(middle))
         spread = max(spread, math.hypot(corners[k, 0] - mid_x, corners[k, 1] - mid_y))

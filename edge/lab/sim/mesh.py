@@ -1,4 +1,4 @@
-"""A textured mesh as a world (extra `worlds`: trimesh and embreex)."""
+"""Textured mesh as a world (extra `worlds`: trimesh and embreex)."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from edge.lab.sim.base import FLOOR_CLEARANCE_M, Fan, FloorPlan, Room, WorldErro
 
 CELL_M = 0.025
 _MARGIN_M = 0.5
-# Houses of this kind often come without a ceiling: what is missing is painted as one.
+# Such houses often have no ceiling: the sky gets a ceiling's colour.
 _SKY = np.array([236, 236, 233], np.uint8)
-# The building itself: seen, bumped into, but nothing anyone looks for.
+# The building itself: visible and solid, but never a target.
 STRUCTURE = frozenset({"wall", "floor", "house wall", "room wall", "ceiling"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Faces:
-    """All triangles of a scene in the map frame, and what `shade_hits` needs of each."""
+    """All triangles of a scene in the map frame, with the arrays that `shade_hits` needs."""
 
     triangles: np.ndarray
     normals: np.ndarray
@@ -45,10 +45,10 @@ class Faces:
 
 
 def load_mesh(section: WorldMesh, config: Config) -> MeshWorld:
-    """A mesh (z up, metres) with the list of its objects.
+    """Load a mesh (z up, metres) and the list of its objects.
 
     Raises:
-        WorldError: the extra is not installed, or a file is missing or not what it should be.
+        WorldError: the extra is not installed, or a file is missing or invalid.
     """
     try:
         import trimesh
@@ -65,15 +65,16 @@ def load_mesh(section: WorldMesh, config: Config) -> MeshWorld:
         scene = trimesh.load_scene(path)
         faces = read_faces(scene)
     except (ValueError, KeyError, IndexError, OSError) as error:
-        raise WorldError(f"{path}: not a mesh that can be read: {error}") from None
+        raise WorldError(f"{path}: not a readable mesh: {error}") from None
     return MeshWorld(path.stem, faces, read_objects(resources.expand(section.objects)), config)
 
 
 def read_objects(path: Path) -> list[dict[str, Any]]:
-    """The list of objects: name, category, yaw, aabb_min, aabb_max.
+    """Read the list of objects: name, category, yaw, aabb_min, aabb_max.
 
     Raises:
-        WorldError: missing, not JSON, an entry lacks a field, or its category is no name.
+        WorldError: the file is missing or not JSON, or an entry lacks a field or has an invalid
+            category.
     """
     try:
         items = json.loads(read_regular(path))
@@ -93,7 +94,7 @@ def read_objects(path: Path) -> list[dict[str, Any]]:
 
 
 class _Atlas:
-    """Textures one after another, each with its smaller copies."""
+    """Textures one after another, each with its smaller copies (mipmap levels)."""
 
     def __init__(self) -> None:
         self.texels: list[np.ndarray] = []
@@ -102,7 +103,7 @@ class _Atlas:
         self._seen: dict[int, tuple[int, int]] = {}
 
     def add(self, image: Any) -> tuple[int, int]:
-        """(first level, level count) of an image (PIL) or of plain white for None."""
+        """Return (first level, level count) of an image (PIL); plain white for None."""
         key = id(image)
         if key in self._seen:
             return self._seen[key]
@@ -121,7 +122,7 @@ class _Atlas:
 
 
 def _halve(pixels: np.ndarray) -> np.ndarray:
-    """Averages of 2x2 pixels; an odd last row or column is dropped."""
+    """Average 2x2 pixels; an odd last row or column is dropped."""
     for axis in (0, 1):
         size = pixels.shape[axis]
         if size > 1:
@@ -131,7 +132,7 @@ def _halve(pixels: np.ndarray) -> np.ndarray:
 
 
 def read_faces(scene: Any) -> Faces:
-    """Every instance of every geometry of a trimesh scene, placed in the map."""
+    """Return every instance of every geometry of a trimesh scene, placed in the map."""
     atlas, columns, node_names = _Atlas(), [], []
     for node_name in scene.graph.nodes_geometry:
         T, geometry_name = scene.graph[node_name]
@@ -149,7 +150,7 @@ def read_faces(scene: Any) -> Faces:
 
 
 def _faces_of(mesh: Any, T: np.ndarray, atlas: _Atlas, node: int) -> tuple[np.ndarray, ...]:
-    """The columns of `Faces` up to `node`, for one placed geometry."""
+    """Return the columns of `Faces` up to `node`, for one placed geometry."""
     count = len(mesh.faces)
     corners = mesh.vertices @ T[:3, :3].T + T[:3, 3]
     triangles = corners[mesh.faces]
@@ -159,7 +160,7 @@ def _faces_of(mesh: Any, T: np.ndarray, atlas: _Atlas, node: int) -> tuple[np.nd
     if image is None or uv is None:
         image, uv = None, np.zeros((len(mesh.vertices), 2))
     first, levels = atlas.add(image)
-    # trimesh turns glTF's t around, so that it counts upwards.
+    # trimesh flips glTF's t, so that it counts upwards.
     uvs = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)[mesh.faces]
     factor = getattr(material, "baseColorFactor", None)
     tint = np.ones(3) if factor is None else np.asarray(factor[:3]) / 255.0
@@ -178,9 +179,9 @@ def _faces_of(mesh: Any, T: np.ndarray, atlas: _Atlas, node: int) -> tuple[np.nd
 
 
 def _vertex_normals(triangles: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
-    """(count, 3) sums of the normals around each vertex, weighted by area.
+    """Return (count, 3) sums of the normals around each vertex, weighted by area.
 
-    trimesh's own need scipy to be fast, and the extra does not bring it.
+    trimesh's own function needs scipy to be fast, and the extra does not install scipy.
     """
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     corner = faces.ravel()
@@ -199,7 +200,7 @@ def _area3(t: np.ndarray) -> np.ndarray:
 
 
 class MeshWorld:
-    """See `edge.lab.sim.base.World`."""
+    """World of a textured mesh; see `edge.lab.sim.base.World`."""
 
     def __init__(
         self, name: str, faces: Faces, items: list[dict[str, Any]], config: Config
@@ -239,7 +240,7 @@ class MeshWorld:
                 faces.first_level, faces.level_count, faces.texel_density, _SKY,
                 out_rgb.reshape(-1, 3),
             )  # fmt: skip
-        # The rays have z = 1, so that the distance along one is the depth.
+        # The rays have z = 1, so the distance along a ray is the depth.
         out_depth_m.reshape(-1)[:] = hit["tfar"]
         kernels.name_hits(
             face, self._owner, *self._depth_range_m, out_depth_m.reshape(-1), out_ids.reshape(-1)
@@ -252,7 +253,7 @@ class MeshWorld:
         out_ranges_m[:] = ranges.reshape(out_ranges_m.shape)
 
     def _pixel_rays(self, camera: CameraModel) -> np.ndarray:
-        """(h * w, 3) float32 directions with z = 1 in the optical frame."""
+        """Return (h * w, 3) float32 directions with z = 1 in the optical frame."""
         if self._rays[0] != camera:
             u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
             x, y = (u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px
@@ -263,8 +264,8 @@ class MeshWorld:
     def _first_hits(
         self, rays: np.ndarray, T_map_sensor: np.ndarray
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """The rays turned into the map, and what each meets first."""
-        # Camera and LiDAR look from threads of their own: each has its own arrays.
+        """Return the rays in the map frame, and the first hit of each."""
+        # Camera and LiDAR run in different threads: each has its own arrays.
         key = (threading.get_ident(), len(rays))
         if key not in self._buffers:
             self._buffers[key] = np.empty((2, len(rays), 3), np.float32)
@@ -283,7 +284,7 @@ class MeshWorld:
         return FloorPlan(Grid(occupied, (float(low[0]), float(low[1])), CELL_M))
 
     def _roomiest(self) -> SE2:
-        """The place farthest from everything, inside the house."""
+        """Return the place inside the house that is farthest from all obstacles."""
         plan = self.plan
         inside = plan.clearance_m * _over_floor(self._scene, plan)
         row, col = np.unravel_index(int(np.argmax(inside)), inside.shape)
@@ -291,7 +292,7 @@ class MeshWorld:
 
 
 def _over_floor(scene: Any, plan: FloorPlan) -> np.ndarray:
-    """(rows, columns) bool: whether there is a floor under a cell."""
+    """Return (rows, columns) bool: True if there is a floor under the cell."""
     rows, cols = plan.grid.cells.shape
     origins = np.full((rows, cols, 3), FLOOR_CLEARANCE_M, np.float32)
     origins[..., :2] = plan.grid.centres_m(*np.mgrid[0:rows, 0:cols])
@@ -305,9 +306,9 @@ def _over_floor(scene: Any, plan: FloorPlan) -> np.ndarray:
 def _objects_of(
     faces: Faces, items: list[dict[str, Any]], reach_m: float
 ) -> tuple[list[WorldObject], np.ndarray]:
-    """The objects, and the id of the object that each face belongs to (0 = structure).
+    """Return the objects, and the id of the object that each face belongs to (0 = structure).
 
-    A face goes with the node of the object's name, else with the smallest box around it.
+    A face belongs to the node of the object's name, else to the smallest box around it.
     """
     owner = np.zeros(len(faces.node), np.uint16)
     centers = faces.triangles.mean(axis=1)
@@ -346,7 +347,7 @@ def _object(
     center, size = 0.5 * (low + high), high - low
     cols, rows = np.ceil((size[:2] + 0.2) / CELL_M).astype(int)
     grid, corner = np.zeros((rows, cols), np.uint8), low[:2] - 0.1
-    # Where none of it is at the robot's height (a lamp, a picture), all of it counts.
+    # If no part of it is at the robot's height (a lamp, a picture), all of it counts.
     for top in (reach_m, math.inf):
         if not grid.any():
             mesh_kernels.rasterise_triangles(triangles, -1.0, top, corner, CELL_M, grid)
@@ -359,6 +360,6 @@ def _object(
         category=item["category"],
         center_m=tuple(map(float, center)),
         size_m=tuple(map(float, size)),
-        yaw_rad=0.0,  # the box is axis-parallel, whatever the object's own yaw
+        yaw_rad=0.0,  # the box is axis-parallel, for any yaw of the object
         footprint_m=footprint.astype(np.float32) if len(footprint) else None,
     )

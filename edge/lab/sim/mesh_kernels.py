@@ -1,8 +1,9 @@
 """Shading and rasterising of textured triangles; arrays only (numba).
 
-Textures lie one after another in `texels` (n, 3) uint8, each with all its smaller copies
-(halved until one texel is left); `levels` (m, 3) int64 holds offset, height, width of each copy,
-`first_level` (faces,) which is the largest of a face's texture and `level_count` how many follow.
+Textures lie one after another in `texels` (n, 3) uint8, each with all its smaller copies (halved
+until one texel is left). `levels` (m, 3) int64 holds offset, height, width of each copy.
+`first_level` (faces,) is the largest copy of a face's texture, and `level_count` the number of its
+copies.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ _jit = {"nogil": True, "cache": True, "error_model": "numpy"}
 def aim(rays, T_map_sensor, origins, directions):
     """Fill `origins` and `directions` (n, 3) float32 in the map for `rays` (n, 3) of a sensor.
 
-    Not a matrix product: BLAS would start threads for it, which wait for each other by spinning.
+    This is not a matrix product: BLAS would start threads for it, which spin while they wait.
     """
     T = T_map_sensor
     for k in range(len(rays)):
@@ -31,7 +32,7 @@ def aim(rays, T_map_sensor, origins, directions):
 
 @njit(**_jit)
 def _sample(texels, offset, height, width, s, t):
-    """Bilinear lookup with wrap-around at texture coordinates s right, t down: r, g, b."""
+    """Return r, g, b by bilinear lookup with wrap-around at s (right), t (down)."""
     x, y = (s - math.floor(s)) * width - 0.5, (t - math.floor(t)) * height - 0.5
     x0, y0 = math.floor(x), math.floor(y)
     fx, fy = x - x0, y - y0
@@ -57,11 +58,10 @@ def shade_hits(
 ):  # fmt: skip
     """Fill rgb (n, 3) uint8 for n rays' first hits.
 
-    Args:
-        face, u, v, distance: (n,) face index (-1 = none), barycentrics, distance along the ray.
-        rays: (n, 3) float32 in the map frame with z-depth 1, so that `distance` is the depth.
-        normals: (faces, 3, 3) at the corners, any length; uvs: (faces, 3, 2), t counts down.
-        tint: (faces, 3) in 0..1; texel_density: (faces,) texels per metre of the largest copy.
+    `face`, `u`, `v`, `distance` (n,): face index (-1 = none), barycentrics, distance along the ray.
+    `rays` (n, 3) float32 are in the map frame with z-depth 1, so `distance` is the depth. `normals`
+    (faces, 3, 3) are at the corners, of any length; `uvs` (faces, 3, 2) count t down. `tint`
+    (faces, 3) is in 0..1; `texel_density` (faces,) is in texels per metre of the largest copy.
     """
     for k in range(len(face)):
         f = face[k]
@@ -72,7 +72,7 @@ def shade_hits(
         b0 = 1.0 - b1 - b2
         s = b0 * uvs[f, 0, 0] + b1 * uvs[f, 1, 0] + b2 * uvs[f, 2, 0]
         t = b0 * uvs[f, 0, 1] + b1 * uvs[f, 1, 1] + b2 * uvs[f, 2, 1]
-        # The copy in which a texel is about as large as the pixel: log2, by halving.
+        # Take the copy in which a texel is about as large as the pixel.
         footprint, level, last = texel_density[f] * z / fx, first_level[f], level_count[f] - 1
         last += level
         while footprint > 1.42 and level < last:
@@ -84,10 +84,10 @@ def shade_hits(
         nz = b0 * normals[f, 0, 2] + b1 * normals[f, 1, 2] + b2 * normals[f, 2, 2]
         dx, dy, dz = rays[k, 0], rays[k, 1], rays[k, 2]
         facing = nx * dx + ny * dy + nz * dz
-        # Triangles are seen from both sides.
+        # Triangles are visible from both sides.
         scale = -math.copysign(1.0, facing) / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
         head = -facing * scale / math.sqrt(dx * dx + dy * dy + dz * dz)
-        # A lamp at the camera, light from above, and what the room throws back.
+        # A lamp at the camera, light from above, and ambient light.
         light = 0.66 + 0.24 * head + 0.14 * scale * (0.3 * nx + 0.42 * ny + 0.86 * nz)
         rgb[k, 0] = np.uint8(min(255.0, r * tint[f, 0] * light))
         rgb[k, 1] = np.uint8(min(255.0, g * tint[f, 1] * light))
@@ -98,7 +98,7 @@ def shade_hits(
 def rasterise_triangles(triangles, z_lo, z_hi, origin_m, cell_m, grid):
     """Set `grid` to 1 under every part of the (n, 3, 3) triangles between z_lo and z_hi [m].
 
-    Samples lie closer than half a cell, so that no cell a triangle crosses is missed by more.
+    Samples are less than half a cell apart, so no crossed cell is missed by more than that.
     """
     step = 0.5 * cell_m
     for k in range(len(triangles)):

@@ -1,7 +1,7 @@
-"""The simulated robot as a process of its own, which speaks only Zenoh.
+"""The simulated robot as a separate process, which uses only Zenoh.
 
-In real time the body is moved and its odometry sent at `sensors.odometry_hz` by one thread, while
-another takes pictures (and LiDAR sweeps) and leaves out those it has no time for. In lockstep the
+In real time one thread moves the robot and sends its odometry at `sensors.odometry_hz`. Other
+threads take images and LiDAR sweeps, and skip those they have no time for. In lockstep the
 simulated clock stands still until the controller has answered the service's tick.
 """
 
@@ -28,7 +28,7 @@ from edge.lab.sim.worlds import load_world
 log = logging.getLogger("edge.lab.sim")
 
 COMMAND_TIMEOUT_S = 0.5
-TOLD_S = 10.0
+WARN_AFTER_S = 10.0
 REPEAT_S = 0.5
 FIRST_STAMP_NS = 1_000_000_000
 _TRUTH_HZ = 10.0
@@ -37,7 +37,7 @@ _POLL_S = 0.0005
 
 
 def main(config: Config, stop: threading.Event) -> int:
-    """Simulate the configured robot in its world until `stop` is set; returns the exit status.
+    """Simulate the configured robot in its world until `stop` is set; return the exit status.
 
     Raises:
         edge.errors.UserError: the world cannot be loaded, or the start is not free.
@@ -51,12 +51,12 @@ def main(config: Config, stop: threading.Event) -> int:
         run = run_lockstep if config.sim.lockstep else run_real_time
         run(config, world, drive, bus, stop)
     now = drive.motion
-    log.info("drove %.1f m, ran into something %d times", now.path_m, now.collisions)
+    log.info("drove %.1f m, %d collisions", now.path_m, now.collisions)
     return 0
 
 
 class SimBus:
-    """The simulator's publishers, and the newest command."""
+    """The simulator's publishers, and the subscriber for commands."""
 
     def __init__(self, session: zenoh.Session, config: Config) -> None:
         # In lockstep the service waits for every message: none may be dropped.
@@ -73,21 +73,20 @@ class SimBus:
             self._publishers[topic.key].put(payload)
 
     def commands(self) -> Iterable[tuple[int, float, float]]:
-        """(stamp_ns, v, w) of the commands since the last call, at most a ring's worth; malformed
-        ones are counted."""
+        """Yield (stamp_ns, v, w) of the commands since the last call; count malformed ones."""
         for sample in self._commands.take():
             try:
                 yield messages.decode_twist_stamped(sample.payload.to_bytes())
             except messages.DecodeError as error:
                 self._malformed += 1
                 if self._malformed == 1:
-                    log.warning("cmd_vel: malformed command left out: %s", error)
+                    log.warning("cmd_vel: ignored a malformed command: %s", error)
 
 
 def run_real_time(
     config: Config, world: World, drive: DriveTrain, bus: SimBus, stop: threading.Event
 ) -> None:
-    """Move and send odometry at its rate; pictures come from another thread."""
+    """Move and send odometry at its rate; other threads run the sensors."""
     rigs = make_rigs(config, world)
     with ThreadPoolExecutor(len(rigs), thread_name_prefix="sensor") as pool:
         running = [pool.submit(_sense, rig, drive, bus, stop) for rig in rigs]
@@ -113,7 +112,7 @@ def _move(config: Config, drive: DriveTrain, bus: SimBus, stop: threading.Event)
             command, heard_s = (v, w), now_s
         if now_s - heard_s > COMMAND_TIMEOUT_S:
             command = (0.0, 0.0)
-        # The body catches up with the clock, however late this thread was woken.
+        # The robot catches up with the clock if this thread wakes up late.
         lag_s = 1e-9 * (time.time_ns() - drive.motion.stamp_ns)
         if lag_s > 0.0:
             motion = drive.step(min(lag_s, 1.0), *command)
@@ -126,7 +125,7 @@ def _move(config: Config, drive: DriveTrain, bus: SimBus, stop: threading.Event)
 
 
 def _sense(rig: Rig, drive: DriveTrain, bus: SimBus, stop: threading.Event) -> None:
-    """Send what one sensor sees, at its rate, and now and then what it is."""
+    """Send one sensor's data at its rate, and its description once a second."""
     next_s = described_s = time.monotonic()
     while not stop.is_set():
         motion = drive.motion
@@ -140,7 +139,7 @@ def _sense(rig: Rig, drive: DriveTrain, bus: SimBus, stop: threading.Event) -> N
 
 
 def next_frame(due_s: float, period_s: float, now_s: float) -> float:
-    """When the picture after the one due at `due_s` is due: those already late are left out.
+    """Return when the image after the one due at `due_s` is due; images already late are skipped.
 
     >>> next_frame(10.0, 0.5, 10.25), next_frame(10.0, 0.5, 11.75)
     (10.5, 12.0)
@@ -152,10 +151,10 @@ def next_frame(due_s: float, period_s: float, now_s: float) -> float:
 def run_lockstep(
     config: Config, world: World, drive: DriveTrain, bus: SimBus, stop: threading.Event
 ) -> None:
-    """Send what is seen at t, wait for the command that answers t, drive one step, again.
+    """Send the sensor data of time t, wait for the command that answers t, drive one step; repeat.
 
-    However long that takes: a run in which a slow computer, and not a command, decides when the
-    clock goes on is another run each time.
+    There is no timeout. If a slow computer could advance the clock without a command, the run would
+    be different each time.
     """
     rigs = make_rigs(config, world)
     while not stop.is_set():
@@ -170,8 +169,7 @@ def run_lockstep(
 def _ask(
     motion: Motion, rigs: list[Rig], bus: SimBus, stop: threading.Event
 ) -> tuple[float, float] | None:
-    """Send one instant, again and again, until a command bears its stamp; None once `stop` is
-    set."""
+    """Send one instant, repeatedly, until a command has its stamp; None once `stop` is set."""
     stamp_ns, begun_s, sent_s, warned = motion.stamp_ns, time.monotonic(), 0.0, False
     while not stop.is_set():
         now_s = time.monotonic()
@@ -185,7 +183,7 @@ def _ask(
         for answered_ns, v, w in bus.commands():
             if answered_ns == stamp_ns:
                 return v, w
-        if now_s - begun_s > TOLD_S and not warned:
+        if now_s - begun_s > WARN_AFTER_S and not warned:
             warned = True
             log.warning("no command for t = %.2f s: is the controller running?", stamp_ns * 1e-9)
         stop.wait(_POLL_S)

@@ -1,4 +1,4 @@
-"""ProcTHOR houses (Apache-2.0) as box worlds, from JSON lines."""
+"""ProcTHOR houses (Apache-2.0) as box worlds, read from JSON lines."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _WOOD = ((176.0, 132.0, 88.0), shading.PLANKS)
 
 
 def read_houses(path: Path) -> Iterator[dict[str, Any]]:
-    """The houses of a `.jsonl` or `.jsonl.gz` file, one by one.
+    """Yield the houses of a `.jsonl` or `.jsonl.gz` file, one by one.
 
     Raises:
         WorldError: the file cannot be read, or a line is not JSON.
@@ -50,7 +50,7 @@ def read_houses(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def load_procthor(section: WorldProcthor, config: Config) -> BoxWorld:
-    """One house of a file, by name.
+    """Load one house of a file, by name.
 
     Raises:
         WorldError: no such file or house, or a house that lacks a field.
@@ -67,7 +67,7 @@ def load_procthor(section: WorldProcthor, config: Config) -> BoxWorld:
 
 
 def build_procthor(house: dict[str, Any], config: Config) -> BoxWorld:
-    """The world of one parsed line."""
+    """Return the world of one parsed line."""
     height = max((wall[5] for wall in house["walls"]), default=2.6)
     structure = [part for room in house["rooms"] for part in _room_parts(room, height)]
     structure += [_wall(wall) for wall in house["walls"]]
@@ -81,7 +81,7 @@ def build_procthor(house: dict[str, Any], config: Config) -> BoxWorld:
 
 
 def _room_parts(room: dict[str, Any], height_m: float) -> list[Part]:
-    """Floor and ceiling of a polygon with sides along x and y, cut into strips along y."""
+    """Return floor and ceiling of a polygon with sides along x and y, cut into strips."""
     color, texture = _FLOORS.get(room["category"], _WOOD)
     parts = []
     for x0, y0, x1, y1 in rectangles(room["polygon"]):
@@ -118,7 +118,7 @@ def _wall(wall: list[float]) -> Part:
 def _box(object_id: int, item: dict[str, Any]) -> tuple[WorldObject, list[Part]]:
     category, yaw = item["category"], float(item["yaw"])
     center, size = tuple(map(float, item["center"])), tuple(map(float, item["size"]))
-    # One colour a category, the same everywhere.
+    # One colour for each category, on every computer.
     tone = zlib.crc32(category.encode()) / 2**32
     color = tuple(255.0 * v for v in colorsys.hsv_to_rgb(tone, 0.45, 0.75))
     thing = WorldObject(

@@ -1,4 +1,4 @@
-"""The simulated robot's body: a differential drive that cannot pass through things."""
+"""The simulated robot: a differential drive that collides with obstacles."""
 
 from __future__ import annotations
 
@@ -12,19 +12,22 @@ from edge.geometry import SE2, wrap_angle
 from edge.lab.sim.base import World, WorldError
 
 SUBSTEP_S = 0.02
-# Pushing on against the same thing is one collision, until the robot has been this far away.
+# Contact with the same obstacle is one collision until the robot has been this far away.
 AWAY_M = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How the robot stands at one instant.
+    """State of the robot at one instant.
 
     Attributes:
-        pose: where it truly is, in `map`.
-        odometry: where it believes it is.
-        collisions: how many times it has run into something.
-        bumped: whether it stands where it ran into something.
+        stamp_ns: the instant.
+        pose: true pose in `map`.
+        odometry: pose by odometry, with drift.
+        v_mps: speed.
+        w_radps: turn rate.
+        collisions: number of collisions so far.
+        bumped: True while the robot stands where it collided.
         path_m: distance truly driven.
     """
 
@@ -41,8 +44,8 @@ class Motion:
 class DriveTrain:
     """A disc with limited speed, turn rate and accelerations.
 
-    The odometry drifts by a constant fraction of the distance driven and of the angle turned,
-    drawn once from the seed: a wheel's wrong radius, not noise that averages out.
+    The odometry drifts by a constant fraction of the distance driven and of the angle turned, drawn
+    once from the seed. This models a wrong wheel radius, not noise that averages out.
 
     Raises:
         WorldError: the start is not free.
@@ -68,7 +71,7 @@ class DriveTrain:
         now = self.motion
         for _ in range(count):
             now = self._substep(now, dt_s / count, v_cmd_mps, w_cmd_radps)
-        # At once: other threads read pose and stamp, which belong together.
+        # In one assignment: other threads read pose and stamp, which belong together.
         self.motion = replace(now, stamp_ns=now.stamp_ns + round(dt_s * 1e9))
         return self.motion
 
@@ -79,7 +82,7 @@ class DriveTrain:
         pose = _advance(now.pose, v * dt_s, w * dt_s)
         before = self._world.plan.clearance_at(now.pose.x_m, now.pose.y_m)
         after = self._world.plan.clearance_at(pose.x_m, pose.y_m)
-        # Something may have been moved onto the robot: then any way out is allowed.
+        # An object may have been moved onto the robot: then any way out is allowed.
         blocked = after < robot.radius_m and (before >= robot.radius_m or after < before)
         bumped = now.bumped
         if blocked and v != 0.0:
@@ -100,13 +103,13 @@ class DriveTrain:
 
 
 def _towards(now: float, wanted: float, limit: float, change: float) -> float:
-    """The next speed: the wanted one within its limit, no further than `change` from now."""
+    """Return the next speed: the wanted one within its limit, at most `change` from now."""
     wanted = min(max(wanted, -limit), limit)
     return min(max(wanted, now - change), now + change)
 
 
 def _advance(pose: SE2, forward_m: float, turn_rad: float) -> SE2:
-    """Drive an arc, by its chord."""
+    """Drive an arc, approximated by its chord."""
     heading = pose.yaw_rad + 0.5 * turn_rad
     return SE2(
         pose.x_m + forward_m * math.cos(heading),

@@ -1,4 +1,4 @@
-"""What the simulated robot's sensors see, as messages ready to be sent."""
+"""Sensors of the simulated robot, and their data as messages."""
 
 from __future__ import annotations
 
@@ -22,19 +22,21 @@ Message = tuple[Topic, bytes]
 
 
 def _over_the_floor(config: Config, key: str, z_m: float) -> None:
-    """Refuse a sensor that would be in the floor: the base of the simulated robot is on it."""
+    """Raise WorldError for a sensor in the floor: the simulated robot's base is on the floor."""
     if z_m <= 0.0:
         raise WorldError(
-            f"{config.at(key)}: {z_m:g}: the base of the simulated robot is on the floor, so its "
-            "sensors must be higher: take a value above 0"
+            f"{config.at(key)}: {z_m:g}: the sensor must be above the floor, which the simulated "
+            "robot's base stands on: set a value above 0"
         )
 
 
 class CameraRig:
-    """The camera: colour, depth and object ids; its buffers are used again for every picture.
+    """Camera for colour, depth and object ids; its buffers are reused for every image.
 
     Args:
-        colour: False: `rgb` is None, and pictures are taken in half the time.
+        config: camera settings and noise.
+        world: world to render.
+        colour: if False, `rgb` is None, and an image takes half the time.
     """
 
     def __init__(self, config: Config, world: World, colour: bool = True) -> None:
@@ -59,7 +61,7 @@ class CameraRig:
             self.depth_m += self._depth_noise * noise * self.depth_m * self.depth_m
 
     def messages(self, stamp_ns: int) -> Iterator[Message]:
-        """The last picture; colour comes last, since it completes the frame."""
+        """Yield the last image as messages; colour comes last, since it completes the frame."""
         assert self.rgb is not None, "a camera without colour sends nothing"
         depth_mm = np.nan_to_num(self.depth_m * 1000.0, nan=0.0).clip(0, 65535).astype(np.uint16)
         yield topics.DEPTH, messages.encode_image(stamp_ns, CAMERA_FRAME, depth_mm)
@@ -67,7 +69,7 @@ class CameraRig:
         yield topics.RGB, messages.encode_image(stamp_ns, CAMERA_FRAME, self.rgb)
 
     def description(self, stamp_ns: int) -> Iterator[Message]:
-        """What peers need once: intrinsics, and the label of each object id (id 1 first)."""
+        """Yield the intrinsics, and the label of each object id (id 1 first)."""
         info = messages.encode_camera_info(stamp_ns, CAMERA_FRAME, self.model)
         yield topics.CAMERA_INFO, info
         labels = [item.label for item in self._world.objects]
@@ -75,7 +77,7 @@ class CameraRig:
 
 
 class LidarRig:
-    """The LiDAR: a scan for one ring, a cloud of the returns for several."""
+    """LiDAR: a scan for one ring, a point cloud for several rings."""
 
     def __init__(self, config: Config, world: World) -> None:
         lidar = config.sensors.lidar
@@ -95,7 +97,7 @@ class LidarRig:
             self.ranges_m += self._noise_m * noise
 
     def cloud_m(self) -> np.ndarray:
-        """(n, 3) float32 points of the last look in the LiDAR's frame."""
+        """Return (n, 3) float32 points of the last sweep in the LiDAR's frame."""
         hit = np.isfinite(self.ranges_m)
         return (self._fan.directions[hit] * self.ranges_m[hit][:, None]).astype(np.float32)
 
@@ -111,7 +113,7 @@ class LidarRig:
         yield topics.SCAN, scan
 
     def description(self, stamp_ns: int) -> Iterator[Message]:
-        """Clouds need none."""
+        """Return no messages: LiDAR data needs no description."""
         return iter(())
 
 
@@ -119,20 +121,20 @@ Rig = Union[CameraRig, LidarRig]
 
 
 def make_rigs(config: Config, world: World) -> list[Rig]:
-    """The configured sensors; the camera comes last, since it completes what is seen at once."""
+    """Return the configured sensors; the camera comes last, since it completes the frame."""
     lidar = [] if config.sensors.lidar is None else [LidarRig(config, world)]
     return [*lidar, CameraRig(config, world)]
 
 
 def odometry_message(motion: Motion) -> Message:
-    """Where the robot believes it is."""
+    """Return the pose by odometry as a message."""
     T_map_base = motion.odometry.matrix()
     payload = messages.encode_odometry(motion.stamp_ns, T_map_base, motion.v_mps, motion.w_radps)
     return topics.ODOMETRY, payload
 
 
 def truth_message(motion: Motion) -> Message:
-    """Where it truly is, and what it ran into."""
+    """Return the true pose and the collisions as a message."""
     truth = {
         "stamp_ns": motion.stamp_ns,
         "pose": [motion.pose.x_m, motion.pose.y_m, motion.pose.yaw_rad],

@@ -1,4 +1,4 @@
-"""Colour for what the ray caster hit: procedural textures and soft light; arrays only (numba)."""
+"""Colours for the ray caster's hits: procedural textures and soft light; arrays only (numba)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _jit = {"nogil": True, "cache": True, "error_model": "numpy"}
 
 @njit(**_jit)
 def _noise(a, b):
-    """A repeatable pseudo-random number in [0, 1) of two integers."""
+    """Return a repeatable pseudo-random number in [0, 1) from two integers."""
     n = (np.int64(a) * np.int64(374761393) + np.int64(b) * np.int64(668265263)) & 0x7FFFFFFF
     n = ((n ^ (n >> 13)) * 1274126177) & 0x7FFFFFFF
     return ((n ^ (n >> 16)) & 0xFFFF) / 65536.0
@@ -24,7 +24,10 @@ def _noise(a, b):
 
 @njit(**_jit)
 def _line(a, period, width, blur):
-    """How much of a seam of `width` every `period` covers a spot of size `blur` at a, in [0, 1]."""
+    """Return the share in [0, 1] of a spot of size `blur` at a that a seam covers.
+
+    Seams have width `width` and repeat every `period`.
+    """
     from_seam = abs(a - period * math.floor(a / period + 0.5))
     reach = 0.5 * (width + blur)
     return 0.0 if from_seam > reach else min(1.0, width / (width + blur))
@@ -32,9 +35,9 @@ def _line(a, period, width, blur):
 
 @njit(**_jit)
 def _texture(kind, a, b, px, py, pz, blur):
-    """Colour factors (r, g, b) at face coordinates a, b [m]; `blur` is the pixel's size there.
+    """Return colour factors (r, g, b) at face coordinates a, b [m].
 
-    Detail smaller than a pixel fades to its mean: aliasing is what makes renders look false.
+    Detail smaller than the pixel's size `blur` [m] fades to its mean, to avoid aliasing.
     """
     if kind == PLANKS:
         row = math.floor(b / 0.13)
@@ -87,7 +90,7 @@ def _texture(kind, a, b, px, py, pz, blur):
 
 @njit(**_jit)
 def _normal(shape, px, py, pz, hx, hy, hz):
-    """The outward unit normal at a surface point, and the axis it mostly lies along."""
+    """Return the outward unit normal at a surface point, and the axis that is closest to it."""
     x, y, z = px / hx, py / hy, pz / hz
     if shape == BOX:
         if abs(z) >= abs(x) and abs(z) >= abs(y):
@@ -109,8 +112,8 @@ def shade(
 ):  # fmt: skip
     """Fill `rgb` (h, w, 3) uint8 for the hits of `render_depth`.
 
-    Half-Lambert light from above, plus a soft darkening where things meet the floor, taken
-    from `clearance_m` (the distance to the nearest obstacle on the floor plan).
+    The light is half-Lambert from above. Contact with the floor is softly darkened, by
+    `clearance_m` (distance to the nearest obstacle on the floor plan).
     """
     height, width = depth.shape
     local = np.empty((3, 4))
@@ -143,7 +146,7 @@ def shade(
                 row = int((s * px + c * py + pose[i, 1] - origin_m[1]) / cell_m)
                 if 0 <= row < clearance_m.shape[0] and 0 <= col < clearance_m.shape[1]:
                     light *= 0.66 + 0.34 * min(1.0, clearance_m[row, col] / 0.3)
-            # A grazing view stretches the pixel over more of the surface.
+            # At a grazing angle a pixel covers more of the surface.
             fr, fg, fb = _texture(texture[i], a, b, px, py, pz, 1.5 * t / fx + 1e-6)
             rgb[v, u, 0] = np.uint8(min(255.0, color[i, 0] * light * fr))
             rgb[v, u, 1] = np.uint8(min(255.0, color[i, 1] * light * fg))

@@ -2,7 +2,7 @@
 
     drawn = street(7)
 
-It is drawn along its own road; `map` is where the robot stands at the start, as everywhere.
+The street has its own frame along the road. `map` begins at the robot's start pose.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RGB = tuple[float, float, float]
 BEHIND_M, AHEAD_M = 14.0, 50.0
 SLAB_M = 0.1
 _KEY = 16
-_APART_M = 0.6  # things stand no nearer to each other, but for what parks in a row
+_APART_M = 0.6  # least distance between objects, except between parked cars
 
 CAR_COLOURS: dict[str, RGB] = {
     "red": (190, 40, 36), "blue": (40, 82, 170), "white": (236, 236, 234),
@@ -48,7 +48,7 @@ _WINDOW, _TYRE, _WOOD = (58, 70, 82), (28, 28, 32), (150, 104, 62)
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """A piece of ground that may be driven over; pieces of one id are one region."""
+    """A rectangle of drivable ground; pieces with the same id form one region."""
 
     id: int
     label: str
@@ -57,12 +57,17 @@ class Ground:
 
 @dataclass(frozen=True, slots=True)
 class Thing:
-    """Something that stands in the street.
+    """An object in the street.
 
     Attributes:
-        colour: in a word; "" where nobody would say one.
-        size_m: along its heading, across it, and up, of what stands on the ground: a tree's trunk.
-        parts: in its own frame, x along its heading.
+        label: its name.
+        colour: colour word; "" if it has no single colour.
+        x_m: position in the road's frame.
+        y_m: position in the road's frame.
+        yaw_rad: heading in the road's frame.
+        size_m: extents along its heading, across it, and up, of the part on the ground (a tree's
+            trunk).
+        parts: primitives in its own frame, x along its heading.
     """
 
     label: str
@@ -75,7 +80,7 @@ class Thing:
 
     @property
     def rect(self) -> Rect:
-        """What it covers of the ground; it stands along the road or across it."""
+        """Ground that it covers; its heading is along the road or across it."""
         along, across = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
         if abs(math.sin(self.yaw_rad)) > 0.5:
             along, across = across, along
@@ -84,12 +89,14 @@ class Thing:
 
 @dataclass(frozen=True, slots=True)
 class Street:
-    """In the road's frame: x along its middle, y left.
+    """A street in the road's frame: x along its middle, y left.
 
     Attributes:
-        start: of the robot.
-        width_m: from the farthest house on the right to that on the left, half of it each.
-        grounds: later ones lie on earlier ones.
+        name: of the world.
+        start: the robot's start pose.
+        width_m: from the farthest house on the right to the farthest on the left; centred.
+        grounds: later ones lie on top of earlier ones.
+        things: objects.
     """
 
     name: str
@@ -99,23 +106,23 @@ class Street:
     things: tuple[Thing, ...]
 
     def to_map(self, x_m: float, y_m: float, yaw_rad: float = 0.0) -> SE2:
-        """A pose of the road's frame in `map`, whose origin is the start."""
+        """Transform a pose from the road's frame to `map`, whose origin is the start."""
         c, s = math.cos(self.start.yaw_rad), math.sin(self.start.yaw_rad)
         dx, dy = x_m - self.start.x_m, y_m - self.start.y_m
         return SE2(c * dx + s * dy, -s * dx + c * dy, yaw_rad - self.start.yaw_rad)
 
     def to_road(self, xy_m: np.ndarray) -> np.ndarray:
-        """Points (…, 2) of `map` in the road's frame."""
+        """Transform points (…, 2) from `map` to the road's frame."""
         c, s = math.cos(self.start.yaw_rad), math.sin(self.start.yaw_rad)
         return xy_m @ np.array([[c, s], [-s, c]]) + (self.start.x_m, self.start.y_m)
 
 
 def street(*key: int) -> Street:
-    """A street, the same everywhere for a key.
+    """Return a street, the same on every computer for a key.
 
-    A road of two lanes with a sidewalk on either side, and by chance a side road or a place to
-    park; houses behind, cars at the kerbs and sometimes one in the lane, trees, poles, bins and
-    benches. The robot stands in its lane or on a sidewalk, turned by up to 12 degrees.
+    It has a road of two lanes with a sidewalk on each side, and by chance a side road or a parking
+    area. Houses stand behind, cars at the kerbs and sometimes in the lane, and trees, poles, bins
+    and benches. The robot starts in its lane or on a sidewalk, turned by up to 12 degrees.
     """
     dice = Dice(_KEY, *key)
     half_m, walk_m, yard_m = dice.between(3.6, 4.4), dice.between(2.2, 3.2), dice.between(3.0, 6.0)
@@ -151,7 +158,7 @@ def street(*key: int) -> Street:
 def solids(
     drawn: Street,
 ) -> tuple[list[Part], list[tuple[Thing, list[Part]]]]:
-    """The ground, and each thing with its parts, in `map`; the ground's upper side is at 0."""
+    """Return the ground, and each object with its primitives, in `map`; z = 0 on the ground."""
     length_m, middle_m = AHEAD_M + BEHIND_M, 0.5 * (AHEAD_M - BEHIND_M)
     lawn = drawn.to_map(middle_m, 0.0)
     slab = Part(kernels.BOX, (0.0, 0.0, -0.5 * SLAB_M), (length_m, drawn.width_m, SLAB_M), _LAWN)
@@ -159,7 +166,7 @@ def solids(
     for k, ground in enumerate(drawn.grounds, start=1):
         rect = ground.rect
         at = drawn.to_map(0.5 * (rect.x0 + rect.x1), 0.5 * (rect.y0 + rect.y1))
-        # A film higher each, so that later ones are seen.
+        # Each one is a film higher, so that later ones are visible.
         high_m = 0.001 * k
         colour = GROUND_COLOURS[ground.label]
         film = Part(
@@ -175,7 +182,7 @@ def solids(
 
 
 def load_street(section: WorldStreet, config: Config) -> BoxWorld:
-    """The street of a seed, for the configured robot and camera."""
+    """Return the street of a seed, for the configured robot and camera."""
     drawn = street(section.seed)
     floor, stood = solids(drawn)
     furniture = []
@@ -197,7 +204,7 @@ def load_street(section: WorldStreet, config: Config) -> BoxWorld:
 
 
 class _Things:
-    """What stands so far: nothing on anything, nothing where the robot is, no kerb in a break."""
+    """Objects placed so far; refuses overlaps, the robot's start and gaps in the kerb."""
 
     def __init__(self, dice: Dice, start: SE2, breaks: list[tuple[int, float, float]]) -> None:
         self.dice, self.breaks = dice, breaks
@@ -244,7 +251,7 @@ def _houses(things: _Things, side: int, y_m: float) -> None:
 
 
 def _kerb(things: _Things, side: int, y_m: float) -> None:
-    """Cars that park in a row, with gaps."""
+    """Place parked cars in a row, with gaps."""
     dice, x_m = things.dice, -BEHIND_M + 4.0
     while x_m < AHEAD_M - 6.0:
         if dice.chance(0.45):
@@ -253,7 +260,7 @@ def _kerb(things: _Things, side: int, y_m: float) -> None:
 
 
 def _walk(things: _Things, side: int, half_m: float, outer_m: float) -> None:
-    """Poles at the kerb; trees, bins and benches on the far side of the sidewalk and behind it."""
+    """Place poles at the kerb, and trees, bins and benches on the far side of the sidewalk."""
     dice = things.dice
     for x_m in np.arange(-6.0, AHEAD_M - 4.0, 14.0).tolist():
         things.stand(_pole(x_m + dice.between(-2.0, 2.0), side * (half_m + 0.25)))
@@ -265,7 +272,7 @@ def _walk(things: _Things, side: int, half_m: float, outer_m: float) -> None:
 
 
 def _car(dice: Dice, x_m: float, y_m: float, yaw_rad: float) -> Thing:
-    """A car, or a van, which is a closed box behind a short bonnet."""
+    """Return a car or a van; a van is a closed box behind a short bonnet."""
     is_van = dice.chance(0.2)
     low, high = _VAN_M if is_van else _CAR_M
     size = tuple(dice.between(a, b) for a, b in zip(low, high, strict=True))
@@ -306,7 +313,7 @@ def _bin(dice: Dice, x_m: float, y_m: float, side: int) -> Thing:
 
 
 def _bench(dice: Dice, x_m: float, y_m: float, side: int) -> Thing:
-    """It faces the road."""
+    """Return a bench that faces the road."""
     parts = (
         _box((0, 0, 0.43), (0.45, 1.6, 0.06), _WOOD),
         _box((-0.2, 0, 0.68), (0.06, 1.6, 0.4), _WOOD),

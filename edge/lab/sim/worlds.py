@@ -1,4 +1,4 @@
-"""Worlds by kind, as the configuration names them."""
+"""Loaders of worlds, by the kind in the configuration."""
 
 from __future__ import annotations
 
@@ -24,12 +24,18 @@ LOADERS: dict[str, Callable[[Any, Config], World]] = {
 
 
 def load_world(config: Config) -> World:
-    """The world that `sim.world` names, for the configured robot and camera.
+    """Load the world that `sim.world` names, for the configured robot and camera.
 
-    It starts at `sim.start`, where that is given, in place of its own start.
+    It starts at `sim.start` if that is set, else at its own start.
 
     Raises:
         edge.lab.sim.base.WorldError: one line: file, place, what to do.
+
+    Example:
+        >>> from edge.config import parse
+        >>> world = load_world(parse({"perception": {"detector": {"kind": "sim"}}}))
+        >>> len(world.objects) > 0
+        True
     """
     world = LOADERS[config.sim.world.kind](config.sim.world, config)
     if config.sim.start is not None:

@@ -1,4 +1,4 @@
-"""Search: look for the active target, and go to it (VL-Nav alg. 2, ViTL alg. 1)."""
+"""Go to the active target, and look for it first if need be (VL-Nav alg. 2, ViTL alg. 1)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from edge.config import Config
+from edge.geometry import SE2
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
@@ -36,9 +37,14 @@ class SearchBehaviour:
         self._mission, self._config = mission, config
         self._map, self._goals, self._surveyor = here, goals, surveyor
 
+    @property
+    def _place(self) -> SE2 | None:
+        """The active target's pose if it is a place; None for a thing, and for exploring."""
+        return self._mission.places.get(self._mission.target)
+
     def gather(self) -> Sequence[Instance]:
-        """Return the objects of the active target."""
-        if self._mission.done:
+        """Return the objects of the active target; a place has none."""
+        if self._mission.done or self._mission.target in self._mission.places:
             return ()
         sure, doubted = not self._config.policy.instances, self._goals.searched
         return self._map.tracker.of(self._mission.target, sure, doubted=doubted)
@@ -48,16 +54,22 @@ class SearchBehaviour:
         mission, grid, goals = self._mission, self._map.grid, self._goals
         pose, now_ns = context.pose, context.now_ns
         sure = not self._config.policy.instances
-        mission.see(newest_ids(self._map.tracker, mission.brief.targets, sure), now_ns)
+        seen = newest_ids(self._map.tracker, mission.brief.prompts, sure)
+        mission.see(seen | dict.fromkeys(mission.places, 0), now_ns)
         if self._surveyor is not None:
             self._surveyor.step(mission, grid, self._map.tracker, pose, now_ns)
         if goals.follows(mission) and mission.active:
             goals.judge(grid, pose, mission, images, now_ns)
-            if goals.exhausted:
+            if goals.exhausted and mission.target in mission.places and self._place is None:
+                mission.arrive(f"{grid.known_m2:.0f} m² are known", now_ns)
+            elif goals.exhausted:
                 mission.give_up(goals.why_in_vain(mission, grid), now_ns)
 
     def select(self, context: Context, scores: np.ndarray, images: int) -> Goal | None:
-        """Choose by score."""
+        """Choose by score, or go to the place."""
+        if (place := self._place) is not None:
+            target, grid = self._mission.target, self._map.grid
+            return self._goals.go_to_place(context, grid, place, target, images)
         return self._goals.choose(context, self._map.grid, scores, images)
 
     def facts(self) -> None:

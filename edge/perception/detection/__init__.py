@@ -1,1 +1,1 @@
-"""Detectors: find what the prompts name in an image."""
+"""Detectors: find the objects that the prompts name in an image."""

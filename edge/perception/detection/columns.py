@@ -1,4 +1,4 @@
-"""What a detector is asked for beside its prompts, and under which words."""
+"""Text classes of a detector: the prompts, the context words, and competing words."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from edge.perception.embedding.text import TextEncoder, words_for
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """The columns of text that a detector's network compares an image with.
+    """The text embeddings that a detector's network compares an image with.
 
-    A thing has one column for each of its names, and scores what the best of them does. Things are
-    the prompts, the words of the context, then whatever else may stand in a target's place.
+    A thing (class) has one column (text) for each of its names; its score is that of its best
+    column. Things are the prompts, then the context words, then other words that compete with a
+    prompt.
 
     Attributes:
-        words: of each column, for the text encoder.
-        thing: (columns,) int32, whose name it is.
-        things: how many there are.
+        words: (columns) text of each column, for the text encoder.
+        thing: (columns,) int32, index of each column's thing, ascending.
+        things: number of things.
         context: canonical names of the things from `len(prompts)` on.
-        competes: (2, prompts, things) bool: whether a thing is another than the prompt's, where
-            that is wholly in view and where the image cuts it off.
+        competes: (2, prompts, things) bool, True if a thing is another object than the prompt's.
+            Row 0 is for an object wholly in view, row 1 for one that the image border cuts off.
     """
 
     words: tuple[str, ...]
@@ -35,9 +36,12 @@ class Columns:
 
 
 def columns_for(prompts: Sequence[str], background: Sequence[str], text: TextEncoder) -> Columns:
-    """
+    """Collect the text classes of prompts.
+
     Args:
+        prompts: what to look for.
         background: words that the encoder knows.
+        text: the detector's text encoder.
 
     Raises:
         PromptError: see `TextEncoder.resolve`.
@@ -46,7 +50,7 @@ def columns_for(prompts: Sequence[str], background: Sequence[str], text: TextEnc
     around = names.outside(background, prompts)
     for word in background:
         context.setdefault(names.canonical(word), []).append(word)
-    # A kind of one prompt's thing may still stand in the place of another's.
+    # A kind of one prompt's thing may still compete with another prompt.
     rest = [word for word in background if names.canonical(word) not in around]
     rest += [c for prompt in prompts for c in text.contrasts(prompt)]
     rest = [word for word in dict.fromkeys(rest) if word not in prompts]
@@ -68,11 +72,19 @@ def columns_for(prompts: Sequence[str], background: Sequence[str], text: TextEnc
 
 
 def competitors(prompts: Sequence[str], things: Sequence[str], text: TextEncoder) -> np.ndarray:
-    """(2, prompts, things) bool, see `Columns.competes`; the prompts come first among the things.
+    """Return which things compete with which prompt; see `Columns.competes`.
 
-    What one view does not tell from the prompt's thing (`names.near`) never competes in one image,
-    unless it is what the prompt is not (another colour, another size as far as that can be seen);
-    who weighs many images may tell them apart.
+    Two things that look almost alike in one view (`names.near`) do not compete in one image. A
+    contrast of the prompt (another colour, another size if it is visible) competes all the same.
+    Code that weighs many images may separate more things.
+
+    Args:
+        prompts: what to look for.
+        things: all things, the prompts first.
+        text: the detector's text encoder.
+
+    Returns:
+        (2, prompts, things) bool.
     """
     known = words_for(things, text.resolve)
     words = [(thing, known.get(thing, thing)) for thing in things]
@@ -80,10 +92,10 @@ def competitors(prompts: Sequence[str], things: Sequence[str], text: TextEncoder
     for row, prompt in enumerate(prompts):
         contrasts = set(text.contrasts(prompt))
         seen_in_part = set(text.contrasts(prompt, whole=False))
-        for column, said in enumerate(words):
-            contrast = not contrasts.isdisjoint(said)
-            unseen = contrast and seen_in_part.isdisjoint(said)
-            near = any(names.near(a, b) for a in words[row] for b in said)
+        for column, others in enumerate(words):
+            contrast = not contrasts.isdisjoint(others)
+            unseen = contrast and seen_in_part.isdisjoint(others)
+            near = any(names.near(a, b) for a in words[row] for b in others)
             competes[0, row, column] = contrast or not near
             competes[1, row, column] = competes[0, row, column] and not unseen
     return competes

@@ -12,13 +12,13 @@ from edge.types import Detections, Observation
 
 
 class Detector(Protocol):
-    """Finds what the prompts name in the images of observations.
+    """Detects the objects that the prompts name in the images of observations.
 
     Attributes:
-        name: the model's card, or what it is when it is no model.
-        prompts: what is looked for, `Detections.class_id` counts in them.
-        invalid_boxes: boxes of the model that were not sound, since the start; dropped.
-        looks_at: the array of an observation that it needs; optional, `rgb` by default.
+        name: the model's card, or a description if there is no model.
+        prompts: what to look for; `Detections.class_id` is an index into them.
+        invalid_boxes: number of boxes since the start that were dropped as invalid (`UNSOUND`).
+        looks_at: attribute of an observation that it needs; optional, `rgb` by default.
     """
 
     name: str
@@ -26,17 +26,16 @@ class Detector(Protocol):
     invalid_boxes: int
 
     def set_prompts(self, prompts: Sequence[str]) -> None:
-        """Look for something else from the next image on; may be called from another thread.
+        """Use other prompts from the next image on; may be called from another thread.
 
         Raises:
             PromptError: a prompt is empty or cannot be turned into an embedding.
-            ModelError: there is no memory for them, or the model fails; the prompts are those of
-                before.
+            ModelError: there is no memory for the prompts, or the model fails; the old ones stay.
         """
         ...
 
     def detect(self, observation: Observation) -> Detections:
-        """Everything above `tau_vl`, highest score first.
+        """Return every box with a score of `tau_vl` or more, highest score first.
 
         Raises:
             ValueError: the observation's image is missing, empty or not (h, w, 3) uint8.
@@ -44,14 +43,14 @@ class Detector(Protocol):
         ...
 
     def health(self) -> Health:
-        """How it is now; may be called from another thread, never blocks."""
+        """Return the health now; may be called from another thread, never blocks."""
         ...
 
     def close(self) -> None: ...
 
 
 def check_rgb(observation: Observation) -> np.ndarray:
-    """The observation's image, contiguous; raises ValueError if it is unusable."""
+    """Return the observation's image, contiguous; raise ValueError if it is unusable."""
     rgb = observation.rgb
     if rgb is None:
         raise ValueError(f"observation {observation.seq}: no image to detect in")

@@ -1,4 +1,4 @@
-"""Image in, boxes out: the arrays around a detector's network. Arrays only, no objects."""
+"""Kernels around a detector's network: image to input, output to boxes. Arrays only."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import numpy as np
 from numba import njit
 
 ROUNDING = np.float32(1e-3)
-"""How far a score may lie outside 0 to 1 and still be taken for 0 or 1: onnxruntime's own sigmoid
-returns up to 1 + 2**-23."""
+"""Tolerance of a score outside 0 to 1: onnxruntime's own sigmoid returns up to 1 + 2**-23."""
 RIM = 0.01
-"""A box that comes this near to the image's edge (share of its side) reaches it."""
+"""Distance to the image border, as a share of its side, below which a box counts as cut off."""
 
 
 @njit(nogil=True, cache=True)
@@ -19,8 +18,9 @@ def to_planes(rgb, scale, top, left, out):
     Args:
         rgb: (h, w, 3) uint8.
         scale: float32, 1/255 for 0..1.
-        top, left: where the image starts in `out`.
-        out: (3, H, W) float32; only the image's place is written.
+        top: first row of the image in `out`.
+        left: first column of the image in `out`.
+        out: (3, H, W) float32; only the image's area is written.
     """
     h, w = rgb.shape[0], rgb.shape[1]
     for y in range(h):
@@ -33,12 +33,13 @@ def to_planes(rgb, scale, top, left, out):
 
 @njit(nogil=True, cache=True)
 def is_sound(boxes, scores, i, far_px):
-    """Return whether the box and all scores of anchor `i` are ones that a detector can mean.
+    """Return True if the box and all scores of anchor `i` are valid.
 
     Args:
         boxes: (a, 4) float32.
         scores: (a, n) float32, from `fold`; each must lie in 0 to 1. NaN does not.
-        far_px: how far a corner may lie from the origin.
+        i: index of the anchor.
+        far_px: largest distance of a corner from the origin.
     """
     sound = True
     for k in range(4):
@@ -50,7 +51,7 @@ def is_sound(boxes, scores, i, far_px):
 
 @njit(nogil=True, cache=True)
 def count_unsound(boxes, scores, far_px):
-    """Return how many anchors are not sound; see `is_sound`."""
+    """Return the number of anchors that are not valid; see `is_sound`."""
     n = 0
     for i in range(len(boxes)):
         n += not is_sound(boxes, scores, i, far_px)
@@ -59,9 +60,9 @@ def count_unsound(boxes, scores, far_px):
 
 @njit(nogil=True, cache=True)
 def iou(boxes, i, j):
-    """Intersection over union of two rows (x0, y0, x1, y1) of `boxes`; 0 where either is empty.
+    """Return the intersection over union of rows i and j of `boxes`; 0 if either is empty.
 
-    By index: a view of a row costs more than all of the arithmetic.
+    A row is (x0, y0, x1, y1). By index, since a view of a row costs more than the arithmetic.
     """
     ax0, ay0, ax1, ay1 = boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3]
     bx0, by0, bx1, by1 = boxes[j, 0], boxes[j, 1], boxes[j, 2], boxes[j, 3]
@@ -75,13 +76,13 @@ def iou(boxes, i, j):
 
 @njit(nogil=True, cache=True)
 def fold(scores, thing, out):
-    """The best score of each thing that several columns name; NaN where any of them is.
+    """Write the best score of each thing over its columns; NaN if any of them is NaN.
 
-    What is over 1 by no more than `ROUNDING` becomes 1, what is as little under 0 becomes 0.
+    A score over 1 by at most `ROUNDING` becomes 1, a score under 0 by at most `ROUNDING` becomes 0.
 
     Args:
         scores: (a, columns) float32.
-        thing: (columns,) int32, of each column, ascending.
+        thing: (columns,) int32, index of each column's thing, ascending.
         out: (a, things) float32.
     """
     for i in range(len(scores)):
@@ -99,18 +100,23 @@ def fold(scores, thing, out):
 
 @njit(nogil=True, cache=True)
 def candidates(boxes, scores, n_named, tau, far_px, anchor, label, score, top):
-    """Everything named at every anchor where it scores at least `tau`, whatever else scores there.
+    """Collect every target and context label of every anchor that scores at least `tau`.
+
+    Other labels on the same anchor do not matter here; see `suppress`.
 
     Args:
         boxes: (a, 4) float32.
-        scores: (a, n) float32; columns below `n_named` are targets and context, the rest is none.
+        scores: (a, n) float32, from `fold`.
+        n_named: number of targets and context words; things from there on only compete.
+        tau: least score.
         far_px: see `is_sound`.
-        anchor, label: (a * n_named,) int32 out, score: (a * n_named,) float32 out.
-        top: (a,) float32 out, the best score of any column, 0 where below `tau`.
+        anchor: (a * n_named,) int32 out, row of `boxes`.
+        label: (a * n_named,) int32 out, column of `scores`.
+        score: (a * n_named,) float32 out.
+        top: (a,) float32 out, the best score of any thing, 0 if it is below `tau`.
 
     Returns:
-        (how many candidates were written, how many anchors were left out since they are not
-        sound).
+        (number of candidates, number of anchors that were skipped as invalid).
     """
     m, invalid = 0, 0
     for i in range(len(boxes)):
@@ -131,16 +137,22 @@ def candidates(boxes, scores, n_named, tau, far_px, anchor, label, score, top):
 
 @njit(nogil=True, cache=True)
 def suppress(boxes, anchor, label, score, m, first, end, one_word, iou_max, keep):
-    """Greedy non-maximum suppression among the labels from `first` on, before `end`.
+    """Do greedy non-maximum suppression among the labels in [first, end).
 
     Args:
         boxes: (a, 4) float32.
-        anchor, label, score: from `candidates`, the first `m` count.
-        one_word: whether one label alone may have a place; else each may.
+        anchor: from `candidates`.
+        label: from `candidates`.
+        score: from `candidates`.
+        m: number of candidates.
+        first: first label.
+        end: one past the last label.
+        one_word: True: boxes of different labels suppress each other, too.
+        iou_max: overlap above which the lower score is suppressed.
         keep: (k,) int32 out, indices of kept candidates, highest score first.
 
     Returns:
-        How many were kept, at most k.
+        Number of kept candidates, at most k.
     """
     mine = np.flatnonzero((label[:m] >= first) & (label[:m] < end))
     order = mine[np.argsort(-score[mine], kind="mergesort")]
@@ -164,19 +176,23 @@ def suppress(boxes, anchor, label, score, m, first, end, one_word, iou_max, keep
 def strongest_rivals(
     boxes, scores, competes, tau, top, anchor, label, keep, n, cut, iou_max, out
 ):  # fmt: skip
-    """The best score of any rival on the same place as each kept box (IoU over `iou_max`).
+    """Write the best score of any competing thing at the place of each kept box.
 
     Args:
-        scores: (a, n) float32 as in `candidates`.
-        competes: (2, n_targets, n) bool, which columns are rivals of a target that is wholly in
-            view, and of one that the image cuts off.
-        tau: scores below it do not count.
-        top, anchor, label: from `candidates`.
-        keep: (k,) int32, the first `n` are indices of candidates.
+        boxes: (a, 4) float32.
+        scores: (a, n) float32, as in `candidates`.
+        competes: (2, n_targets, n) bool, see `Columns.competes`.
+        tau: lower scores do not count.
+        top: from `candidates`.
+        anchor: from `candidates`.
+        label: from `candidates`.
+        keep: (k,) int32, of which the first `n` are indices of candidates.
+        n: number of kept boxes.
         cut: (k,) bool, from `to_image`.
+        iou_max: another anchor is at the same place if its IoU is above this.
         out: (k,) float32.
     """
-    scored = np.flatnonzero(top)  # most anchors see nothing
+    scored = np.flatnonzero(top)  # most anchors have no score
     for k in range(n):
         i, rivals = anchor[keep[k]], competes[1 if cut[k] else 0, label[keep[k]]]
         best = np.float32(0.0)
@@ -191,18 +207,23 @@ def strongest_rivals(
 
 @njit(nogil=True, cache=True)
 def to_image(boxes, anchor, keep, n, scale, top, left, width, height, out, cut):
-    """Boxes of the network's input as boxes of the image, clipped to it.
+    """Map boxes from the network's input to the image, clipped to it; drop empty ones.
 
     Args:
+        boxes: (a, 4) float32, in the network's input.
         anchor: from `candidates`.
-        keep: (m,) int32, the first `n` are indices of candidates; those with an empty box are
-            taken out.
-        scale: input pixels per image pixel; `top`, `left` the image's place in the input.
+        keep: (m,) int32, of which the first `n` are indices of candidates; empty boxes are removed.
+        n: number of kept boxes.
+        scale: input pixels per image pixel.
+        top: first row of the image in the input.
+        left: first column of the image in the input.
+        width: of the image, in pixels.
+        height: of the image, in pixels.
         out: (m, 4) float32.
-        cut: (m,) bool out, whether the box reaches the image's edge: there may be more of it.
+        cut: (m,) bool out, True if the box reaches the image border: the object may go on.
 
     Returns:
-        How many are left; `keep`, `out` and `cut` are compacted alike.
+        Number of boxes left; `keep`, `out` and `cut` are compacted alike.
     """
     k = 0
     rim_x, rim_y = RIM * width, RIM * height
@@ -223,14 +244,14 @@ def to_image(boxes, anchor, keep, n, scale, top, left, width, height, out, cut):
 
 @njit(nogil=True, cache=True)
 def object_boxes(ids, depth, box, pixels, distance):
-    """Extent, size and mean distance of every object in an image of object ids.
+    """Write the extent, size and mean distance of every object in an image of object ids.
 
     Args:
         ids: (h, w) uint16, 0 = none; ids above n are ignored.
         depth: (h, w) float32 metres, NaN or 0 = no return.
         box: (n, 4) int32 out, x0, y0, x1, y1 with x1, y1 one past the end.
         pixels: (n,) int32 out.
-        distance: (n,) float32 out, mean depth in metres, 0 where nothing returned.
+        distance: (n,) float32 out, mean depth in metres, 0 if there are no returns.
     """
     h, w = ids.shape
     n = len(pixels)

@@ -43,7 +43,9 @@ OUTPUTS = ("boxes", "scores")
 NMS_IOU = 0.5
 MAX_DETECTIONS = 64
 USUAL_COLUMNS, MAX_COLUMNS = 16, 256
-"""Prompts, background counted in, that a TensorRT engine is tuned for and can take."""
+"""Texts that a TensorRT engine is tuned for, and the most that it takes.
+
+Prompts, synonyms, background and contrasts all count."""
 
 
 def engine_options(
@@ -51,7 +53,7 @@ def engine_options(
     detector: config.DetectorOnnx,
     progress: Tell = log_progress,
 ) -> EngineOptions:
-    """What TensorRT is told of a model; only a detector's number of prompts may change."""
+    """Return the TensorRT options of a model; only a detector's number of texts may change."""
     shapes = {}
     if isinstance(card, DetectCard):
         few, usual, many = ((1, n, card.text_dim) for n in (1, USUAL_COLUMNS, MAX_COLUMNS))
@@ -61,7 +63,7 @@ def engine_options(
 
 
 def far_px(card: DetectCard) -> float:
-    """Return how far from the origin a corner of a box may lie, in pixels of the network's input.
+    """Return the largest valid distance of a box corner from the origin, in pixels of the input.
 
     YOLO's boxes reach past a small input: at most 15 cells of 32 pixels from their anchor.
     """
@@ -70,7 +72,7 @@ def far_px(card: DetectCard) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """The prompts of one moment with all buffers bound for them; swapped whole."""
+    """The current prompts and all buffers that are bound for them; replaced as a whole."""
 
     prompts: tuple[str, ...]
     columns: Columns
@@ -83,7 +85,7 @@ class _Asked:
 
 @dataclass(frozen=True, slots=True)
 class _Placement:
-    """Where an image of some size comes to lie in the network's input."""
+    """Position and scale of an image in the network's input."""
 
     width_px: int
     height_px: int
@@ -94,7 +96,7 @@ class _Placement:
 
 
 class _Kept(NamedTuple):
-    """What is left of the candidates: which, their boxes in the image, and whether it cuts them."""
+    """Candidates after suppression: index, box in the image, and True if the image cuts it off."""
 
     kept: np.ndarray
     xyxy_px: np.ndarray
@@ -106,18 +108,38 @@ class _Kept(NamedTuple):
 
 
 class OnnxDetector:
-    """Every buffer is made once; an image costs one resize, one run and two kernels.
+    """An open-vocabulary detector that runs an ONNX model.
 
-    Each prompt has its own boxes, also where another scores higher: whoever weighs what a thing
-    is over many images needs to hear of the losers too. Background words (`config.background`)
-    are the context; of these, what scores best has the place. The best score of any other thing,
-    prompt or background, on the place of a box is its `Detections.rival`; what may be said of
-    the same thing (chair, armchair) does not compete. A thing is looked for under all names that
-    the text encoder has for it, see `Columns`.
+    All buffers are allocated once. An image costs one resize, one run and a few kernels.
+
+    Each prompt keeps its own boxes, even if another prompt scores higher at the same place: code
+    that weighs many images needs the weaker scores, too. Background words (`config.background`) are
+    the context; of context boxes that overlap, only the one with the best score is kept. The best
+    score of a competing thing at the place of a box is its `Detections.rival`. Words for the same
+    thing (chair, armchair) do not compete. A thing is looked for under all names that the text
+    encoder has for it; see `Columns`.
+
+    Args:
+        detector: names the card, the providers and the background.
+        prompts: what to look for.
+        progress: called while a TensorRT engine is built, which takes minutes.
+        session: runs the network; None: opens the card's model.
+        text: encodes prompts; None: opens the card's encoder.
 
     Attributes:
-        invalid_boxes: how many were dropped since they are not sound (`UNSOUND`).
-        stages_ns: what filling the input, the session and picking boxes took at the last image.
+        invalid_boxes: number of boxes dropped as invalid (`UNSOUND`).
+        stages_ns: time of the last image for filling the input, for the session, and for selecting
+            boxes.
+
+    Raises:
+        ModelError: card, file or providers are unusable.
+        PromptError: see `make_text_encoder` and `TextEncoder.embed`.
+
+    Example:
+        >>> from edge.config import DetectorOnnx
+        >>> detector = OnnxDetector(DetectorOnnx(model="mini-house-256x320-int8-cpu"), ["chair"])
+        >>> detector.best_scores(np.zeros((480, 640, 3), np.uint8)).shape
+        (1,)
     """
 
     def __init__(
@@ -128,15 +150,6 @@ class OnnxDetector:
         session: Any = None,
         text: TextEncoder | None = None,
     ) -> None:
-        """
-        Args:
-            progress: told while a TensorRT engine is built, which takes minutes.
-            session, text: to work with; None: those of the card.
-
-        Raises:
-            ModelError: card, file or providers are unusable.
-            PromptError: see `make_text_encoder`, `TextEncoder.embed`.
-        """
         self.config = detector
         self.card = load_detector_card(detector.model)
         self.name = self.card.name
@@ -172,7 +185,7 @@ class OnnxDetector:
             self._asked = self._ask(check_prompts(prompts))
 
     def _ask(self, prompts: tuple[str, ...]) -> _Asked:
-        """Encode prompts and bind buffers for them, which may take memory of a GPU."""
+        """Encode prompts and bind buffers for them, which may take GPU memory."""
         columns = columns_for(prompts, self._background, self._text)
         text = self._text.embed(columns.words)
         if text.shape[1] > MAX_COLUMNS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:
@@ -193,12 +206,12 @@ class OnnxDetector:
         )  # fmt: skip
 
     def _known_background(self) -> tuple[str, ...]:
-        """The configured background, made for any model, without what this one has no word for."""
+        """Return the configured background words that this model's text encoder knows."""
         known = tuple(words_for(self.config.background, self._text.resolve))
         unknown = [repr(word) for word in self.config.background if word not in known]
         if unknown:
             log.warning(
-                "model %s does not know %s of perception.detector.background: goes without",
+                "model %s: perception.detector.background: ignored words that it does not know: %s",
                 self.name, ", ".join(unknown),
             )  # fmt: skip
         return known
@@ -233,7 +246,7 @@ class OnnxDetector:
         )
 
     def best_scores(self, rgb: np.ndarray) -> np.ndarray:
-        """The highest score that each prompt has anywhere in an image, however low.
+        """Return the highest score of each prompt anywhere in an image, however low.
 
         Args:
             rgb: (h, w, 3) uint8.
@@ -242,7 +255,7 @@ class OnnxDetector:
             (n,) float32 in 0 to 1.
 
         Raises:
-            ModelError: the model returns values that are not sound.
+            ModelError: the model returns invalid boxes or scores.
         """
         asked = self._asked
         self._fill_input(np.ascontiguousarray(rgb))
@@ -257,12 +270,15 @@ class OnnxDetector:
         return Health()
 
     def close(self) -> None:
-        """Let the session and its buffers go; no detect afterwards."""
+        """Release the session and its buffers; do not call `detect` afterwards."""
         self._session = None
         self._asked = replace(self._asked, bound=None)
 
     def _count_anchors(self) -> int:
-        """Boxes per image, from one run on an empty image (it also warms the session up)."""
+        """Return the number of boxes of an image, from a run on an empty image.
+
+        The run also warms the session up.
+        """
         self._images.fill(self.card.preprocess.letterbox_pad * self._scale)
         text = np.zeros((1, 1, self.card.text_dim), np.float32)
         text[..., 0] = 1.0
@@ -271,7 +287,7 @@ class OnnxDetector:
                 list(OUTPUTS), {"images": self._images, "txt_feats": text}
             )
         anchors = boxes.shape[1] if boxes.ndim == 3 else 0
-        most = self.card.input.height * self.card.input.width  # buffers are made for all of them
+        most = self.card.input.height * self.card.input.width  # all get buffers
         if boxes.shape != (1, anchors, 4) or scores.shape != (1, anchors, 1) or anchors > most:
             raise ModelError(
                 f"{self.card.file or self.name}: boxes {boxes.shape} and scores {scores.shape} do "
@@ -293,7 +309,7 @@ class OnnxDetector:
         kernels.to_planes(rgb, self._scale, place.top, place.left, self._images[0])
 
     def _placement(self, width_px: int, height_px: int) -> _Placement:
-        """Scaled to fit and centred, as in training."""
+        """Fit the image into the input, scaled and centred as in training."""
         h, w = self.card.input.height, self.card.input.width
         scale = min(w / width_px, h / height_px)
         new_w, new_h = max(1, round(width_px * scale)), max(1, round(height_px * scale))
@@ -302,8 +318,13 @@ class OnnxDetector:
         return _Placement(width_px, height_px, scale, top, left, resized)
 
     def _pick(self, asked: _Asked, boxes: np.ndarray, scores: np.ndarray) -> tuple[_Kept, _Kept]:
-        """Boxes (a, 4) and scores (a, columns) → those of targets, whose rivals lie in `_against`,
-        and those of the context."""
+        """Return the boxes of targets and of the context; the targets' rivals go to `_against`.
+
+        Args:
+            asked: the current prompts.
+            boxes: (a, 4) float32.
+            scores: (a, columns) float32.
+        """
         tau, targets = np.float32(self.config.tau_vl), len(asked.prompts)
         named = targets + len(asked.columns.context)
         kernels.fold(scores, asked.columns.thing, asked.folded)
@@ -328,7 +349,11 @@ class OnnxDetector:
     def _keep(
         self, asked: _Asked, boxes: np.ndarray, found: int, labels: tuple[int, int], out: _Kept
     ) -> _Kept:
-        """Of the candidates with a label in a half-open range, those that stay; parts of `out`."""
+        """Suppress and map the candidates with a label in `labels`, a half-open range.
+
+        Returns:
+            Views of `out`.
+        """
         place, one_word = self._place, labels[0] > 0
         n = kernels.suppress(
             boxes, asked.anchor, asked.label, asked.score, found, *labels, one_word,

@@ -1,4 +1,4 @@
-"""A detector that lives in a process of its own, and is brought back when that ends."""
+"""A detector in its own process, which is restarted when it ends."""
 
 from __future__ import annotations
 
@@ -20,13 +20,24 @@ from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
 
-_CHECK_S = 0.25  # how long the loop may wait to hear whether prompts will do
+_CHECK_S = 0.25  # longest wait of the loop for the process to accept prompts
 
 
 class ProcessDetector(KeptProcess):
-    """See `Detector`; `edge.perception.process` says how it works.
+    """A detector (`Detector`) whose model runs in its own process; see `edge.perception.process`.
 
-    While there is no process `detect` raises at once.
+    While no process is ready, `detect` raises at once.
+
+    Args:
+        perception: configuration of the detector and of the process.
+        prompts: what to look for.
+        progress: see `make_detector`; called at later starts, too.
+        cancelled: see `make_detector`.
+
+    Raises:
+        ModelError, PromptError: the model cannot be loaded.
+        ModelProcessError: the process cannot be started, ends, is not ready in time, or
+            `cancelled` was set.
     """
 
     def __init__(
@@ -36,22 +47,12 @@ class ProcessDetector(KeptProcess):
         progress: Tell = log_progress,
         cancelled: threading.Event | None = None,
     ) -> None:
-        """
-        Args:
-            progress: see `make_detector`; told at later starts too.
-            cancelled: see `make_detector`.
-
-        Raises:
-            ModelError, PromptError: what keeps the model from loading.
-            ModelProcessError: its process cannot be started, ends, is not ready in time, or
-                `cancelled` was set.
-        """
         super().__init__(perception.detector.model, perception.process)
         self.invalid_boxes = 0
         self._perception = perception.model_copy(update={"isolation": "thread"})
         self._prompts = self._looked_for = tuple(prompts)
         self._progress = progress
-        self._own, self._told = Health(), Health()
+        self._own, self._reported = Health(), Health()
         self._answered: Link | None = None
         self._invalid_before = 0
         self._cancelled = cancelled or threading.Event()
@@ -64,8 +65,8 @@ class ProcessDetector(KeptProcess):
     def set_prompts(self, prompts: Sequence[str]) -> None:
         """See `Detector.set_prompts`.
 
-        Prompts set while there is no process, or while it is too busy to answer, are looked for
-        once there is one; that they cannot be is then what `detect` raises.
+        If no process is ready, or it is too busy to answer, the prompts are stored and used later.
+        If they then turn out unusable, `detect` raises PromptError.
         """
         prompts = check_prompts(prompts)
         if self._link is not None:
@@ -76,7 +77,7 @@ class ProcessDetector(KeptProcess):
         """See `Detector.detect`; takes at most `timeout_s`.
 
         Raises:
-            ModelProcessError: the process is not there, or it ended or was killed over this image.
+            ModelProcessError: no process is ready, or it ended or was killed during this image.
         """
         start_ns = time.perf_counter_ns()
         rgb = check_rgb(observation)
@@ -84,26 +85,26 @@ class ProcessDetector(KeptProcess):
             raise ModelProcessError(self._own.detail)
         link = self._link
         answer = link.detect(rgb, self._prompts, self._rules.timeout_s)
-        if link is not self._answered:  # a process counts from its own start
+        if link is not self._answered:  # a new process counts from 0
             self._answered, self._invalid_before = link, self.invalid_boxes
-        self._looked_for, self._told = answer.found.prompts, answer.health
+        self._looked_for, self._reported = answer.found.prompts, answer.health
         self.invalid_boxes = self._invalid_before + answer.invalid_boxes
         took_ns = time.perf_counter_ns() - start_ns
         return replace(answer.found, observation=observation, model=self.name, latency_ns=took_ns)
 
     def health(self) -> Health:
-        """See `Detector.health`: of the process, and if that is well, of the model in it."""
+        """See `Detector.health`: of the process, and if that is `ok`, of the model in it."""
         if self._own.state != "ok":
             return self._own
-        if self._link is not None and self._link.fault:  # the thread is about to say so
+        if self._link is not None and self._link.fault:  # the thread is about to report it
             return Health("restarting", self._link.fault)
-        return self._told
+        return self._reported
 
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
         """See `KeptProcess`.
 
-        It starts with the prompts that are wanted: encoding them may take longer than an image.
-        Where they will not do it starts with the last ones that did, and `detect` says so.
+        It starts with the current prompts: encoding them may take longer than an image. If they are
+        unusable it starts with the last usable ones, and `detect` reports the error.
         """
         wanted = self._prompts
         try:
@@ -115,35 +116,35 @@ class ProcessDetector(KeptProcess):
 
     def _run_with(self, prompts: Sequence[str], first: Future[None]) -> tuple[float, str]:
         perception = self._perception.model_dump(mode="json")
-        told = {"perception": perception, "prompts": list(prompts)}
-        return self._run_link(first, told, self._load)
+        request = {"perception": perception, "prompts": list(prompts)}
+        return self._run_link(first, request, self._load)
 
     def _ready(self, again: bool) -> None:
         """See `KeptProcess`."""
-        self._told = Health()
+        self._reported = Health()
         self._say(Health())
 
     def _ended(self, why: str, failed: Exception | None, pause: Pause) -> None:
-        """See `KeptProcess`; a model that cannot be loaded any more is `degraded`."""
+        """See `KeptProcess`; the state is `degraded` if the model can no longer be loaded."""
         known = failed is None or isinstance(failed, ModelProcessError)
         state = "restarting" if known and not pause.limit else "degraded"
         self._say(Health(state, f"{why}; {self._outlook(pause)}"))
 
-    def _told_to_end(self, first: Future[None]) -> bool:
+    def _is_cancelled(self, first: Future[None]) -> bool:
         return self._closing.is_set() or (self._cancelled.is_set() and not first.done())
 
     def _load(self, health: Health) -> None:
-        """It is still loading."""
+        """Report that the model is still loading."""
         self._own = health
         self._progress(health)
 
     def _outlook(self, pause: Pause) -> str:
         if not pause.limit:
-            return f"started again in {pause.seconds:.1f} s"
-        return f"ended too often, started again in {pause.seconds:.0f} s"
+            return f"restarts in {pause.seconds:.1f} s"
+        return f"ended too often, restarts in {pause.seconds:.0f} s"
 
     def _say(self, health: Health) -> None:
-        """Take on a state, and log that it changed."""
+        """Set the state, and log it if it changed."""
         level = {"ok": logging.INFO, "restarting": logging.WARNING}.get(health.state, logging.ERROR)
         if health != self._own:
             log.log(level, health.detail or f"model {self.name}: its process runs")

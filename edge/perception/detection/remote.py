@@ -1,4 +1,4 @@
-"""A detector whose model runs on a server, and which lives on while that does not answer."""
+"""A detector whose model runs on a server; it keeps running while the server does not answer."""
 
 from __future__ import annotations
 
@@ -25,17 +25,21 @@ T = TypeVar("T")
 
 
 class RemoteDetector:
-    """See `Detector`. Prompts are encoded here, boxes picked here; the network runs on the server.
+    """A detector (`Detector`) that encodes prompts and selects boxes; a server runs the network.
 
-    A server that is dead, slow, lying or refusing costs the image at hand. It is asked again after
-    `PAUSE_S`, twice as long after each failure in a row up to `MAX_PAUSE_S`; what comes meanwhile
-    is let go at once. Nothing is asked of it when this is made: a robot may start before it.
+    A server that is dead, slow, lying or refusing costs the current image. It is asked again after
+    `PAUSE_S`; the pause doubles after each failure in a row, up to `MAX_PAUSE_S`. Images during a
+    pause fail at once. The constructor does not ask the server: the robot may start before it.
 
     Args:
-        clock: seconds.
+        detector: configuration of the detector.
+        card: names the server.
+        prompts: what to look for.
+        progress: see `make_detector`.
+        clock: returns seconds.
 
     Raises:
-        PromptError, ModelError: see `OnnxDetector`, but for what the server has to do with.
+        PromptError, ModelError: see `OnnxDetector`; server errors are raised by `detect` instead.
     """
 
     def __init__(
@@ -51,7 +55,7 @@ class RemoteDetector:
         self._text = make_text_encoder(card, detector.vocabulary)
         self._session = RemoteSession(card)
         self._inner: OnnxDetector | None = None  # once the server has answered
-        self._invalid_before = 0  # of those before the present one
+        self._invalid_before = 0  # invalid boxes of earlier models
         self._health = Health()
         self._last: ModelError | None = None
         self._failures, self._next_s = 0, 0.0
@@ -75,16 +79,17 @@ class RemoteDetector:
         self._prompts = prompts
 
     def detect(self, observation: Observation) -> Detections:
-        """See `Detector.detect`; takes at most the card's `server.time_limit_s`, or a few of them
-        at the first image.
+        """See `Detector.detect`; takes at most the card's `server.time_limit_s`.
+
+        The first image takes at most a few times that.
 
         Raises:
-            ModelError: no usable answer, or none is asked for yet.
+            ModelError: the server gave no usable answer, or is in a pause after a failure.
         """
         return self._with_model(lambda model: model.detect(observation))
 
     def best_scores(self, rgb: np.ndarray) -> np.ndarray:
-        """See `OnnxDetector.best_scores`; raises as `detect`."""
+        """See `OnnxDetector.best_scores`; raises like `detect`."""
         return self._with_model(lambda model: model.best_scores(rgb))
 
     def health(self) -> Health:
@@ -92,7 +97,7 @@ class RemoteDetector:
         return self._health
 
     def close(self) -> None:
-        """Give up what is being asked; no detect afterwards."""
+        """Abort the current request; do not call `detect` afterwards."""
         self._session.close()
 
     def _with_model(self, work: Callable[[OnnxDetector], T]) -> T:
@@ -108,7 +113,7 @@ class RemoteDetector:
             return found
 
     def _model(self) -> OnnxDetector:
-        """What looks with the server's network, for the prompts that are wanted."""
+        """Return the detector that uses the server's network, with the current prompts."""
         wanted = self._prompts
         if self._inner is None:
             self._inner = OnnxDetector(
@@ -124,5 +129,5 @@ class RemoteDetector:
         self._failures += 1
         self._next_s = self._clock() + pause_s
         self._health = Health("degraded", str(error))
-        if getattr(error, "kind", "lying") == "lying":  # perhaps it is another model by now
+        if getattr(error, "kind", "lying") == "lying":  # the server may run another model by now
             self._invalid_before, self._inner = self.invalid_boxes, None

@@ -1,4 +1,4 @@
-"""A detector for simulated worlds: what the simulator says is there, with noise, and no network."""
+"""A detector for simulated worlds: ground-truth boxes with noise, without a network."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from edge.types import ContextBoxes, Detections, Observation
 
 MIN_VISIBLE_PX = 40
 _FULL_VIEW = 0.02
-"""Share of the image that an object must fill for its score not to suffer from smallness."""
+"""Share of the image above which an object's size no longer lowers its score."""
 _MAX_JITTER = 0.05
-"""Box edges are off by up to this share of the box."""
+"""Largest error of a box edge, as a share of the box's side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segmentation:
-    """What is truly where in a picture.
+    """Ground-truth object ids of an image.
 
     Attributes:
         ids: (h, w) uint16, 0 = no object.
-        labels: of id i at index i - 1.
+        labels: label of id i at index i - 1.
     """
 
     ids: np.ndarray
@@ -37,17 +37,19 @@ class Segmentation:
 
 
 TruthAt = Callable[[int], "Segmentation | None"]
-"""The segmentation of the picture that was taken at a stamp (ns), None where there is none; called
-by whoever detects."""
+"""Returns the segmentation of the image taken at a stamp (ns), or None if there is none.
+
+Called on the detector's thread.
+"""
 
 
 class _Roles(NamedTuple):
-    """What the objects of a world are to some prompts.
+    """Classes of a world's objects for some prompts.
 
     Attributes:
-        words: of the context.
-        classes: of object i at index i: a prompt's index, or, counted on from there, a word's;
-            -1: not looked for.
+        words: the context words.
+        classes: class of object i at index i: the index of a prompt, or `len(prompts)` plus the
+            index of a word, or -1 if it is not looked for.
     """
 
     prompts: tuple[str, ...]
@@ -56,15 +58,31 @@ class _Roles(NamedTuple):
 
 
 class SimDetector:
-    """Boxes around the visible pixels of objects that answer to a prompt, made imperfect.
+    """A detector (`Detector`) that puts imperfect boxes around the visible pixels of known objects.
 
-    The score falls with range and smallness and carries Gaussian noise; objects are missed
-    (`miss_rate` near by, three times that at `max_range_m`); now and then another object is
-    taken for the target. A prompt means the objects of that very name (a dog bed), and where the
-    world has none, those of its noun. All else that the world has is context, unless
-    `config.background` says what is, and is seen and missed alike; what is taken for a target is
-    not seen as itself in that image. Noise depends on `config.seed` and `observation.seq` only, so
-    a run replays the same.
+    The score falls with range and smallness and carries Gaussian noise. Objects are missed
+    (`miss_rate` near by, three times that at `max_range_m`), and sometimes another object is taken
+    for a target (`false_positive_rate`). A prompt means the objects of that exact name (a dog bed);
+    if the world has none, those of its noun. All other objects of the world are context, unless
+    `config.background` lists the context. Context objects are detected and missed in the same way;
+    one that is taken for a target is not reported as itself in that image. Noise depends on
+    `config.seed` and `observation.seq` only, so a run replays the same.
+
+    Args:
+        detector: the configuration.
+        prompts: what to look for.
+        truth: ground truth of an image; None: there is none, and `detect` raises.
+
+    Raises:
+        PromptError: no prompt, or an empty one.
+
+    Example:
+        >>> truth = Segmentation(np.ones((48, 64), np.uint16), ("chair",))
+        >>> detector = SimDetector(config.DetectorSim(), ["chair"], lambda stamp_ns: truth)
+        >>> depth_m = np.full((48, 64), 2.0, np.float32)
+        >>> found = detector.detect(Observation(0, 0, np.eye(4), depth_m=depth_m))
+        >>> len(found), found.prompts
+        (1, ('chair',))
     """
 
     name = "sim (ground-truth ids + noise, no neural network)"
@@ -74,13 +92,6 @@ class SimDetector:
     def __init__(
         self, detector: config.DetectorSim, prompts: Sequence[str], truth: TruthAt | None = None
     ) -> None:
-        """
-        Args:
-            truth: None where nobody tells.
-
-        Raises:
-            PromptError: no prompt, or an empty one.
-        """
         self.config = detector
         self._truth = truth
         self._labels: tuple[str, ...] = ()
@@ -104,7 +115,7 @@ class SimDetector:
         self._asked = (prompts, nouns)
 
     def detect(self, observation: Observation) -> Detections:
-        """See `Detector.detect`; the observation must have depth, and a segmentation be there."""
+        """See `Detector.detect`; needs depth and a segmentation of the same shape."""
         start_ns = time.perf_counter_ns()
         there = self._truth(observation.stamp_ns) if self._truth is not None else None
         depth = observation.depth_m
@@ -152,7 +163,7 @@ class SimDetector:
         return Health()
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Do nothing: there is nothing to release."""
 
     def _resize(self, n: int) -> None:
         self._box = np.empty((n, 4), np.int32)
@@ -160,27 +171,27 @@ class SimDetector:
         self._distance = np.empty(n, np.float32)
 
     def _cast(self, prompts: tuple[str, ...], nouns: tuple[str, ...]) -> _Roles:
-        """What each object is to these prompts."""
+        """Return the class of each object for these prompts."""
         exact = [names.canonical(prompt) for prompt in prompts]
         wanted = tuple(e if e in self._present else n for e, n in zip(exact, nouns, strict=True))
         around = self.config.background
         there = sorted(self._present) if around is None else map(names.canonical, around)
         words = names.outside(there, (*wanted, *prompts))
         number = {word: len(prompts) + i for i, word in enumerate(words)}
-        for i in reversed(range(len(wanted))):  # the first of two prompts for one thing
+        for i in reversed(range(len(wanted))):  # the first of two prompts for one thing wins
             number[wanted[i]] = i
         return _Roles(prompts, words, tuple(number.get(name, -1) for name in self._names))
 
     def _noisy(
         self, seq: int, roles: _Roles, image_hw: tuple[int, int]
     ) -> list[tuple[float, int, np.ndarray]]:
-        """(score, class, box) of everything reported, in no order; see `_Roles`."""
+        """Return (score, class, box) of every reported object, unsorted; see `_Roles`."""
         c, targets = self.config, len(roles.prompts)
         random = np.random.default_rng((c.seed, seq))
         h, w = image_hw
         found = []
         for i in np.flatnonzero(self._pixels >= MIN_VISIBLE_PX):
-            # Drawn for every visible object, so that one prompt's noise does not shift another's.
+            # Draw for every visible object, so that prompts do not change each other's noise.
             missed, mistaken, noise, edges = (
                 random.random(), random.random(), random.normal(), random.uniform(-1, 1, 4),
             )  # fmt: skip
@@ -203,7 +214,10 @@ class SimDetector:
 
 
 def _noun(prompt: str) -> str:
-    """What a prompt asks for: its longest known ending, else its last word's phrase."""
+    """Return the canonical name of a prompt's thing.
+
+    It is the prompt's longest known ending, else the phrase of its last word.
+    """
     phrase = names.head_phrase(prompt)
     if names.is_known(prompt):
         return names.canonical(prompt)

@@ -1,8 +1,8 @@
-"""Prompts for the small detector: "tall white trash bin" → a category, a colour and a size.
+"""Text encoder of the small detector: "tall white trash bin" → a category, a colour and a size.
 
-Words are read by the alias table (`edge.names`) and the vocabulary inside the encoder's ONNX
-file. Its metadata key `vocabulary` is JSON with the lists `categories`, `colors` and `sizes`; a
-phrase is three numbers (category, colour, size) from 1 in those lists, 0 where it does not say.
+Words are read by the alias table (`edge.names`) and the vocabulary in the encoder's ONNX file. Its
+metadata key `vocabulary` is JSON with the lists `categories`, `colors` and `sizes`. A phrase is
+three numbers (category, colour, size), from 1 in those lists; 0 if it names none.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "large": ("big", "huge", "larger", "largest", "bigger", "biggest"),
     "small": ("little", "tiny", "mini", "smaller", "smallest", "littler", "tiniest"),
 }
-"""Word of the vocabulary → other words for it. A word stands in one place only."""
+"""Word of the vocabulary → other words for it. A word occurs once only."""
 
 NEGATIONS = ("not", "non", "no")
 OPPOSITES = (("tall", "short"), ("wide", "narrow"), ("large", "small"))
@@ -54,7 +54,7 @@ ALIKE: dict[str, tuple[str, ...]] = {
     "large": ("tall", "wide"),
     "small": ("short", "narrow"),
 }
-"""Size → sizes that one may say of the same thing, so that they are no contrast."""
+"""Size → sizes that the same object may have, so that they are no contrast."""
 
 _PLAIN = {canonical: canonical for canonical in SYNONYMS} | {
     other: canonical for canonical, others in SYNONYMS.items() for other in others
@@ -63,7 +63,7 @@ _PLAIN = {canonical: canonical for canonical in SYNONYMS} | {
 
 @dataclass(frozen=True, slots=True)
 class Vocabulary:
-    """The words that the model was taught."""
+    """The words that the model was trained on."""
 
     categories: tuple[str, ...]
     colors: tuple[str, ...]
@@ -71,7 +71,7 @@ class Vocabulary:
 
     @classmethod
     def from_json(cls, text: str) -> Vocabulary:
-        """Raises ValueError unless the text has the three lists of words, and no others."""
+        """Parse the three lists of words; raise ValueError for anything else."""
         data = json.loads(text)
         if not isinstance(data, dict) or set(data) != {"categories", "colors", "sizes"}:
             raise ValueError("not an object with categories, colors, sizes")
@@ -81,7 +81,7 @@ class Vocabulary:
         return cls(*(tuple(data[key]) for key in ("categories", "colors", "sizes")))
 
     def to_json(self) -> str:
-        """As `from_json` reads it."""
+        """Return the JSON text that `from_json` reads."""
         return json.dumps(
             {"categories": self.categories, "colors": self.colors, "sizes": self.sizes}
         )
@@ -89,7 +89,7 @@ class Vocabulary:
 
 @dataclass(frozen=True, slots=True)
 class Phrase:
-    """What a prompt says; None where it says nothing.
+    """A parsed prompt; None for what it does not name.
 
     Attributes:
         ignored: words of the prompt that the model does not know, and the part after its noun.
@@ -105,11 +105,16 @@ class Phrase:
 
 
 def parse(prompt: str, vocabulary: Vocabulary) -> Phrase:
-    """Read a prompt.
+    """Parse a prompt.
 
     Raises:
-        PromptError: it is empty, its noun is none of the vocabulary's, it names two colours or
-            opposite sizes, or says what the thing is not.
+        PromptError: it is empty, the vocabulary lacks its noun, it names two colours or opposite
+            sizes, or it negates a property.
+
+    Example:
+        >>> words = Vocabulary(("bed", "trash can"), ("white", "red"), ("tall", "short"))
+        >>> str(parse("high white trash bin", words))
+        'tall white trash can'
     """
     try:
         head = names.head_phrase(prompt)
@@ -122,7 +127,7 @@ def parse(prompt: str, vocabulary: Vocabulary) -> Phrase:
         if category := _category(noun, vocabulary):
             phrase = _describe(prompt, words[:start], category, vocabulary)
             return replace(phrase, ignored=(*phrase.ignored, after)) if after else phrase
-        if names.is_known(noun):  # it names another thing, whatever its last word does
+        if names.is_known(noun):  # the phrase names another thing than its last word
             break
     raise PromptError(
         f"prompt {prompt!r}: this model knows only the built-in world's "
@@ -132,10 +137,10 @@ def parse(prompt: str, vocabulary: Vocabulary) -> Phrase:
 
 
 def _category(noun: str, vocabulary: Vocabulary) -> str | None:
-    """The category that a noun names, itself or as a kind of it (dining table: table)."""
+    """Return the category of a noun or of a kind of it (dining table: table), else None."""
     try:
         thing = names.canonical(noun)
-    except names.NotANameError:  # a sign between the words
+    except names.NotANameError:  # a character that no name has
         return None
     for name in names.head_nouns(thing):
         if (category := names.canonical(name)) in vocabulary.categories:
@@ -169,8 +174,13 @@ def _describe(prompt: str, adjectives: list[str], category: str, vocabulary: Voc
 
 
 def contrasting(phrase: Phrase, vocabulary: Vocabulary, whole: bool = True) -> list[str]:
-    """Phrases for the same category, each with another colour or another size than the phrase;
-    where the thing is not wholly in view, only another colour."""
+    """Return phrases for the same category with another colour or another size.
+
+    Args:
+        phrase: the prompt.
+        vocabulary: colours and sizes to use.
+        whole: False: the object is only partly in view, so only colours are contrasted.
+    """
     others: list[Phrase] = []
     if phrase.color is not None:
         others += [replace(phrase, color=c) for c in vocabulary.colors if c != phrase.color]
@@ -181,7 +191,7 @@ def contrasting(phrase: Phrase, vocabulary: Vocabulary, whole: bool = True) -> l
 
 
 def nearest(word: str, vocabulary: Vocabulary, n: int = 5) -> list[str]:
-    """Categories spelt most like a phrase or its last word, or called so; at most `n`."""
+    """Return at most `n` categories with a name spelt most like a phrase or its last word."""
     called = {alias: c for c in vocabulary.categories for alias in names.names_of(c)}
     found: list[str] = []
     for text in (word, word.split()[-1]):
@@ -192,13 +202,24 @@ def nearest(word: str, vocabulary: Vocabulary, n: int = 5) -> list[str]:
 
 
 class AttributeEncoder:
-    """A `TextEncoder` that reads category, colour and size."""
+    """A `TextEncoder` that reads category, colour and size.
+
+    Args:
+        card: of the model.
+
+    Raises:
+        ModelError: the model is missing or unusable, or has no vocabulary in it.
+
+    Example:
+        >>> from edge.perception.runtime.cards import load_card_of
+        >>> encoder = AttributeEncoder(load_card_of(TextCard, "mini-house-text"))
+        >>> encoder.resolve("high white trash bin")
+        'tall white trash can'
+        >>> encoder.embed(["chair", "red bed"]).shape == (1, 2, encoder.dim)
+        True
+    """
 
     def __init__(self, card: TextCard) -> None:
-        """
-        Raises:
-            ModelError: the model is not there or unusable, or has no vocabulary inside.
-        """
         self.card = card
         self.dim = card.dim
         path = verify_model(card, believe_cache=True)
@@ -213,18 +234,18 @@ class AttributeEncoder:
         self._warned: set[tuple[str, ...]] = set()
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
-        """One unit row per prompt; see `TextEncoder.embed`."""
+        """Return one unit row per prompt; see `TextEncoder.embed`."""
         phrases = [self._read(prompt) for prompt in check_prompts(prompts)]
         tokens = np.array([self._tokens(phrase) for phrase in phrases], np.int64)
         rows = run_encoder(self._session, self.card.file, "tokens", tokens, self.dim)
         return np.ascontiguousarray(rows)[None]
 
     def resolve(self, prompt: str) -> str:
-        """The words that the model takes a prompt for, such as `tall white trash can`."""
+        """Return the words that the model reads in a prompt, such as `tall white trash can`."""
         return str(self._read(prompt))
 
     def synonyms(self, prompt: str) -> list[str]:
-        """See `TextEncoder.synonyms`: one word for each of its categories."""
+        """Return none: the model has one word for each category; see `TextEncoder.synonyms`."""
         return []
 
     def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
@@ -239,7 +260,7 @@ class AttributeEncoder:
         if phrase.ignored and phrase.ignored not in self._warned:
             self._warned.add(phrase.ignored)
             log.warning(
-                "prompt %r: this model does not know what %s means here, looking for %r",
+                "prompt %r: this model ignores %s here, looking for %r",
                 prompt, ", ".join(map(repr, phrase.ignored)), str(phrase),
             )  # fmt: skip
         return phrase

@@ -1,12 +1,14 @@
-"""The two encoders of CLIP, SigLIP and their like as ONNX files; none comes with the package.
+"""Text and image encoders of CLIP, SigLIP and similar models as ONNX files.
 
-`exporters.clip` makes the files and their cards from a folder of Hugging Face. A `text` card's file
-maps `tokens` (n, context) int64 to `embeddings` (n, d) float32. What follows a text's own tokens is
-the card's `pad`: CLIP takes the place of the *first* end-of-text token and never sees it, SigLIP
-reads to the last place. With the family `clip-vit-b-32` it serves YOLO-World too, in the place of
-the vocabulary. The tokenizer's file, which does all that is done to a text, lies beside it. An
-`image` card's file maps `pixels` (1, 3, h, w) float32 to `embeddings` (1, d). Rows are made unit
-rows here.
+None comes with the package: `exporters.clip` makes the files and cards from a Hugging Face folder.
+
+- A `text` card's file maps `tokens` (n, context) int64 to `embeddings` (n, d) float32. The card's
+  `pad` fills the places after a text's tokens. CLIP reads only up to the *first* end-of-text token;
+  SigLIP reads the padding, too. A card of the family `clip-vit-b-32` also serves YOLO-World, in
+  place of the vocabulary. The tokenizer's file, which does all text processing, is next to it.
+- An `image` card's file maps `pixels` (1, 3, h, w) float32 to `embeddings` (1, d).
+
+Rows are normalised to length 1 here.
 """
 
 from __future__ import annotations
@@ -38,15 +40,17 @@ CPU = ("CPUExecutionProvider",)
 class ClipTextEncoder:
     """A `TextEncoder` that understands whole phrases.
 
-    What was encoded once is kept, 2 KB a text or so: a mission that comes while the robot drives
-    costs the loop its own words only, and not the background's each time.
+    Embeddings are cached, some 2 KB a text. So a mission that arrives while the robot drives costs
+    the loop its own words only, and not the background's again.
+
+    Args:
+        card: of the model.
+
+    Raises:
+        ModelError: the model, its tokenizer or a package is missing or unusable.
     """
 
     def __init__(self, card: TextCard) -> None:
-        """
-        Raises:
-            ModelError: the model, its tokenizer or a package is not there, or is unusable.
-        """
         assert isinstance(card.tokenizer, ClipTokenizer)
         self.card = card
         self.dim = card.dim
@@ -61,13 +65,13 @@ class ClipTextEncoder:
         return self.encode([self.resolve(prompt) for prompt in check_prompts(prompts)])[None]
 
     def encode(self, texts: Sequence[str]) -> np.ndarray:
-        """One unit row per text, whatever it says.
+        """Return one unit row per text, without resolving it as a prompt.
 
         Returns:
             (n, d) float32.
 
         Raises:
-            PromptError: a text is longer than the model reads.
+            PromptError: a text is longer than the model's context.
             ModelError: the model fails, or its output is not finite.
         """
         if new := [text for text in dict.fromkeys(texts) if text not in self._rows]:
@@ -87,15 +91,15 @@ class ClipTextEncoder:
         return _unit_rows(self._session, self.card, "tokens", tokens)
 
     def resolve(self, prompt: str) -> str:
-        """The prompt itself, tidied; see `TextEncoder.resolve`."""
+        """Return the prompt itself, normalised; see `TextEncoder.resolve`."""
         return tidy(prompt)
 
     def synonyms(self, prompt: str) -> list[str]:
-        """See `TextEncoder.synonyms`: people's names for it, as phrases of their own."""
+        """Return common names of the prompt's thing, each a phrase; see `TextEncoder.synonyms`."""
         return list(names.names_of(prompt)[1 : 1 + MAX_SYNONYMS])
 
     def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
-        """See `TextEncoder.contrasts`: what a phrase says of its thing is not told apart here."""
+        """Return none: the model does not separate attributes; see `TextEncoder.contrasts`."""
         return []
 
     def __repr__(self) -> str:
@@ -103,7 +107,15 @@ class ClipTextEncoder:
 
 
 class ClipImageEncoder:
-    """One image → one unit row."""
+    """An image encoder: one image → one unit row.
+
+    Args:
+        card: of the model.
+        providers, threads, device_id, engine: see `open_session`.
+
+    Raises:
+        ModelError: the model is missing or unusable.
+    """
 
     def __init__(
         self,
@@ -113,17 +125,10 @@ class ClipImageEncoder:
         device_id: int = 0,
         engine: EngineOptions | None = None,
     ) -> None:
-        """
-        Args:
-            providers, threads, device_id, engine: see `open_session`.
-
-        Raises:
-            ModelError: the model is not there, or is unusable.
-        """
         self.card = card
         self.dim = card.dim
         if card.server is not None:
-            from edge.perception.runtime.kserve import RemoteSession  # few need what that loads
+            from edge.perception.runtime.kserve import RemoteSession  # loads httpx: rarely needed
 
             self._session = RemoteSession(card)
         else:
@@ -131,7 +136,8 @@ class ClipImageEncoder:
             self._session = open_session(path, providers, threads, device_id, engine)
 
     def embed(self, rgb: np.ndarray) -> np.ndarray:
-        """
+        """Encode an image.
+
         Args:
             rgb: (h, w, 3) uint8.
 
@@ -144,13 +150,13 @@ class ClipImageEncoder:
         return _unit_rows(self._session, self.card, "pixels", pixels_of(rgb, self.card))[0]
 
     def close(self) -> None:
-        """Give up what a server is asked."""
+        """Abort a request to a server."""
         if self.card.server is not None:
             self._session.close()
 
 
 def pixels_of(rgb: np.ndarray, card: ImageCard) -> np.ndarray:
-    """(h, w, 3) uint8 → (1, 3, height, width) float32, as the card's model wants it."""
+    """Convert (h, w, 3) uint8 to (1, 3, height, width) float32, as the card's model needs."""
     how = card.preprocess
     planes = fit(rgb, card.input.height, card.input.width, how.fit).astype(np.float32)
     pixels = (planes * np.float32(how.scale) - np.float32(how.mean)) / np.float32(how.std)
@@ -158,10 +164,13 @@ def pixels_of(rgb: np.ndarray, card: ImageCard) -> np.ndarray:
 
 
 def fit(rgb: np.ndarray, height: int, width: int, how: str) -> np.ndarray:
-    """The image as (height, width).
+    """Scale an image to (height, width).
 
     Args:
-        how: `crop`: scaled until it just fills the size, and its middle; `stretch`: squeezed.
+        rgb: (h, w, 3) uint8.
+        height: in pixels.
+        width: in pixels.
+        how: `crop`: scale until the image fills the size, then take its middle; `stretch`: squeeze.
     """
     h, w = rgb.shape[:2]
     scale = max(height / h, width / w)
@@ -175,7 +184,7 @@ def fit(rgb: np.ndarray, height: int, width: int, how: str) -> np.ndarray:
 
 
 def open_tokenizer(card: TextCard) -> Any:
-    """The tokenizer of a `text` card, which neither pads nor cuts off.
+    """Open the tokenizer of a `text` card, without padding or truncation.
 
     Raises:
         ModelError: its file or the package is missing, or the file is another or no tokenizer.

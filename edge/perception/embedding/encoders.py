@@ -1,4 +1,4 @@
-"""Which text encoder turns prompts into embeddings."""
+"""Choice of the text encoder for prompts."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ from edge.perception.runtime.cards import ModelError, card_names, load_card, loa
 log = logging.getLogger(__name__)
 
 VOCABULARY_FAMILY = "clip-vit-b-32"
-"""Family of the text cards whose embeddings the vocabulary holds. Other CLIP models embed words
-elsewhere, many of them at the same length, so neither can stand in for the other."""
+"""Family of the text cards whose embeddings the vocabulary holds.
+
+Other CLIP models have other embeddings, often of the same length: they are not interchangeable."""
 
 
 def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
-    """The encoder for a detector's prompts.
+    """Make the encoder for a detector's prompts.
 
-    The card's own; where it names none, CLIP ViT-B/32's: the text model, when its file is there,
-    else the vocabulary.
+    It is the card's own encoder. If the card names none, it is CLIP ViT-B/32's: the text model if
+    its file is there, else the vocabulary.
 
     Args:
-        vocabulary: as configured; see `find_vocabulary`.
+        card: of the detector.
+        vocabulary: configured path; see `find_vocabulary`.
 
     Raises:
         ModelError: a model is there and cannot be used.
@@ -41,10 +43,11 @@ def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
 
 
 def check_text_encoder(named: str | None, vocabulary: str | None) -> None:
-    """Refuse a text encoder that `open_text_encoder` could not find; no network is loaded.
+    """Check that `open_text_encoder` would find an encoder, without loading a network.
 
     Args:
         named: the text card; None for CLIP ViT-B/32's.
+        vocabulary: configured path; see `find_vocabulary`.
 
     Raises:
         ModelError, PromptError: see `make_text_encoder`.
@@ -59,10 +62,11 @@ def check_text_encoder(named: str | None, vocabulary: str | None) -> None:
 
 
 def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEncoder:
-    """See `make_text_encoder`.
+    """Open a text encoder; see `make_text_encoder`.
 
     Args:
-        named: the encoder asked for; None for CLIP ViT-B/32's.
+        named: the encoder's card; None for CLIP ViT-B/32's.
+        vocabulary: configured path; see `find_vocabulary`.
     """
     if named is not None and named.tokenizer.kind == "attributes":
         return AttributeEncoder(named)
@@ -79,13 +83,13 @@ def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEnc
 
 
 def _vocabulary_models() -> list[TextCard]:
-    """Cards of text models that embed as the vocabulary does."""
+    """Return cards of text models with the vocabulary's embeddings."""
     found = []
     for name in card_names():
         try:
             card = load_card(name)
-        except ModelError as error:  # a detector need not wait for another model's card
-            log.warning("%s: passed over", error)
+        except ModelError as error:  # an invalid card must not stop the detector
+            log.warning("%s: card ignored", error)
             continue
         if isinstance(card, TextCard) and card.family == VOCABULARY_FAMILY:
             found.append(card)

@@ -1,8 +1,8 @@
-"""Prompt words → text embeddings: what an encoder is, and the vocabulary.
+"""Prompt words → text embeddings: the interface of an encoder, and the vocabulary.
 
-A vocabulary file holds embeddings of single words that were made beforehand. With a CLIP text
-model (`clip.py` says what its ONNX file and its card must be like) whole phrases are understood; a
-small detector of our own brings an encoder along (`attributes.py`). `encoders.py` chooses.
+A vocabulary file holds embeddings of single words, made beforehand. A CLIP text model (`clip.py`
+describes its ONNX file and its card) understands whole phrases. A small detector of our own brings
+its encoder along (`attributes.py`). `encoders.py` chooses.
 """
 
 from __future__ import annotations
@@ -33,15 +33,17 @@ VOCABULARY_FILE = "clip_vitb32_vocab.npz"
 MAX_VOCABULARY_BYTES = 1 << 30
 """Half a million words."""
 SYNONYM_COSINE = 0.95
-"""Words whose embeddings are nearer than that name one thing: of CLIP ViT-B/32's, chair and
-armchair (0.96), cushion and pillow (0.96), but not table and desk (0.93) nor cup and mug (0.93)."""
+"""Words with a higher cosine between their embeddings name one thing.
+
+In CLIP ViT-B/32 these are chair and armchair (0.96), cushion and pillow (0.96), but not table and
+desk (0.93) nor cup and mug (0.93)."""
 MAX_SYNONYMS = 6
 
 _UNREADABLE = (
     OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zlib.error,
     zipfile.BadZipFile,
 )  # fmt: skip
-"""What NumPy raises for a damaged .npz, and what comes of a file that holds other things."""
+"""Errors of NumPy for a damaged .npz, and of a file with other content."""
 
 
 class PromptError(UserError, ValueError):
@@ -49,7 +51,7 @@ class PromptError(UserError, ValueError):
 
 
 class TextEncoder(Protocol):
-    """Turns prompts into what a detector or an image encoder compares with.
+    """Turns prompts into embeddings for a detector or an image encoder.
 
     Attributes:
         dim: length of an embedding.
@@ -58,7 +60,7 @@ class TextEncoder(Protocol):
     dim: int
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
-        """One unit row per prompt.
+        """Return one unit row per prompt.
 
         Returns:
             (1, n, dim) float32.
@@ -69,26 +71,30 @@ class TextEncoder(Protocol):
         ...
 
     def resolve(self, prompt: str) -> str:
-        """The words that stand for a prompt; raises PromptError as `embed` does."""
+        """Return the encoder's words for a prompt; raise PromptError as `embed` does."""
         ...
 
     def synonyms(self, prompt: str) -> list[str]:
-        """What else the thing of a prompt is called, in words that `embed` takes; not its `resolve`
-        word, nor a name of something broader."""
+        """Return other names of a prompt's thing that `embed` takes.
+
+        The `resolve` word and names of something broader are left out.
+        """
         ...
 
     def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
-        """Phrases that differ from the prompt in just what it says of its thing (another colour);
-        none where phrases are not understood.
+        """Return phrases that differ from the prompt only in an attribute (another colour).
+
+        There are none if the encoder does not understand phrases.
 
         Args:
-            whole: whether the thing is wholly in view; else only what a part of it shows.
+            prompt: a word or phrase.
+            whole: False: the thing is only partly in view; only attributes visible then are used.
         """
         ...
 
 
 def check_prompts(prompts: Sequence[str]) -> tuple[str, ...]:
-    """The prompts; raises PromptError for none, and for one text in the place of several."""
+    """Return the prompts as a tuple; raise PromptError for none, or for one text without a list."""
     if isinstance(prompts, str):
         raise PromptError(f"prompts must be a list of words, got {prompts!r}")
     if not prompts:
@@ -97,7 +103,7 @@ def check_prompts(prompts: Sequence[str]) -> tuple[str, ...]:
 
 
 def tidy(prompt: str) -> str:
-    """A prompt as names are compared; raises PromptError for one that names nothing."""
+    """Return a prompt in the form for comparing names; raise PromptError if it names nothing."""
     try:
         return names.normalise(prompt)
     except names.NotANameError as error:
@@ -105,11 +111,14 @@ def tidy(prompt: str) -> str:
 
 
 def run_encoder(session: Any, file: str, name: str, batch: np.ndarray, dim: int) -> np.ndarray:
-    """What an encoder's session makes of a batch: (n, dim) float32, finite, no row zero.
+    """Run an encoder on a batch: (n, dim) float32, finite, no row zero.
 
     Args:
+        session: of the encoder.
         file: of the model, for messages.
         name: of its input.
+        batch: the input.
+        dim: length of an embedding.
 
     Raises:
         ModelError: the model fails, or its output is anything else.
@@ -126,8 +135,10 @@ def run_encoder(session: Any, file: str, name: str, batch: np.ndarray, dim: int)
 
 
 def words_for(labels: Iterable[str], resolve: Callable[[str], str]) -> dict[str, str]:
-    """Label → the text encoder's word for it (`TextEncoder.resolve`), without the labels that it
-    has none for."""
+    """Map each label to the text encoder's word for it (`TextEncoder.resolve`).
+
+    Labels without such a word are left out.
+    """
     words = {}
     for label in labels:
         with contextlib.suppress(PromptError):
@@ -136,13 +147,13 @@ def words_for(labels: Iterable[str], resolve: Callable[[str], str]) -> dict[str,
 
 
 def find_vocabulary(configured: str | None) -> Path:
-    """The vocabulary file: as configured, else `$EDGE_VOCABULARY`, else in the models' cache.
+    """Return the path of the vocabulary: as configured, else `$EDGE_VOCABULARY`, else in the cache.
 
     Raises:
-        PromptError: it is not there.
+        PromptError: it is missing.
     """
-    told = configured or os.environ.get("EDGE_VOCABULARY")
-    path = resources.expand(told) if told else resources.models_dir() / VOCABULARY_FILE
+    named = configured or os.environ.get("EDGE_VOCABULARY")
+    path = resources.expand(named) if named else resources.models_dir() / VOCABULARY_FILE
     if path.is_file():
         return path
     raise PromptError(
@@ -152,7 +163,7 @@ def find_vocabulary(configured: str | None) -> Path:
 
 
 def load_vocabulary(path: Path) -> tuple[list[str], np.ndarray]:
-    """Words in lower case and their embeddings, (n, d) float32 unit rows.
+    """Load words in lower case and their embeddings, (n, d) float32 unit rows.
 
     Raises:
         PromptError: the file is no vocabulary.
@@ -175,22 +186,22 @@ def load_vocabulary(path: Path) -> tuple[list[str], np.ndarray]:
     if not usable.all():
         raise PromptError(
             f"{path}: the embedding of {words[int(np.argmin(usable))]!r} is zero or not "
-            "finite: make the vocabulary anew, or leave the word out"
+            "finite: make the vocabulary again, or leave the word out"
         )
     return words, rows / norms
 
 
 class TextEmbeddings:
-    """Embeddings of a fixed vocabulary, looked up through the alias table."""
+    """A `TextEncoder` with the embeddings of a fixed vocabulary, looked up by the alias table.
+
+    Args:
+        vocabulary: path of an .npz with `names` (n,) and `emb` (n, d); see `find_vocabulary`.
+
+    Raises:
+        PromptError: the file is missing or is no vocabulary.
+    """
 
     def __init__(self, vocabulary: str | None = None) -> None:
-        """
-        Args:
-            vocabulary: an .npz with `names` (n,) and `emb` (n, d); see `find_vocabulary`.
-
-        Raises:
-            PromptError: the file is missing or is no vocabulary.
-        """
         self.path = find_vocabulary(vocabulary)
         words, self._rows = load_vocabulary(self.path)
         self._row_of: dict[str, int] = {}
@@ -202,24 +213,27 @@ class TextEmbeddings:
         return self._rows.shape[1]
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
-        """One unit row per prompt.
+        """Return one unit row per prompt.
 
         Args:
-            prompts: words or phrases; a phrase that the vocabulary lacks is read as its longest
+            prompts: words or phrases. A phrase that the vocabulary lacks is read as its longest
                 known ending ("tall white trash bin": trash bin), with a warning.
 
         Returns:
             (1, n, d) float32.
 
         Raises:
-            PromptError: an empty prompt, or a word outside the vocabulary (nearest are listed).
+            PromptError: an empty prompt, or a word outside the vocabulary (nearest words are
+                listed).
         """
         rows = [self._row_of[self.resolve(prompt)] for prompt in check_prompts(prompts)]
         return np.ascontiguousarray(self._rows[rows])[None]
 
     def synonyms(self, prompt: str) -> list[str]:
-        """See `TextEncoder.synonyms`: the vocabulary's names for it, and what it embeds within
-        SYNONYM_COSINE of its own, at most MAX_SYNONYMS."""
+        """Return names of the word and words within SYNONYM_COSINE of it, at most MAX_SYNONYMS.
+
+        See `TextEncoder.synonyms`.
+        """
         word = self.resolve(prompt)
         near = self._rows @ self._rows[self._row_of[word]]
         found = [name for name in names.names_of(word) if name in self._row_of]
@@ -229,16 +243,16 @@ class TextEmbeddings:
                 break
             if not names.is_name(name) or names.is_kind_of(word, name):
                 continue
-            if names.is_kind_of(name, word) or not names.is_known(name):  # not a thing of its own
+            if names.is_kind_of(name, word) or not names.is_known(name):  # not a separate thing
                 found.append(name)
         return [name for name in dict.fromkeys(found) if name != word][:MAX_SYNONYMS]
 
     def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
-        """See `TextEncoder.contrasts`: words say nothing of colours."""
+        """Return none: single words have no attributes; see `TextEncoder.contrasts`."""
         return []
 
     def resolve(self, prompt: str) -> str:
-        """The vocabulary word that stands for a prompt; see `embed`."""
+        """Return the vocabulary word that stands for a prompt; see `embed`."""
         word = tidy(prompt)
         if found := self._lookup(word):
             return found
@@ -255,7 +269,7 @@ class TextEmbeddings:
         )
 
     def nearest(self, word: str, n: int = 5) -> list[str]:
-        """Vocabulary words and aliases spelt most like `word`, at most `n`."""
+        """Return vocabulary words and aliases spelt most like `word`, at most `n`."""
         known = [*self._row_of, *(a for others in names.ALIASES.values() for a in others)]
         return list(dict.fromkeys(difflib.get_close_matches(word, known, n=n + 2, cutoff=0.4)))[:n]
 

@@ -1,4 +1,4 @@
-"""Masks by colour alone (Rother, Kolmogorov, Blake: GrabCut, SIGGRAPH 2004), in OpenCV."""
+"""Masks by colour alone with OpenCV's GrabCut (Rother, Kolmogorov, Blake, SIGGRAPH 2004)."""
 
 from __future__ import annotations
 
@@ -9,23 +9,24 @@ from edge.perception.masks.segmenter import Deadline, rasterise
 from edge.types import MASK_SIDE
 
 SIDE_PX = 64
-"""The window around a box is scaled down until its longer side is so long."""
+"""The window around a box is scaled down until its longer side has this many pixels."""
 MARGIN = 0.25
-"""Share of the box's width and height that is looked at on each side of it: the background."""
+"""Margin of the window on each side of the box, as a share of the box's width and height."""
 ITERATIONS = 1
 SPAN = 0.7
-"""A mask that spans less of its box's width or height is of something else in it, and not taken: a
-box is fitted to its thing."""
+"""Least share of its box's width and height that a mask must span.
+
+A smaller mask is of another thing in the box and is dropped: a box is fitted to its object."""
 LEAST_PX = 4
-"""A box with a shorter side in the scaled window has no mask."""
+"""Least side of a box in the scaled window, in pixels; a smaller box gets no mask."""
 
 
 class GrabcutSegmenter:
-    """What is beside a box is its background, and so is what looks like that inside.
+    """A segmenter that models the colours around a box as background.
 
-    Two colour models, of what is beside the box and of what is inside, part it by a cut along its
-    edges. Depth brings nothing, as a channel, as a seed of the background, or as a vote on the
-    result, nor does more than one iteration (measured, docs/models.md).
+    GrabCut fits one colour model to the margin and one to the inside, then cuts along edges between
+    them. Depth did not help as a channel, as a seed of the background or as a vote on the result;
+    nor did more than one iteration (measured, docs/models.md).
     """
 
     name = "grabcut (colour alone, no neural network)"
@@ -41,11 +42,11 @@ class GrabcutSegmenter:
         return len(boxes)
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Do nothing: there is nothing to release."""
 
 
 def _cut(rgb: np.ndarray, box: np.ndarray, out: np.ndarray) -> None:
-    """The mask of one box; left empty where there is no background to be seen beside it."""
+    """Write the mask of one box; leave it empty if the box has no visible background around it."""
     height, width = rgb.shape[:2]
     beside_u, beside_v = MARGIN * (box[2] - box[0]), MARGIN * (box[3] - box[1])
     left, top = max(0, int(box[0] - beside_u)), max(0, int(box[1] - beside_v))
@@ -64,7 +65,7 @@ def _cut(rgb: np.ndarray, box: np.ndarray, out: np.ndarray) -> None:
     inside = min(v1, rows) - max(0, v0), min(u1, columns) - max(0, u0)
     if min(inside) < LEAST_PX or (marks == cv2.GC_BGD).sum() < LEAST_PX:
         return
-    cv2.setRNGSeed(0)  # this thread's, for k-means: a run must replay the same
+    cv2.setRNGSeed(0)  # of this thread, for k-means: a run must replay the same
     models = np.zeros((1, 65)), np.zeros((1, 65))
     cv2.grabCut(window, marks, None, *models, ITERATIONS, cv2.GC_INIT_WITH_MASK)
     thing = (marks & 1).astype(np.float32) - 0.5  # GC_FGD is 1, GC_PR_FGD is 3

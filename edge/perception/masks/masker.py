@@ -1,4 +1,4 @@
-"""Which segmenters there are, and what adds the masks of the configured one to detections."""
+"""Masks for detections, by the segmenter that a configuration names."""
 
 from __future__ import annotations
 
@@ -23,19 +23,21 @@ _LONGEST_ERROR = 300
 
 
 class Masker:
-    """Masks for the targets' boxes with the highest scores; for the detector's thread.
+    """Adds masks to the targets' boxes with the highest scores; runs on the detector's thread.
 
-    Detections whose segmenter fails go on without masks: a place that is a little off is better
-    than none.
+    If the segmenter fails, detections go on without masks: a slightly wrong position is better than
+    none.
 
     Args:
+        segmenter: makes the masks.
+        settings: limits on boxes and time.
         timed: False: no time limit, so that a run replays the same.
 
     Attributes:
-        made: boxes that have got a mask.
-        late: boxes that there was no time for.
-        failed: images that the segmenter raised something at.
-        last_error: the newest of that, one line; empty when there was none.
+        made: number of boxes with a mask.
+        late: number of boxes skipped for lack of time.
+        failed: number of images on which the segmenter failed.
+        last_error: the newest error, one line; empty if there was none.
     """
 
     def __init__(self, segmenter: Segmenter, settings: Settings, timed: bool = True) -> None:
@@ -45,7 +47,7 @@ class Masker:
         self._limit_s = settings.time_limit_s if timed else None
 
     def add(self, found: Detections) -> Detections:
-        """The same detections with `Detections.mask`."""
+        """Return the same detections with `Detections.mask`."""
         start_ns, n = perf_counter_ns(), len(found)
         masks = np.zeros((n, MASK_SIDE, MASK_SIDE), np.bool_)
         boxes = np.asarray(found.xyxy_px[: self._most], np.float32)
@@ -59,20 +61,20 @@ class Masker:
                 masks[rows] = drawn
                 self.late += len(rows) - done
                 self.made += int(drawn.any(axis=(1, 2)).sum())
-            except Exception as error:  # the detector's work must not be lost for this
+            except Exception as error:  # keep the detections
                 self._failed(error)
         took_ns = perf_counter_ns() - start_ns
         return replace(found, mask=masks, latency_ns=found.latency_ns + took_ns)
 
     def status(self) -> dict[str, object]:
-        """For the status message, JSON-ready."""
+        """Return counts for the status message, JSON-ready."""
         return {
             "model": self._segmenter.name, "made": self.made, "late": self.late,
             "failed": self.failed, "last_error": self.last_error,
         }  # fmt: skip
 
     def close(self) -> None:
-        """Let the segmenter go."""
+        """Release the segmenter."""
         self._segmenter.close()
 
     def _failed(self, error: Exception) -> None:
@@ -84,10 +86,10 @@ class Masker:
 
 
 def make_segmenter(settings: Settings) -> Segmenter:
-    """The segmenter that the configuration names, ready to use.
+    """Make the segmenter that the configuration names, ready to use.
 
     Raises:
-        ModelError: its model cannot be loaded, or not with the providers asked for.
+        ModelError: its model cannot be loaded, or not with the configured providers.
     """
     if isinstance(settings, config.SegmenterGrabcut):
         from edge.perception.masks.grabcut import GrabcutSegmenter
@@ -99,7 +101,7 @@ def make_segmenter(settings: Settings) -> Segmenter:
 
 
 def make_masker(perception: config.Perception, timed: bool = True) -> Masker | None:
-    """What the configuration asks for; None: no masks.
+    """Make the masker that the configuration asks for; None: no masks.
 
     Raises:
         ModelError: see `make_segmenter`.

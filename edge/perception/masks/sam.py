@@ -1,14 +1,15 @@
-"""Masks by a model that takes boxes as prompts: SAM and its kin, as two ONNX files.
+"""Masks by a model that takes boxes as prompts (SAM and its variants), as two ONNX files.
 
-The image encoder runs once an image, the prompt encoder and mask decoder, one file, once a box.
-What is published agrees in the decoder's prompts; the rest differs, and the files say how:
+The image encoder runs once an image. One file holds the prompt encoder and the mask decoder; it
+runs once a box. Published exports agree in the decoder's prompts. The rest differs, and is read
+from the files:
 
 - SAM, MobileSAM (github.com/ChaoningZhang/MobileSAM, scripts/export_onnx_model.py) and NanoSAM:
   `image_embeddings` and prompts with `mask_input`, `has_mask_input`, in the whole export
   `orig_im_size` too → `low_res_masks`, `iou_predictions`.
 - EfficientViT-SAM (github.com/mit-han-lab/efficientvit, applications/efficientvit_sam): prompts of
-  points alone → `masks` (not enlarged), `iou_predictions`; points count in 1024 where the image
-  encoder takes 512.
+  points alone → `masks` (not enlarged), `iou_predictions`; points are in a frame of 1024 px, though
+  the image encoder takes 512 px.
 - SAM 2 (github.com/vietanhdev/samexporter): three features, `image_embed` and two finer ones; the
   image is stretched to a square, not padded.
 """
@@ -39,14 +40,15 @@ _BOX_LABELS = np.array([[2.0, 3.0]], np.float32)
 
 
 class SamSegmenter:
-    """Every buffer is made once, but for those that onnxruntime returns."""
+    """A segmenter that runs an image encoder and a mask decoder.
+
+    All buffers are allocated once, except onnxruntime's outputs.
+
+    Raises:
+        ModelError: card, files or providers are unusable, or the two files do not match.
+    """
 
     def __init__(self, settings: config.SegmenterOnnx) -> None:
-        """
-        Raises:
-            ModelError: card, files or providers are unusable, or the two files do not belong
-                together.
-        """
         self.card = card = load_card_of(SegmentCard, settings.model)
         self.name = card.name
         if TENSORRT in settings.providers:
@@ -111,12 +113,14 @@ class SamSegmenter:
         return len(boxes)
 
     def close(self) -> None:
-        """Let the sessions go; no segment afterwards."""
+        """Release the sessions; do not call `segment` afterwards."""
         self._encoder = self._decoder = None
 
     def _match_features(self) -> dict[str, str]:
-        """Which of the encoder's outputs each input of the decoder takes that is no prompt: the one
-        of its name, or the only one."""
+        """Map each feature input of the decoder to an output of the encoder.
+
+        They match by name, or if there is one of each.
+        """
         made = [value.name for value in self._encoder.get_outputs()]
         taken = [v.name for v in self._decoder.get_inputs() if v.name not in PROMPTS]
         if taken and set(taken) <= set(made):
@@ -130,7 +134,11 @@ class SamSegmenter:
         )
 
     def _fill_pixels(self, rgb: np.ndarray) -> np.ndarray:
-        """The image as the encoder wants it; (2,) points of the prompt to a pixel, in x and y."""
+        """Write the image into the encoder's input.
+
+        Returns:
+            (2,) prompt units per image pixel, in x and y.
+        """
         height, width = rgb.shape[:2]
         rows, columns = self._pixels.shape[2:]
         if self.card.fit == "pad":
@@ -153,7 +161,7 @@ class SamSegmenter:
         self, logits: np.ndarray, iou: np.ndarray, scale: np.ndarray, box: np.ndarray,
         out: np.ndarray,
     ) -> None:  # fmt: skip
-        """Of the masks that a box may mean, the one that the model itself thinks best."""
+        """Write the mask with the highest predicted IoU of those that a box may mean."""
         best = np.ascontiguousarray(logits[0, int(np.argmax(iou[0]))], np.float32)
         if not np.isfinite(best).all():
             raise ModelError(f"{self.name}: masks that are not finite: export it again")
@@ -164,7 +172,7 @@ class SamSegmenter:
 
 @contextlib.contextmanager
 def _stopped_at(deadline: Deadline) -> Iterator[Any]:
-    """onnxruntime's options for runs that it breaks off at the deadline."""
+    """Yield onnxruntime options that abort a run at the deadline."""
     import onnxruntime as ort
 
     options, left_s = ort.RunOptions(), deadline.left_s()
@@ -184,12 +192,12 @@ def _stopped_at(deadline: Deadline) -> Iterator[Any]:
 def _run(
     session: Any, outputs: Sequence[str] | None, feed: Mapping[str, np.ndarray], options: Any
 ) -> list[np.ndarray] | None:
-    """What the session makes; None where the deadline came first."""
+    """Run the session; return None if the deadline passed before it finished."""
     if options.terminate:
         return None
     try:
         return session.run(outputs, feed, options)
-    except Exception:  # onnxruntime raises many types of its own
+    except Exception:  # onnxruntime raises many types
         if options.terminate:
             return None
         raise

@@ -1,4 +1,4 @@
-"""What a segmenter is, and what segmenters share; nothing here knows which there are."""
+"""Interface of a segmenter, and code that segmenters share."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MIDDLES = (np.arange(MASK_SIDE, dtype=np.float32) + 0.5) / MASK_SIDE
 
 
 class Deadline:
-    """When work on an image has to be over.
+    """The time at which work on an image must end.
 
     Args:
         seconds: from now; None: never.
@@ -25,15 +25,15 @@ class Deadline:
         self._end_s = math.inf if seconds is None else perf_counter() + seconds
 
     def left_s(self) -> float:
-        """Seconds until then; not positive once it has passed, infinite where there is none."""
+        """Return the seconds left: 0 or less once the deadline has passed, inf without one."""
         return self._end_s - perf_counter()
 
 
 class Segmenter(Protocol):
-    """Tells the thing in a box from what is before and behind it.
+    """Separates the object in a box from what is in front of and behind it.
 
     Attributes:
-        name: the model's card, or what it is when it is no model.
+        name: the model's card, or a description if there is no model.
     """
 
     name: str
@@ -41,15 +41,16 @@ class Segmenter(Protocol):
     def segment(
         self, rgb: np.ndarray, boxes: np.ndarray, out: np.ndarray, deadline: Deadline
     ) -> int:
-        """Make masks of the boxes, from the first on, until the deadline.
+        """Make masks of the boxes, in order, until the deadline.
 
         Args:
             rgb: (h, w, 3) uint8, contiguous.
             boxes: (n, 4) float32 xyxy in pixels, finite and not empty.
             out: (n, MASK_SIDE, MASK_SIDE) bool, filled; see `Detections.mask`. All False on entry.
+            deadline: when to stop.
 
         Returns:
-            How many boxes there was time for.
+            Number of boxes processed in time.
         """
         ...
 
@@ -63,12 +64,12 @@ def rasterise(
     box: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """A mask over its box, of an image of values that are positive where the thing is.
+    """Sample an image that is positive on the object into a mask over its box.
 
     Args:
         values: (rows, columns) float32.
-        origin_px: x and y in the camera's image of the corner of `values`.
-        scale: columns and rows of `values` to a pixel of the camera's image.
+        origin_px: x and y of the corner of `values` in the camera's image.
+        scale: columns and rows of `values` per pixel of the camera's image.
         box: (4,) xyxy in pixels of the camera's image.
         out: (MASK_SIDE, MASK_SIDE) bool.
     """

@@ -1,5 +1,6 @@
-"""Where things stand by what stands around: learned counts and weights, as arrays.
+"""Prior on where objects are, given the objects around: learned counts and weights, as arrays.
 
-`table` is what was learned (`python -m exporters.training.prior`), `cooccurrence` judges a place by
-what is near it, `rooms` by the kind of room it is in. Neither knows the map, the loop, or a policy.
+`table` holds the learned data (`python -m exporters.training.prior`). `cooccurrence` rates a place
+by the objects near it, `rooms` by the kind of room it is in. None of them knows the map, the loop
+or a policy.
 """

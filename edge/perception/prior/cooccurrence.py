@@ -1,6 +1,6 @@
-"""P(target near a place | what stands near it in sight): one logistic model a target.
+"""P(target near a place | objects near it in sight): one logistic model for each target.
 
-Local on purpose: what stands elsewhere in the house says nothing, so a house may have two bedrooms.
+Only objects near the place count: a house may have two bedrooms.
 """
 
 from __future__ import annotations
@@ -10,16 +10,19 @@ import numpy as np
 from edge.perception.prior.table import Table
 
 NEAR_M = 3.0
-"""How far around a place things count, and how near the target would be."""
+"""Radius around a place for the objects that count, and for the target."""
 
 
 def lift(table: Table, row: int, near: np.ndarray, out: np.ndarray) -> None:
-    """P(target near | near) / P(target near | nothing known), for each place, into out.
+    """Write the likelihood ratio of a target near each place.
+
+    It is P(target near | near) / P(target near | nothing known).
 
     Args:
-        row: of the target; -1: no opinion.
-        near: (n, things) float32 in [0, 1], how surely each thing is near; see `nearby`.
-        out: (n,) float32; 1 where nothing is near.
+        table: the prior.
+        row: of the target; -1: the ratio is 1.
+        near: (n, things) float32 in [0, 1], confidence that each thing is near; see `nearby`.
+        out: (n,) float32; 1 if nothing is near.
     """
     if row < 0:
         out[:] = 1.0

@@ -1,4 +1,4 @@
-"""What stands near a place and in sight of it; kernels, arrays only."""
+"""Kernels that find the objects near a place and in sight of it. Arrays only."""
 
 from __future__ import annotations
 
@@ -7,19 +7,27 @@ import math
 from numba import njit
 
 _SHORT_M = 0.25
-"""The last stretch of a line of sight may be in what is seen itself."""
+"""Length at the end of a line of sight that is not checked: it may lie in the object itself."""
 
 
 @njit(nogil=True, cache=True)
 def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, thing_m, row, weight, n_things, radius_m, out):
-    """How surely each kind of thing is near each place: the surest thing of a kind counts.
+    """Write the confidence that each kind of thing is near each place and in sight of it.
+
+    It is the maximum over the objects of that kind.
 
     Args:
-        wall: (h, w) bool, what nobody sees through; (x0_m, y0_m) is its lower-left corner.
+        wall: (h, w) bool, cells that block the view.
+        x0_m: of the lower-left corner of `wall`, in `map`.
+        y0_m: of the lower-left corner of `wall`, in `map`.
+        cell_m: side of a cell.
         xy_m: (n or more, 2) float32, places in `map`.
+        n: number of places.
         thing_m: (n_things or more, 2 or more) float32, x and y in `map`.
-        row: (n_things or more,) int32, kind of each; -1: of none that counts.
-        weight: (n_things or more,) float32 in [0, 1].
+        row: (n_things or more,) int32, kind of each; -1: ignored.
+        weight: (n_things or more,) float32 in [0, 1], confidence.
+        n_things: number of objects.
+        radius_m: largest distance.
         out: (n or more, kinds) float32, written for the first n.
     """
     out[:n] = 0.0
@@ -37,7 +45,7 @@ def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, thing_m, row, weight, n_things, ra
 
 @njit(nogil=True, cache=True)
 def in_sight(wall, x0_m, y0_m, cell_m, x_m, y_m, dx_m, dy_m):
-    """Whether no wall stands on the way (dx_m, dy_m) from a place, but for its end."""
+    """Return True if no wall lies on the line (dx_m, dy_m) from a place, except at its end."""
     h, w = wall.shape
     length = math.sqrt(dx_m * dx_m + dy_m * dy_m)
     y, x = (y_m - y0_m) / cell_m, (x_m - x0_m) / cell_m

@@ -1,4 +1,4 @@
-"""Which kind of room a region of the map is, by what was seen there, and where a target stands."""
+"""Kind of room of a region, by the objects seen there; and likelihood of a target in it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy as np
 from edge.perception.prior.table import Table
 
 _PRIOR_ROOMS = 4.0
-"""Rooms more of each kind, which hold things as rooms do on the whole: draws small counts there."""
+"""Pseudo-count of average rooms, added to each kind; pulls small counts to the average."""
 
 
 def chances(table: Table) -> np.ndarray:
-    """P(a thing is in view in a room | its kind): (kinds, things) float64, in (0, 1)."""
+    """Return P(a thing is in view in a room | its kind): (kinds, things) float64, in (0, 1)."""
     share = (table.kind_rooms_with.sum(0) + 0.5) / (table.kind_rooms.sum() + 1.0)
     return (table.kind_rooms_with + _PRIOR_ROOMS * share) / (
         table.kind_rooms[:, None] + _PRIOR_ROOMS
@@ -19,33 +19,35 @@ def chances(table: Table) -> np.ndarray:
 
 
 def average(table: Table) -> np.ndarray:
-    """What a room that nothing is known of is: (kinds,) float64, sums to 1."""
+    """Return P(kind) of a room without evidence: (kinds,) float64, sums to 1."""
     return table.kind_rooms / table.kind_rooms.sum()
 
 
 def beliefs(table: Table, chance: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """P(kind | what was seen there), by a naive Bayes whose evidence counts in part.
+    """Return P(kind | objects seen there), by a naive Bayes with a discount (`Table.evidence`).
 
-    What was not seen there does not count: a region is seldom seen whole.
+    Objects that were not seen do not count: a region is seldom seen as a whole.
 
     Args:
+        table: the prior.
         chance: see `chances`.
-        held: (m, things) float32 in [0, 1], how surely each thing is in each region.
+        held: (m, things) float32 in [0, 1], confidence that each thing is in each region.
 
     Returns:
         (m, kinds) float64, rows sum to 1.
     """
     prior = average(table)
-    tell = np.log(chance) - np.log(prior @ chance)
-    log_p = np.log(prior) + table.evidence * (held @ tell.T)
+    log_ratio = np.log(chance) - np.log(prior @ chance)
+    log_p = np.log(prior) + table.evidence * (held @ log_ratio.T)
     p = np.exp(log_p - log_p.max(1, keepdims=True))
     return p / p.sum(1, keepdims=True)
 
 
 def next_door(table: Table, belief: np.ndarray) -> np.ndarray:
-    """What lies behind a door of a region: P(kind), (m, kinds) float64.
+    """Return P(kind) of the room behind a door of each region: (m, kinds) float64.
 
     Args:
+        table: the prior.
         belief: (m, kinds), of the regions.
     """
     p = belief @ (table.neighbours * average(table))
@@ -53,14 +55,16 @@ def next_door(table: Table, belief: np.ndarray) -> np.ndarray:
 
 
 def at_places(table: Table, chance: np.ndarray, held: np.ndarray, beside: np.ndarray) -> np.ndarray:
-    """What kind of room places are in: P(kind), (m, kinds) float64.
+    """Return P(kind) of the room that each place is in: (m, kinds) float64.
 
-    By what the region of each holds; where nothing was seen there, by the room next door; and
-    where nothing was seen there either, any kind of room.
+    It follows from the objects in the place's region; without any, from the adjacent region;
+    without any there, it is the average.
 
     Args:
-        held: (m, things) float32 in [0, 1], see `beliefs`.
-        beside: the same, of a region that shares a border with that of the place.
+        table: the prior.
+        chance: see `chances`.
+        held: (m, things) float32 in [0, 1], of the place's region; see `beliefs`.
+        beside: (m, things) float32, the same of an adjacent region; see `neighbours`.
     """
     belief = beliefs(table, chance, held)
     nothing = ~held.any(1)
@@ -70,23 +74,29 @@ def at_places(table: Table, chance: np.ndarray, held: np.ndarray, beside: np.nda
 
 
 def neighbours(border: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """For each region the one with the longest common border, of those in which something was
-    seen: (n + 1,) int64; 0 for none.
+    """Return the adjacent region with the longest common border, of those with objects seen.
 
     Args:
-        border: (n + 1, n + 1), how long each two regions touch.
+        border: (n + 1, n + 1), length of each common border.
         held: (n + 1, things), see `beliefs`; region 0 is none.
+
+    Returns:
+        (n + 1,) int64; 0 for none.
     """
     return np.where(held.any(1), border, 0).argmax(1)
 
 
 def lift(chance: np.ndarray, prior: np.ndarray, row: int, belief: np.ndarray) -> np.ndarray:
-    """P(the room holds the target | belief) / P(a room holds it): (m,) float64.
+    """Return the likelihood ratio P(the room holds the target | belief) / P(a room holds it).
 
     Args:
+        chance: see `chances`.
         prior: see `average`.
-        row: of the target; -1: no opinion.
+        row: of the target; -1: the ratio is 1.
         belief: (m, kinds).
+
+    Returns:
+        (m,) float64.
     """
     if row < 0:
         return np.ones(len(belief))

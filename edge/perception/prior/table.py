@@ -1,8 +1,7 @@
-"""What was learned from furnished houses: which things stand in the same room, what stands near
-what, and which rooms hold what.
+"""Table of the prior: things in the same room, things near each other, and things by kind of room.
 
-The table beside this file was learned from the 400 training houses of ProcTHOR (AllenAI,
-Apache-2.0), by `exporters.training.prior`; it names its source and the command.
+The table next to this file was learned from the 400 training houses of ProcTHOR (AllenAI,
+Apache-2.0) by `exporters.training.prior`; it names its source and the command.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ import numpy as np
 from edge import names
 
 FILE = Path(__file__).with_name("table.json")
-# Rooms more with both, had they nothing to do with one another: pulls small counts to 1.
+# Pseudo-counts of rooms and doors as by chance: pull the ratio of small counts to 1.
 _PRIOR_ROOMS = 2.0
 _PRIOR_DOORS = 10.0
 SCALE = 100
-"""Weights and biases stand in the file as whole hundredths."""
+"""Weights and biases are whole hundredths in the file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,20 +31,19 @@ class Table:
     """Counts and weights; n things, k kinds of room.
 
     Attributes:
-        n_rooms: all of them.
+        n_rooms: number of rooms.
         things: canonical names, n.
-        rooms_with_both: (n, n) int64, symmetric; the diagonal is of rooms that hold at least one.
-        near_bias: (n,) float32, log-odds that a thing is near a place that nothing is known of.
-        near_weight: (n, n) float32; row t: what each thing in sight adds to that for thing t. All
-            zero where that told held-out houses nothing.
-        kinds: of rooms, k.
+        rooms_with_both: (n, n) int64, symmetric; the diagonal counts rooms with at least one.
+        near_bias: (n,) float32, log-odds of a thing near a place without evidence.
+        near_weight: (n, n) float32; row t: log-odds that each thing in sight adds for thing t. All
+            zero if that did not help on held-out houses.
+        kinds: names of kinds of rooms, k.
         kind_rooms: (k,) int64, rooms of each kind.
-        kind_rooms_with: (k, n) int64, of these with each thing in view.
-        neighbours: (k, k) float64, how much likelier two kinds share a door than two rooms of a
-            house do; 1 on the diagonal, of which the houses say nothing.
-        evidence: how far the evidence of a thing in a room counts, of all that it would count if
-            things stood there independently.
-        room_power: how far the lift by rooms counts, in `rooms` alone and in `both`.
+        kind_rooms_with: (k, n) int64, rooms of each kind with each thing in view.
+        neighbours: (k, k) float64, ratio of the probability that two kinds share a door to that of
+            two rooms of a house; 1 on the diagonal, for which there are no data.
+        evidence: weight of a thing as evidence for the kind of room; 1: things are independent.
+        room_power: exponent of the rooms' likelihood ratio, in `rooms` alone and in `both`.
     """
 
     n_rooms: int
@@ -61,14 +59,14 @@ class Table:
     room_power: tuple[float, float]
 
     def row(self, word: str) -> int:
-        """Row of a word, by its canonical name; -1 where the table lacks it."""
+        """Return the row of a word, by its canonical name; -1 if the table lacks it."""
         return _rows(self.things).get(names.canonical(word), -1)
 
     def lift(self, words: Sequence[str]) -> np.ndarray:
-        """How much likelier a room holds one thing if it is known to hold another.
+        """Return the likelihood ratio that a room holds one thing, given another in it.
 
-        P(a | b) / P(a) = P(a and b) / (P(a) P(b)), drawn towards 1 as if two rooms more had
-        been seen in which both come as often as by chance.
+        P(a | b) / P(a) = P(a and b) / (P(a) P(b)), drawn towards 1 by two pseudo-rooms in which
+        both occur as often as by chance.
 
         Returns:
             (m, m) float64, symmetric; 1 for words that the table lacks and on the diagonal.
@@ -92,7 +90,7 @@ def _rows(things: tuple[str, ...]) -> dict[str, int]:
 
 
 def parse(data: dict[str, Any]) -> Table:
-    """The table of a file's content."""
+    """Build the table from a file's content."""
     n, rooms, near = len(data["things"]), data["kinds"], data["near"]
     both = np.zeros((n, n), np.int64)
     both[np.tril_indices(n)] = np.concatenate(data["rooms_with_both"])
@@ -117,7 +115,7 @@ def parse(data: dict[str, Any]) -> Table:
 
 
 def _neighbours(doors: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """See `Table.neighbours`: from the rooms of a house with a door between them, and all pairs."""
+    """Return `Table.neighbours`, from counts of door-sharing rooms and of all pairs of rooms."""
     by_chance = pairs * doors.sum() / max(pairs.sum(), 1.0)
     ratio = (doors + _PRIOR_DOORS) / (by_chance + _PRIOR_DOORS)
     np.fill_diagonal(ratio, 1.0)
@@ -126,5 +124,5 @@ def _neighbours(doors: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def load() -> Table:
-    """The table that comes with the package."""
+    """Load the table that comes with the package."""
     return parse(json.loads(FILE.read_text(encoding="utf-8")))

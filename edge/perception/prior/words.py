@@ -1,4 +1,4 @@
-"""Which of the things that the prior knows a word means."""
+"""Mapping of words to the things that the prior knows."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from edge.perception.prior.table import Table
 log = logging.getLogger(__name__)
 
 ALIKE = 0.92
-"""Least cosine, in CLIP ViT-B/32's embedding, of a word and the thing it is taken for. Of the pairs
-of two different things that the table knows, one in ten reaches it; of the vocabulary's synonyms
-for one of them 15 in 30, none of these wrongly."""
+"""Least cosine of CLIP ViT-B/32 embeddings for a word to stand for a thing.
+
+Of the pairs of different things in the table, one in ten reaches it. Of 30 synonyms in the
+vocabulary for one of its things, 15 reach it, none of them wrongly."""
 
 
 class Words:
     """Rows of words in the table, each found once.
 
     Args:
-        vocabulary: words and their unit rows, (v, d) float32; None: words are known by name alone.
+        table: the prior.
+        vocabulary: words and their unit rows, (v, d) float32; None: words match by name only.
     """
 
     def __init__(
@@ -41,10 +43,10 @@ class Words:
             self._things = np.array([v for _, v in embedded]).reshape(-1, self._vectors.shape[1])
 
     def row(self, word: str) -> int:
-        """The table's row for a word or phrase; -1: it means nothing that the table knows.
+        """Return the table's row for a word or phrase; -1 if it means nothing that the table knows.
 
-        By name (an alias, the phrase's noun), else the thing whose embedding is nearest, where it
-        is near enough.
+        It matches by name (an alias, the phrase's noun), else by the nearest embedding, if its
+        cosine is at least `ALIKE`.
         """
         if word not in self._found:
             self._found[word] = self._find(word)
@@ -68,10 +70,10 @@ class Words:
 
 
 def make_words(table: Table, detector: config.DetectorOnnx | config.DetectorSim) -> Words:
-    """The words of a detector: with its vocabulary, where it has one."""
+    """Make the words of a detector, with its vocabulary if it has one."""
     if detector.kind == "onnx":
         try:
             return Words(table, load_vocabulary(find_vocabulary(detector.vocabulary)))
         except PromptError as error:
-            log.info("prior: words that it does not know by name have no say: %s", error)
+            log.info("prior: no text embeddings, words outside its table are ignored: %s", error)
     return Words(table)

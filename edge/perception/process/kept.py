@@ -1,4 +1,4 @@
-"""A model process that is kept running: started, waited for, started again when it has ended."""
+"""Supervision of a model process: start it, wait for its end, and start it again."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from edge.perception.process.wire import FrameFile
 from edge.perception.runtime.health import Tell
 
 BACKOFF_S, BACKOFF_MAX_S = 0.2, 5.0
-"""Pause before a restart: the first, and the longest after doublings."""
+"""First pause before a restart; it doubles up to the second value, in seconds."""
 MOST_ENDS, WINDOW_S = 8, 60.0
-"""More ends in a row than this, none after a run of `WINDOW_S`: one more try each `WINDOW_S`."""
-_CLOSE_S = 10.0  # for the thread to end once its process was killed
+"""After more ends in a row than this, one restart each `WINDOW_S` seconds.
+
+A run of over `WINDOW_S` seconds ends the row."""
+_CLOSE_S = 10.0  # wait for the thread to end after its process was killed
 
 
 class Pause(NamedTuple):
-    """How long to wait, and whether that is because the limit was reached."""
+    """The wait before a restart, and True if the limit of restarts was reached."""
 
     seconds: float
     limit: bool
@@ -32,8 +34,8 @@ class Pause(NamedTuple):
 class Restarts:
     """Backoff and limit of restarts.
 
-    Ends count in a row, however long each start takes: one after a run of over `WINDOW_S` is the
-    first again. The backoff begins again after a run of over `BACKOFF_MAX_S`.
+    Ends count in a row, however long each start takes. An end after a run of over `WINDOW_S` starts
+    a new row. The backoff starts again after a run of over `BACKOFF_MAX_S`.
     """
 
     def __init__(self) -> None:
@@ -41,7 +43,7 @@ class Restarts:
         self._backoff_s = BACKOFF_S
 
     def after(self, ran_s: float) -> Pause:
-        """What a process's end calls for.
+        """Return the pause after a process has ended.
 
         Args:
             ran_s: how long it was ready; 0 if it never was.
@@ -56,14 +58,14 @@ class Restarts:
 
 
 class KeptProcess(ABC):
-    """A thread of its own starts the process, waits for its end, and starts it again by `Restarts`.
+    """A thread that starts a process, waits for its end, and starts it again by `Restarts`.
 
-    Who inherits says what is started (`_run_once`, by `_run_link`), and is told of it (`_ready`,
-    `_ended`), all on that thread.
+    A subclass starts the process in `_run_once` (by `_run_link`) and handles `_ready` and `_ended`,
+    all on that thread.
 
     Attributes:
         name: of the model.
-        restarts: how often it was begun to be started again.
+        restarts: number of restarts begun.
     """
 
     def __init__(self, name: str, rules: config.ModelProcess) -> None:
@@ -77,7 +79,7 @@ class KeptProcess(ABC):
         """Start the thread, and wait until the process is ready for the first time.
 
         Raises:
-            what keeps it from that; all is closed then.
+            Exception: the process did not get ready; everything is closed then.
         """
         first: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, args=(first,), name=thread, daemon=True)
@@ -89,9 +91,9 @@ class KeptProcess(ABC):
             raise
 
     def close(self) -> None:
-        """End the process, whatever it does; may be called from another thread.
+        """End the process in any state; may be called from another thread.
 
-        One that does not end though it was killed is left behind, and so is the thread.
+        A process that survives SIGKILL is left behind, and so is the thread.
         """
         self._closing.set()
         if (link := self._link) is not None:
@@ -102,13 +104,13 @@ class KeptProcess(ABC):
         self._frames.close()
 
     def _run(self, first: Future[None]) -> None:
-        """Keep a process running until `close`; how its first start went goes to `first`."""
+        """Keep a process running until `close`; `first` gets the result of the first start."""
         restarts = Restarts()
         while not self._closing.is_set():
             ran_s, failed = 0.0, None
             try:
                 ran_s, why = self._run_once(first)
-            except Exception as error:  # it may be that the model cannot be loaded any more
+            except Exception as error:  # such as a model that can no longer be loaded
                 failed, why = error, str(error) if isinstance(error, UserError) else repr(error)
             if not first.done():
                 first.set_exception(failed)
@@ -121,37 +123,46 @@ class KeptProcess(ABC):
 
     @abstractmethod
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
-        """One process, from its start to its end: seconds that it was ready, and how it ended.
+        """Run one process from its start to its end.
+
+        Returns:
+            (seconds that it was ready, how it ended).
 
         Raises:
-            as `Link.wait_ready`.
+            ModelError, PromptError: see `Link.wait_ready`.
         """
 
     def _run_link(
-        self, first: Future[None], told: dict[str, Any], progress: Tell, program: Sequence[str] = ()
+        self,
+        first: Future[None],
+        request: dict[str, Any],
+        progress: Tell,
+        program: Sequence[str] = (),
     ) -> tuple[float, str]:
-        """See `_run_once`; `told` and `program` as `Link` takes them."""
-        link = Link(told, self.name, self._frames, program)
+        """See `_run_once`; `request` and `program` as `Link` takes them."""
+        link = Link(request, self.name, self._frames, program)
         try:
-            link.wait_ready(self._rules.start_timeout_s, lambda: self._told_to_end(first), progress)
+            link.wait_ready(
+                self._rules.start_timeout_s, lambda: self._is_cancelled(first), progress
+            )
             ready_s, self._link = time.monotonic(), link
             self._ready(again=first.done())
             if not first.done():
                 first.set_result(None)
-            if not self._closing.is_set():  # else `close` may not have found this link
+            if not self._closing.is_set():  # if it is set, `close` may have missed this link
                 link.join()
             return time.monotonic() - ready_s, link.fault
         finally:
             link.close()
 
-    def _told_to_end(self, first: Future[None]) -> bool:
-        """Whether what is being started is not wanted any more."""
+    def _is_cancelled(self, first: Future[None]) -> bool:
+        """Return True if the process that is starting is no longer wanted."""
         return self._closing.is_set()
 
     @abstractmethod
     def _ready(self, again: bool) -> None:
-        """It can be asked; `again`: not for the first time."""
+        """Handle a process that is ready; `again`: not for the first time."""
 
     @abstractmethod
     def _ended(self, why: str, failed: Exception | None, pause: Pause) -> None:
-        """It has ended, or failed to start, and is started again after the pause."""
+        """Handle a process that ended or failed to start; it restarts after the pause."""

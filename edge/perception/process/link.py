@@ -1,4 +1,4 @@
-"""One model process, as the service sees it: started, asked, watched, ended."""
+"""One model process as the service handles it: start, ask, watch, end."""
 
 from __future__ import annotations
 
@@ -28,35 +28,36 @@ log = logging.getLogger(__name__)
 
 PROGRAM = python_module("edge.perception.serve_detector")
 
-_LOOK_S = 0.05  # how long an end may go unnoticed while an answer is awaited
+_LOOK_S = 0.05  # longest delay to notice an end while waiting for an answer
 _END_S = 0.2
 _STOP_S = 2.0
-_KILL_S = 5.0  # one that is deep in the kernel, such as in a GPU's driver, does not even die
+_KILL_S = 5.0  # a process stuck in the kernel, such as in a GPU driver, survives SIGKILL
 
 T = TypeVar("T")
 
 
 class Link:
-    """A process that was started; ready once `wait_ready` has returned.
+    """A process that was started; it can be asked once `wait_ready` has returned.
 
     The kernel ends the process with the thread that makes this object.
 
+    Args:
+        request: for the program; the fields common to all programs are added.
+        name: of the model.
+        frames: the frame file.
+        program: command line; by default the one for detectors.
+
     Attributes:
         name: of the model.
-        fault: why it was given up, or how it ended; empty while all is well.
+        fault: why the process was killed, or how it ended; empty while it is well.
+
+    Raises:
+        ModelProcessError: it cannot be started.
     """
 
     def __init__(
-        self, told: dict[str, Any], name: str, frames: FrameFile, program: Sequence[str] = ()
+        self, request: dict[str, Any], name: str, frames: FrameFile, program: Sequence[str] = ()
     ) -> None:
-        """
-        Args:
-            told: what the program is to do, beside what all are told.
-            program: other than the one for detectors.
-
-        Raises:
-            ModelProcessError: it cannot be started.
-        """
         self.name, self.fault = name, ""
         self._frames = frames
         self._asked = self._checked = 0
@@ -68,7 +69,7 @@ class Link:
                 self._control, control = _channel(stack)
                 with images, control:
                     fds = images.fileno(), control.fileno(), frames.fd
-                    self._process = _start(program or PROGRAM, fds, told)
+                    self._process = _start(program or PROGRAM, fds, request)
             except OSError as error:
                 raise ModelProcessError(
                     f"model {name}: its process cannot be started: {error}"
@@ -78,59 +79,62 @@ class Link:
     def wait_ready(
         self,
         timeout_s: float,
-        told_to_end: Callable[[], bool],
+        cancelled: Callable[[], bool],
         progress: Tell,
         limit: str = "perception.process.start_timeout_s",
     ) -> dict[str, Any]:
-        """Wait until the model is loaded and has run once. Return what it said then.
+        """Wait until the model is loaded and has run once.
 
         Args:
-            timeout_s: how long it may say nothing.
-            limit: the key or option that says so.
-            told_to_end: asked every now and then.
-            progress: told what it says of the loading.
+            timeout_s: longest time without a message.
+            cancelled: polled; True aborts the start.
+            progress: called with the health that the process sends while it loads.
+            limit: configuration key or option of `timeout_s`, for messages.
+
+        Returns:
+            The header that the process sent when it was ready.
 
         Raises:
-            ModelError, PromptError: what kept the model from loading, in the same words as where
-                it is loaded in this process.
+            ModelError, PromptError: the model cannot be loaded, in the same words as without a
+                process.
             ModelProcessError: it ended, took too long, or is no longer wanted.
         """
-        while "health" in (header := self._hear(timeout_s, told_to_end, limit)):
+        while "health" in (header := self._hear(timeout_s, cancelled, limit)):
             progress(self._decode(wire.decode_health, header))
         wire.raise_error(header, self.name)
         return header
 
-    def _hear(
-        self, timeout_s: float, told_to_end: Callable[[], bool], limit: str
-    ) -> dict[str, Any]:
-        """What a process says that is not yet ready; see `wait_ready`."""
+    def _hear(self, timeout_s: float, cancelled: Callable[[], bool], limit: str) -> dict[str, Any]:
+        """Return the next message of a process that is not ready yet; see `wait_ready`."""
         deadline_s = time.monotonic() + timeout_s
-        while (said := _receive(self._control)) is None:
-            if told_to_end():
-                raise self.give_up("told to end while it was started")
+        while (message := _receive(self._control)) is None:
+            if cancelled():
+                raise self.give_up("stopped during its start")
             if time.monotonic() >= deadline_s:
                 raise self.give_up(f"not ready after {timeout_s:g} s ({limit}): killed")
-        if not said:
+        if not message:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 code = self._process.wait(_END_S)
                 raise self.give_up(f"{_how(code)} before it was ready")
-        return self._decode(read_json_object, said)
+        return self._decode(read_json_object, message)
 
-    def _decode(self, decode: Callable[[Any], T], said: Any) -> T:
-        """What a process says that is not yet ready; nonsense is its end."""
+    def _decode(self, decode: Callable[[Any], T], message: Any) -> T:
+        """Decode a message of a process that is not ready yet; kill the process if that fails."""
         try:
-            return decode(said)
+            return decode(message)
         except ValueError as error:
             raise self.give_up(f"damaged message ({error}): killed") from None
 
     def detect(self, rgb: np.ndarray, prompts: Sequence[str], timeout_s: float) -> wire.Answer:
-        """Have it look for the prompts in an image.
+        """Detect the prompts in an image.
 
         Args:
-            timeout_s: see `ask`; of `perception.process.timeout_s`.
+            rgb: (h, w, 3) uint8, contiguous.
+            prompts: what to look for.
+            timeout_s: `perception.process.timeout_s`; see `ask`.
 
         Raises:
-            PromptError: a prompt cannot be looked for.
+            PromptError: a prompt cannot be used.
             ModelProcessError: see `ask`.
         """
         return self.ask(
@@ -145,18 +149,20 @@ class Link:
         limit: str,
         decode: Callable[[int, dict[str, Any], bytes], T],
     ) -> T:
-        """Put a request about an image, or about none.
+        """Send a request, with or without an image, and wait for the answer.
 
         Args:
-            timeout_s: how long it may take; what it waits for a core in that time is added, at
-                most `timeout_s` again.
-            limit: the key that says so.
-            decode: (sequence number, header, block) → the answer; a ValueError where it is none.
+            request: header fields.
+            rgb: (h, w, 3) uint8, contiguous; None: no image.
+            timeout_s: longest time for the answer. Time that the process waits for a CPU core is
+                added, up to `timeout_s` again.
+            limit: configuration key of `timeout_s`, for messages.
+            decode: (sequence number, header, block) → answer; raises ValueError for an invalid one.
 
         Raises:
             ModelError, PromptError: as the model raised them.
-            ModelProcessError: it ended; it was given up since it answered too late or nonsense;
-                or its model raised something else.
+            ModelProcessError: the process ended, was killed after a late or invalid answer, or its
+                model raised another error.
         """
         with self._asking:
             if self.fault:
@@ -170,9 +176,9 @@ class Link:
                         f"{shared_dir()}: no room for images: {error}"
                     ) from None
             hw = None if rgb is None else rgb.shape[:2]
-            said = self._exchange(wire.encode(seq=seq, hw=hw, **request), timeout_s, limit)
+            answered = self._exchange(wire.encode(seq=seq, hw=hw, **request), timeout_s, limit)
         try:
-            head, _, block = said.partition(wire.END_OF_HEADER)
+            head, _, block = answered.partition(wire.END_OF_HEADER)
             header = read_json_object(head)
             answer = None if "error" in header else decode(seq, header, block)
         except ValueError as error:
@@ -186,7 +192,7 @@ class Link:
     def _exchange(self, request: bytes, timeout_s: float, limit: str) -> bytes:
         deadline_s = time.monotonic() + timeout_s
         sent, before_s = _send(self._images, request), None
-        while (said := _receive(self._images)) is None:
+        while (message := _receive(self._images)) is None:
             if self._ended.is_set():
                 raise ModelProcessError(self.fault)
             if before_s is None:
@@ -195,16 +201,16 @@ class Link:
                 _queued_s(self._process.pid) - before_s, timeout_s
             ):
                 raise self.give_up(f"no answer within {timeout_s:g} s ({limit}): killed")
-        if not (sent and said):  # there is nobody at the other end
+        if not (sent and message):  # the other end is closed
             self._ended.wait(_END_S)
-            raise self.give_up("takes no images: killed")
-        return said
+            raise self.give_up("takes no requests: killed")
+        return message
 
     def check(self, prompts: Sequence[str], timeout_s: float) -> bool:
-        """Whether it has said in this time that it can look for the prompts.
+        """Return True if the process confirmed within this time that it can use the prompts.
 
         Raises:
-            PromptError: it cannot.
+            PromptError: it cannot use them.
         """
         deadline_s = time.monotonic() + timeout_s
         with self._checking:
@@ -215,39 +221,42 @@ class Link:
             while header.get("id") != number:
                 if self._ended.is_set() or time.monotonic() >= deadline_s:
                     return False
-                if said := _receive(self._control):
+                if message := _receive(self._control):
                     try:
-                        header = read_json_object(said)
-                    except ValueError as error:  # not what the prompts are to blame for
+                        header = read_json_object(message)
+                    except ValueError as error:  # not the fault of the prompts
                         self.give_up(f"damaged message ({error}): killed")
                         return False
         wire.raise_error(header, self.name)
         return True
 
     def give_up(self, why: str) -> ModelProcessError:
-        """Kill the process; the first reason counts, and is returned to be raised."""
+        """Kill the process; return the error to raise. The first reason counts."""
         self.fault = self.fault or f"model {self.name}: its process: {why}"
         self._process.kill()
         return ModelProcessError(self.fault)
 
     def join(self, timeout_s: float | None = None) -> None:
-        """Wait for the process to end; `fault` says how.
+        """Wait for the process to end; `fault` then holds the reason.
 
         Raises:
-            subprocess.TimeoutExpired: it has not.
+            subprocess.TimeoutExpired: it has not ended.
         """
         code = self._process.wait(timeout_s)
         self.fault = self.fault or f"model {self.name}: its process: {_how(code)}"
         self._ended.set()
 
     def stop(self) -> None:
-        """End a process that another thread has joined."""
+        """End a process that another thread waits for in `join`."""
         self._process.terminate()
         if not self._ended.wait(_STOP_S):
             self._process.kill()
 
     def close(self) -> None:
-        """Let go of everything; a process that does not end though it was killed is left behind."""
+        """Kill the process and release everything.
+
+        A process that survives SIGKILL is left behind.
+        """
         self._process.kill()
         try:
             self.join(_KILL_S)
@@ -257,7 +266,7 @@ class Link:
             self._channels.close()
 
     def leave(self) -> None:
-        """Say that the process is left behind, and have nobody wait for its answer."""
+        """Leave a process that survives SIGKILL, and wake up all callers that wait for it."""
         self.fault = self.fault or f"model {self.name}: its process: left behind"
         self._ended.set()
         log.error(
@@ -267,41 +276,44 @@ class Link:
 
 
 def _channel(stack: contextlib.ExitStack) -> tuple[socket.socket, socket.socket]:
-    """Two ends that keep messages apart: this process's, which waits for a moment and is closed
-    with the stack, and the other's."""
+    """Open a socket pair that keeps message boundaries.
+
+    Returns:
+        (this process's end, with a receive timeout and closed with the stack; the other's end).
+    """
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ours.settimeout(_LOOK_S)
     return stack.enter_context(ours), theirs
 
 
 def _start(
-    program: Sequence[str], descriptors: tuple[int, int, int], told: dict[str, Any]
+    program: Sequence[str], descriptors: tuple[int, int, int], request: dict[str, Any]
 ) -> subprocess.Popen[bytes]:
-    """Start the program, and tell it what it is to do; see `edge.perception.process`."""
+    """Start the program and write its request to stdin; see `edge.perception.process`."""
     level, as_json = _logging()
     ours = {"fds": descriptors, "parent": os.getpid(), "log_level": level, "log_json": as_json}
-    # A session of its own keeps the terminal's Ctrl-C for this process, which ends it in order;
-    # what libraries print goes to stderr, as stdout is for reports.
+    # A new session keeps the terminal's Ctrl-C away from the child: this process ends it in order.
+    # The child's stdout goes to stderr, since stdout is for reports.
     process = subprocess.Popen(
         program, stdin=subprocess.PIPE, stdout=2, pass_fds=descriptors, start_new_session=True
     )
-    with contextlib.suppress(BrokenPipeError), process.stdin:  # it ended: `wait_ready` says how
-        process.stdin.write(json.dumps({**told, **ours}).encode())
+    with contextlib.suppress(BrokenPipeError), process.stdin:  # it ended: `wait_ready` reports it
+        process.stdin.write(json.dumps({**request, **ours}).encode())
     return process
 
 
 def _receive(channel: socket.socket) -> bytes | None:
-    """The next message, empty once the other end is closed; None when none came for a moment."""
+    """Return the next message, b"" if the other end is closed, None after `_LOOK_S` without one."""
     try:
         return channel.recv(wire.MAX_BYTES)
     except TimeoutError:
         return None
-    except OSError:  # it was closed with something unread
+    except OSError:  # the other end closed with data unread
         return b""
 
 
 def _send(channel: socket.socket, message: bytes) -> bool:
-    """Whether there was somebody to send it to."""
+    """Send a message; return False if the other end is closed."""
     try:
         channel.send(message)
     except OSError:
@@ -310,10 +322,10 @@ def _send(channel: socket.socket, message: bytes) -> bool:
 
 
 def _queued_s(pid: int) -> float:
-    """How long a process's main thread, which answers, has waited for a core so far, in seconds.
+    """Return the time that a process's main thread has waited for a CPU core so far, in seconds.
 
-    Who waits for a core does not hang: killing it would make a busy machine busier. 0 where the
-    kernel does not count it.
+    The main thread answers requests. A process that waits for a core does not hang: killing it
+    would make a busy machine busier. 0 if the kernel does not count it.
     """
     try:
         schedstat = Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii")
@@ -323,18 +335,18 @@ def _queued_s(pid: int) -> float:
 
 
 def _how(code: int) -> str:
-    """How a process ended, by its exit code."""
+    """Return how a process ended, by its exit code."""
     if code >= 0:
         return f"ended with exit code {code}"
     try:
         name = signal.Signals(-code).name
-    except ValueError:  # real-time signals but the first and the last have no name
+    except ValueError:  # real-time signals have no name, except the first and the last
         name = f"signal {-code}"
     return f"ended by {name}" + (", out of memory?" if -code == signal.SIGKILL else "")
 
 
 def _logging() -> tuple[str, bool]:
-    """Level and form of what is logged here, for the other process."""
+    """Return level and format of this process's log, for the other process."""
     level = logging.getLogger("edge").getEffectiveLevel()
     name = next((name for name in LEVELS if getattr(logging, name.upper()) >= level), LEVELS[-1])
     handlers = logging.getLogger().handlers

@@ -1,7 +1,7 @@
-"""What crosses between the two processes: messages over sockets, and images in shared memory.
+"""Messages over sockets and images in shared memory, between the service and a model process.
 
-A message is a JSON header, an answer has arrays behind it as one block of bytes. What the model
-process sends is not trusted: it may be dying.
+A message is a JSON header; an answer has one block of bytes with arrays after it. Data from the
+model process is not trusted: that process may be failing.
 """
 
 from __future__ import annotations
@@ -22,23 +22,24 @@ from edge.text import bounded_repr, one_line
 from edge.types import ContextBoxes, Detections
 
 MAX_BYTES = 1 << 18
-"""Of a message; a thousand boxes are 28 KB, the prompts of the longest order 120 KB. What is longer
-is cut off, and so refused; most systems do not even send it."""
+"""Size limit of a message. A thousand boxes are 28 KB, the prompts of the longest request 120 KB.
+
+A longer message is cut off and so refused; most systems do not even send it."""
 END_OF_HEADER = b"\n"
 _BOX_BYTES = 28  # four float32 corners, score, class and rival of four bytes each
 _STATES = get_args(get_type_hints(Health)["state"])
 SHARED_MEMORY = Path("/dev/shm")
 PIXELS_AT = 64
-"""Offset of the pixels in bytes: a cache line, the two sequence numbers are before it."""
+"""Offset of the pixels in bytes: a cache line. The two sequence numbers are before it."""
 _BEFORE, _AFTER = 0, 1
 
 
 class ModelProcessError(ModelError):
-    """The model's process failed, or is not there: one line."""
+    """The model's process failed or is not ready: one line."""
 
 
 class Answer(NamedTuple):
-    """What was found in one image (without its observation), and how the detector is."""
+    """Detections of one image (without its observation), and the detector's health."""
 
     found: Detections
     health: Health
@@ -46,12 +47,12 @@ class Answer(NamedTuple):
 
 
 def encode(**header: object) -> bytes:
-    """A message of nothing but a header."""
+    """Encode a message that has only a header."""
     return json.dumps(header).encode()
 
 
 def encode_answer(seq: int, found: Detections, health: Health, invalid_boxes: int) -> bytes:
-    """Encode what a detector found in image `seq`, and its health: header, its end, and block."""
+    """Encode the detections of image `seq` and the detector's health: header, line end, block."""
     around = found.context
     header = {
         "seq": seq,
@@ -76,25 +77,25 @@ def _packed(boxes: Detections | ContextBoxes, rival: np.ndarray | None) -> bytes
 
 
 def encode_error(error: BaseException, **header: int) -> bytes:
-    """An exception as a header; `raise_error` is its counterpart."""
+    """Encode an exception as a header; `raise_error` is the counterpart."""
     return encode(**header, error=type(error).__name__, text=str(error))
 
 
 def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
-    """Check and unpack what `encode_answer` made.
+    """Check and decode the output of `encode_answer`.
 
     Raises:
-        ValueError: with one line that says what is wrong.
+        ValueError: the message is invalid, for the reason given in one line.
     """
     prompts, invalid = header.get("prompts"), header.get("invalid_boxes")
     if header.get("seq") != seq:
         raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
     if type(invalid) is not int:
         raise ValueError(f"invalid_boxes {bounded_repr(invalid, 40)}")
-    told = header.get("context")
-    if not (told is None or isinstance(told, dict)):
-        raise ValueError(f"context {bounded_repr(told, 40)}")
-    words, m = ([], 0) if told is None else (told.get("words"), told.get("n"))
+    around = header.get("context")
+    if not (around is None or isinstance(around, dict)):
+        raise ValueError(f"context {bounded_repr(around, 40)}")
+    words, m = ([], 0) if around is None else (around.get("words"), around.get("n"))
     _check_words("prompts", prompts)
     _check_words("context", words)
     n = header.get("n")
@@ -106,7 +107,7 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
         )
     xyxy, score, class_id, rival = _unpacked(block[: n * _BOX_BYTES], n, prompts)
     context = None
-    if told is not None:
+    if around is not None:
         context = ContextBoxes(*_unpacked(block[n * _BOX_BYTES :], m, words)[:3], tuple(words))
     found = Detections(
         None, xyxy, score, class_id, tuple(prompts), rival if header.get("rival") is True else None,
@@ -123,7 +124,7 @@ def _check_words(what: str, words: Any) -> None:
 def _unpacked(
     block: bytes, n: int, words: list[str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Boxes, scores, classes and rivals of `n` boxes, each checked."""
+    """Return boxes, scores, classes and rivals of `n` boxes, each checked."""
     reals = np.frombuffer(block, "<f4").astype(np.float32)
     xyxy, score, rival = reals[: 4 * n].reshape(n, 4), reals[4 * n : 5 * n], reals[6 * n :]
     class_id = np.frombuffer(block, "<i4")[5 * n : 6 * n].astype(np.int32)
@@ -135,22 +136,27 @@ def _unpacked(
 
 
 def decode_health(header: dict[str, Any]) -> Health:
-    """
+    """Decode the health in a header.
+
     Raises:
-        ValueError: it is none.
+        ValueError: there is none, or it is invalid.
     """
-    told = header.get("health")
-    if not isinstance(told, list) or len(told) != 2 or not all(isinstance(t, str) for t in told):
-        raise ValueError(f"health {bounded_repr(told, 40)}")
-    if told[0] not in _STATES:
-        raise ValueError(f"health {bounded_repr(told[0], 40)} (choices: {', '.join(_STATES)})")
-    return Health(*told)
+    health = header.get("health")
+    if (
+        not isinstance(health, list)
+        or len(health) != 2
+        or not all(isinstance(t, str) for t in health)
+    ):
+        raise ValueError(f"health {bounded_repr(health, 40)}")
+    if health[0] not in _STATES:
+        raise ValueError(f"health {bounded_repr(health[0], 40)} (choices: {', '.join(_STATES)})")
+    return Health(*health)
 
 
 def raise_error(header: dict[str, Any], name: str) -> None:
-    """Raise here what was raised in the process of model `name`; nothing if it is no error.
+    """Raise the error of the process of model `name`, if the header holds one.
 
-    What a user can cause keeps its type and words, anything else becomes a ModelProcessError.
+    Errors that a user can cause keep their type and text; any other becomes a ModelProcessError.
     """
     if "error" not in header:
         return
@@ -163,16 +169,18 @@ def raise_error(header: dict[str, Any], name: str) -> None:
 
 
 def shared_dir() -> str:
-    """Where files for two processes are kept: in memory where there is such a place."""
+    """Return the folder for files shared by two processes; in memory if possible."""
     usable = SHARED_MEMORY.is_dir() and os.access(SHARED_MEMORY, os.W_OK)
     return str(SHARED_MEMORY) if usable else tempfile.gettempdir()
 
 
 class FrameFile:
-    """The writer's end. The file has no name, so nothing is left of it however the writer ends.
+    """The writer's end of the frame file.
+
+    The file has no name, so nothing is left of it however the writer ends.
 
     Attributes:
-        fd: for the reader to inherit.
+        fd: descriptor for the reader to inherit.
     """
 
     def __init__(self) -> None:
@@ -182,10 +190,10 @@ class FrameFile:
         self._seq = np.empty(0, np.int64)
 
     def write(self, seq: int, rgb: np.ndarray) -> None:
-        """Put an image there, over the one before.
+        """Write an image over the one before.
 
         Args:
-            seq: positive, another one for every image.
+            seq: positive, different for every image.
             rgb: (h, w, 3) uint8, contiguous.
 
         Raises:
@@ -199,7 +207,7 @@ class FrameFile:
         self._seq[_AFTER] = seq
 
     def _grow(self, size: int) -> None:
-        # Reserved now: writing to a full /dev/shm later would end this process with SIGBUS.
+        # Reserve now: writing to a full /dev/shm later would end this process with SIGBUS.
         os.posix_fallocate(self.fd, 0, size)
         self._bytes, self._seq = _map(self.fd, size)
 
@@ -209,7 +217,7 @@ class FrameFile:
 
 
 class FrameView:
-    """The reader's end, on the descriptor of a `FrameFile`."""
+    """The reader's end of the frame file, on the descriptor of a `FrameFile`."""
 
     def __init__(self, fd: int) -> None:
         self._fd = fd
@@ -217,9 +225,13 @@ class FrameView:
         self._seq = np.empty(0, np.int64)
 
     def read(self, seq: int, image_hw: tuple[int, int]) -> np.ndarray:
-        """The image with this number, (h, w, 3) uint8, where it lies.
+        """Return the image with this number, (h, w, 3) uint8, as a view of the shared memory.
 
-        Whoever has read it asks `is_whole` whether it was the same until then.
+        After use, the caller checks with `is_whole` that the image was not overwritten.
+
+        Args:
+            seq: number of the image.
+            image_hw: height and width in pixels.
 
         Raises:
             ValueError: another image, or part of one, is there.
@@ -232,15 +244,15 @@ class FrameView:
         return self._bytes[PIXELS_AT:end].reshape(*image_hw, 3)
 
     def is_whole(self, seq: int) -> bool:
-        """Whether no newer image has been begun."""
+        """Return True if no newer image has been begun."""
         return bool(self._seq[_BEFORE] == seq)
 
 
 def _map(fd: int, needed: int) -> tuple[np.ndarray, np.ndarray]:
-    """The file's bytes, and the two sequence numbers that they begin with.
+    """Map the file: its bytes, and the two sequence numbers at its beginning.
 
     Raises:
-        ValueError: there are fewer than needed.
+        ValueError: the file has fewer bytes than needed.
     """
     size = os.fstat(fd).st_size
     if size < needed:

@@ -1,9 +1,9 @@
-"""A session with its buffers bound once, so that an image costs no allocation by our hand.
+"""Sessions with their buffers bound once, so that an image costs no allocation here.
 
-`bind` chooses by where the session runs: on the CPU both ends are NumPy arrays that onnxruntime
-reads and writes in place; on CUDA they are onnxruntime's own values on the device, and only what
-changes is uploaded; sessions of TensorRT (`edge.perception.runtime.tensorrt`) and of a server
-(`kserve.py`) bind themselves.
+`bind` chooses by the session's device. On the CPU, inputs and outputs are NumPy arrays that
+onnxruntime reads and writes in place. On CUDA they are onnxruntime's values on the device, and
+only changed inputs are uploaded. Sessions of TensorRT (`edge.perception.runtime.tensorrt`) and of a
+server (`kserve.py`) bind themselves.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ DEVICES = {
     "tensorrt": "itself",
     "kserve": "itself",
 }
-"""Where a provider's memory is; every other provider takes and gives the host's. `itself`: its
-session binds itself."""
+"""Memory of a provider; others use the host's. `itself`: the session binds itself."""
 
 Shapes = Mapping[str, tuple[int, ...]]
 
@@ -29,7 +28,7 @@ class Bound(Protocol):
     """A session with its inputs and outputs."""
 
     def run(self) -> Sequence[np.ndarray]:
-        """The outputs in the order they were named, valid until the next run."""
+        """Run once; return the outputs in the order they were named, valid until the next run."""
         ...
 
 
@@ -39,9 +38,10 @@ def bind(
     """Bind a session's float32 inputs and outputs.
 
     Args:
+        session: of onnxruntime, TensorRT or a server.
         inputs: contiguous arrays, kept.
         outputs: shapes of the outputs for these inputs.
-        live: inputs whose arrays are filled anew before each run; the others are read now.
+        live: names of inputs whose arrays are filled again before each run; others are read now.
     """
     provider = session.get_providers()[0]
     device = DEVICES.get(provider, "cpu")
@@ -54,7 +54,7 @@ def bind(
 
 
 class HostBound:
-    """onnxruntime reads and writes the host's arrays in place."""
+    """A session on the CPU: onnxruntime reads and writes the host's arrays in place."""
 
     def __init__(self, session: Any, inputs: Mapping[str, np.ndarray], outputs: Shapes) -> None:
         self._session, self._inputs = session, inputs
@@ -74,10 +74,13 @@ class HostBound:
 
 
 class DeviceBound:
-    """onnxruntime's values on a device: uploaded before a run, downloaded once after it.
+    """A session on a device: inputs are uploaded before a run, outputs downloaded after it.
 
     Args:
+        session: of onnxruntime.
+        inputs, outputs, live: see `bind`.
         device: onnxruntime's name of it, `cuda` (`cpu` works too).
+        index: number of the device.
     """
 
     def __init__(

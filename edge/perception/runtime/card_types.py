@@ -1,4 +1,4 @@
-"""The fields of model cards, one type for each task."""
+"""Fields of model cards, one class for each task."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 Positive = Annotated[int, Field(ge=1)]
 Side = Annotated[int, Field(ge=32, multiple_of=32)]
 Precision = Literal["fp32", "fp16", "int8-cpu", "int8-trt", "int8", "q4"]
-"""Of `int8` and `q4` only the weights have few bits, in blocks with a scale each (MatMulNBits)."""
+"""In `int8` and `q4` only the weights have few bits, in blocks with a scale each (MatMulNBits)."""
 _NOT_GIVEN = ""
 Measured = dict[str, dict[str, Union[float, int, str]]]
 
@@ -39,14 +39,14 @@ class _Part(BaseModel):
 
 
 class _Source(_Part):
-    """`bytes` is the file's length, so that a server that sends more is not heard out."""
+    """A source of a file; `bytes` is its length, beyond which a download is aborted."""
 
     sha256: Sha256
     bytes: Positive | None = None
 
 
 class SourceUrl(_Source):
-    """A file on a server."""
+    """A file on a web server."""
 
     kind: Literal["url"] = "url"
     url: Annotated[str, Field(pattern=r"^https?://")]
@@ -91,7 +91,7 @@ class EncoderInput(_Part):
 
 
 class Preprocess(_Part):
-    """Pixels as the network wants them: `rgb * scale`, the frame around them `letterbox_pad`."""
+    """Preprocessing of pixels: `rgb * scale`; the frame around the image is `letterbox_pad`."""
 
     color: Literal["rgb"]
     scale: Annotated[float, Field(gt=0)]
@@ -99,10 +99,10 @@ class Preprocess(_Part):
 
 
 class Normalise(_Part):
-    """Pixels as an image encoder wants them: `(rgb * scale - mean) / std`, by channel.
+    """Preprocessing of pixels for an image encoder: `(rgb * scale - mean) / std`, by channel.
 
-    `fit` says how an image of another aspect gets the input's: CLIP keeps its middle (`crop`),
-    SigLIP squeezes it (`stretch`).
+    `fit` is the way to the input's aspect ratio: CLIP crops to the middle (`crop`), SigLIP squeezes
+    the image (`stretch`).
     """
 
     color: Literal["rgb"]
@@ -113,9 +113,9 @@ class Normalise(_Part):
 
 
 class ClipTokenizer(_Part):
-    """Byte-pair encoding, or SentencePiece, from a file that lies beside the ONNX.
+    """Byte-pair encoding, or SentencePiece, from a file next to the ONNX file.
 
-    A text is filled up to `context` tokens with `pad`: SigLIP reads that too.
+    A text is filled up to `context` tokens with `pad`: SigLIP reads the padding, too.
     """
 
     kind: Literal["clip"] = "clip"
@@ -132,7 +132,7 @@ class AttributesTokenizer(_Part):
 
 
 class Parity(_Part):
-    """How a detector compares with the step before it, on images it was not calibrated on."""
+    """Comparison of a detector with its source variant, on images not used for calibration."""
 
     reference: str
     images: int
@@ -142,12 +142,13 @@ class Parity(_Part):
 
 
 class EmbeddingParity(_Part):
-    """How an encoder compares with the step before it.
+    """Comparison of an encoder with its source variant.
 
     Attributes:
-        inputs: images or texts that it was compared on.
-        cosine: the lowest between the two embeddings of an input.
-        rank_agreement: see `exporters.encoder_parity`; None where nothing was ranked.
+        reference: the source variant.
+        inputs: number of images or texts compared.
+        cosine: lowest cosine between the two embeddings of an input.
+        rank_agreement: see `exporters.encoder_parity`; None if nothing was ranked.
     """
 
     reference: str
@@ -157,12 +158,12 @@ class EmbeddingParity(_Part):
 
 
 class Server(_Part):
-    """A server that runs a model and speaks KServe's protocol, version 2 (docs/remote.md).
+    """A server that runs a model by KServe's protocol, version 2 (docs/remote.md).
 
     Attributes:
         url: without the protocol's own path, as `http://base:8000`.
-        model: what the server calls it.
-        time_limit_s: for one inference in all, from the connection to the last byte.
+        model: the server's name for the model.
+        time_limit_s: for one whole inference, from the connection to the last byte.
     """
 
     url: str
@@ -177,15 +178,15 @@ class Server(_Part):
 
 
 class BaseCard(_Part):
-    """What all cards have.
+    """Fields of all cards.
 
     Attributes:
-        family: what this is a variant of.
-        sources: where files can be had, in the order to try. A source whose hash is the model's
-            (or the tokenizer's) gives that file; any other gives the weights it is made from.
-        derived_from: the card that this variant is quantized or converted from.
-        parity: against `derived_from`, as measured by the export.
-        measured: other figures, by what was measured (a machine's key, a test set's name).
+        family: the model that this is a variant of.
+        sources: places to get the files from, in order. A source whose hash is that of the model
+            (or the tokenizer) gives that file; any other gives the weights that it is made from.
+        derived_from: card that this variant is quantized or converted from.
+        parity: comparison with `derived_from`, as measured by the export.
+        measured: other figures, by machine or test set.
     """
 
     name: Name
@@ -198,7 +199,7 @@ class BaseCard(_Part):
 
     @property
     def files(self) -> tuple[FileCard | ChoiceCard, ...]:
-        """What of it are files, here or on a server: a card that only names others has none."""
+        """Cards of its files, here or on a server; empty for a card that only names other cards."""
         return ()
 
 
@@ -206,10 +207,11 @@ class _FileCard(BaseCard):
     """A card with an ONNX file, here or on a server.
 
     Attributes:
-        file: its name, beside the card (small models of our own) or in the models' cache; None
-            where a server runs the model.
-        sha256: of the file; None when it is made here, then `FILE.json` beside it holds it.
-        server: that runs the model, in the place of a file here.
+        server: runs the model in place of a file here.
+        file: its name, next to the card (small models of our own) or in the models' cache; None if
+            a server runs the model.
+        sha256: of the file; None if the file is made here, then `FILE.json` next to it has the
+            hash.
     """
 
     server: Server | None = None
@@ -220,7 +222,7 @@ class _FileCard(BaseCard):
     @field_validator("file")
     @classmethod
     def _or_a_server(cls, file: str | None, others: ValidationInfo) -> str | None:
-        if "server" not in others.data:  # it is none, and that is told
+        if "server" not in others.data:  # invalid, which has its own error
             return file
         if file is None and others.data["server"] is None:
             raise ValueError("missing: name it, or a server that runs the model")
@@ -232,7 +234,7 @@ class _FileCard(BaseCard):
     @classmethod
     def _of_a_file(cls, sha256: object, others: ValidationInfo) -> object:
         if sha256 == _NOT_GIVEN and others.data.get("file") is not None:
-            raise ValueError("missing: null where FILE.json beside the file holds it")
+            raise ValueError("missing: null if FILE.json next to the file has it")
         return None if sha256 == _NOT_GIVEN else sha256
 
     @property
@@ -242,15 +244,15 @@ class _FileCard(BaseCard):
 
     @property
     def path(self) -> Path:
-        """Where the ONNX file lies, if it is there: shipped beside its card, else the cache."""
+        """Path of the ONNX file, which may be missing: next to its card, else in the cache."""
         return _locate(self.file or f"{self.name}.onnx")
 
     def is_here(self) -> bool:
-        """Whether there is a file at `path`; a folder that may not be looked into has none."""
+        """Return True if there is a file at `path`; False for a folder that may not be read."""
         return self.server is None and os.path.isfile(self.path)
 
     def weights_sources(self) -> tuple[Source, ...]:
-        """The sources of what the model is made from."""
+        """Return the sources of the weights that the model is made from."""
         return tuple(s for s in self.sources if s.sha256 not in self._own_hashes())
 
     def _own_hashes(self) -> set[str | None]:
@@ -262,8 +264,8 @@ class DetectCard(_FileCard):
 
     Attributes:
         text_dim: length of a text embedding.
-        text_encoder: card of the encoder for its prompts; None is CLIP ViT-B/32's
-            (any text card of family `clip-vit-b-32`, else the vocabulary).
+        text_encoder: card of the encoder for its prompts; None is CLIP ViT-B/32's (any text card of
+            family `clip-vit-b-32`, else the vocabulary).
     """
 
     task: Literal["detect"]
@@ -277,7 +279,7 @@ class DetectCard(_FileCard):
 class TextCard(_FileCard):
     """A text encoder: `tokens` (n, t) int64 → `embeddings` (n, dim) float32 unit rows.
 
-    The loop waits for it where a mission begins, so no server runs it.
+    No server may run it, since the loop waits for it when a mission begins.
     """
 
     task: Literal["text"]
@@ -288,7 +290,7 @@ class TextCard(_FileCard):
 
     @property
     def tokenizer_path(self) -> Path | None:
-        """Where the tokenizer's file lies, if it is there; None where there is no file."""
+        """Path of the tokenizer's file, which may be missing; None if the tokenizer needs none."""
         t = self.tokenizer
         return self.path.with_name(t.file) if isinstance(t, ClipTokenizer) else None
 
@@ -314,14 +316,17 @@ class MaskEncoderCard(_FileCard):
 
 
 class MaskDecoderCard(_FileCard):
-    """The prompt encoder and mask decoder of a `SegmentCard`: features, `point_coords` and
-    `point_labels` → `low_res_masks` or `masks` (1, k, rows, columns), `iou_predictions` (1, k)."""
+    """The prompt encoder and mask decoder of a `SegmentCard`.
+
+    Features, `point_coords` and `point_labels` → `low_res_masks` or `masks` (1, k, rows, columns),
+    `iou_predictions` (1, k).
+    """
 
     task: Literal["segment"] = "segment"
 
 
 class PartFile(_Part):
-    """One of the files of a model that has several."""
+    """One of the files of a model with several."""
 
     file: OnnxName
     sha256: Sha256
@@ -330,12 +335,12 @@ class PartFile(_Part):
 class SegmentCard(BaseCard):
     """A segmenter that takes boxes as prompts, as SAM does: an image encoder and a mask decoder.
 
-    What the two take and make beyond their prompts, the files say themselves.
+    Their other inputs and outputs are read from the files.
 
     Attributes:
-        fit: how an image comes to the encoder's size: scaled and padded on its right and below
-            (`pad`: SAM, MobileSAM, EfficientViT-SAM), or stretched (`stretch`: SAM 2).
-        prompt_px: longer side of the frame that points are given in; the encoder's own, but for
+        fit: scaling of an image to the encoder's size: padded on its right and below (`pad`: SAM,
+            MobileSAM, EfficientViT-SAM), or stretched (`stretch`: SAM 2).
+        prompt_px: longer side of the frame for points; the encoder's own, except for
             EfficientViT-SAM.
     """
 
@@ -374,11 +379,11 @@ class MarksCard(_FileCard):
 
     `images` (1, 3, h, w), `txt_feats` (1, text_dim) of the target, `marks` (1, MAX_MARKS,
     MARK_FIELDS) and `others` (1, OTHERS_FIELDS) → `directions` (1, MAX_MARKS + 1), logits of the
-    marks and of "elsewhere", and `scene` (1, 1), the logit of the second question; all float32.
-    A mark is its column and row as shares of the letterboxed image, its bearing [rad, to the left],
-    its distance [m], the driving distance [m, at most 20], the unknown area that it is expected to
-    show [m²], and 1; all 0 where there is none. `others` is `Ways.others` of
-    `edge.perception.scoring.choice.question`.
+    marks and of "elsewhere", and `scene` (1, 1), the logit of the second question; all float32. A
+    row of `marks` is the mark's column and row as shares of the letterboxed image, its bearing
+    [rad, to the left], its distance [m], the driving distance [m, at most 20], the unknown area
+    that it is expected to show [m²], and 1. It is all 0 if there is no mark. `others` is
+    `Ways.others` of `edge.perception.scoring.choice.question`.
 
     Attributes:
         text_encoder: card of the encoder for targets.
@@ -392,11 +397,11 @@ class MarksCard(_FileCard):
 
 
 class TranslateCard(_FileCard):
-    """A small network from instructions to formulas, and back (`edge.mission.language.network`).
+    """A small network from instructions to formulas and back (`edge.mission.language.network`).
 
     `source` (1, n) int64 → `across` (2 x layers, 1, heads, n, d) float32; `target` (b, m) int64,
     `past` (2 x layers, b, heads, p, d) and `across_in` → `logits` (b, m, tokens) and `present`,
-    the past with the target before the next call. Its tokens are in the file's metadata.
+    which is `past` with the target appended, for the next call. The file's metadata has its tokens.
     """
 
     task: Literal["translate"]
@@ -405,14 +410,14 @@ class TranslateCard(_FileCard):
 
 
 RUNNING = "running detector"
-"""What a similarity card names in the place of one detector: whichever runs."""
+"""Name in a similarity card for the detector that is running, in place of a fixed one."""
 
 
 class SimilarityCard(BaseCard):
     """An image-text scorer: two encoders of one embedding, or a detector. It has no file.
 
-    `detector` names a card, or is `running detector`. With `related: cooccurrence` boxes of other
-    things count too, by how often the target stands in one room with them.
+    `detector` names a card, or is `running detector`. With `related: cooccurrence`, boxes of other
+    objects count, too, by how often the target is in one room with them.
     """
 
     task: Literal["similarity"]
@@ -435,12 +440,12 @@ class SimilarityCard(BaseCard):
 
 
 class FolderFile(_Part):
-    """One file in the folder of a model that has several.
+    """One file in the folder of a model with several.
 
     Attributes:
-        file: below the model's folder.
-        sha256: None where nobody tells it; then that of the first pull counts from then on.
-        mb: megabytes, as its publisher lists it; None where that is not known.
+        file: path below the model's folder.
+        sha256: None if its publisher gives none; then the hash of the first pull is kept.
+        mb: megabytes, as its publisher lists it; None if unknown.
     """
 
     file: FilePath
@@ -449,19 +454,19 @@ class FolderFile(_Part):
 
 
 class ChoiceCard(BaseCard):
-    """A language model that chooses among directions, with eyes or without (ViTL eq. 4 and 5).
+    """A language model for frontier selection, with or without image input (ViTL eq. 4 and 5).
 
     Attributes:
         folder: in the models' cache, with the files; variants of one model share it.
-        url: what `file` is appended to; None: the files are brought or made here.
-        decoder: takes `inputs_embeds`, or `input_ids` where there is no `embed_tokens`.
-        others: what says how to feed it: `config.json`, `tokenizer.json`, `tokenizer_config.json`,
-            and what else it has; also the files that its networks keep weights in.
-        image_tokens: the most that an image may become.
-        max_tokens: of a whole question; a longer one is not asked.
+        url: prefix of each `file`; None: the files are copied or made here.
+        decoder: takes `inputs_embeds`, or `input_ids` if there is no `embed_tokens`.
+        others: files that define its input (`config.json`, `tokenizer.json`,
+            `tokenizer_config.json` and more), and files with its networks' weights.
+        image_tokens: most tokens of an image.
+        max_tokens: most tokens of a question; a longer one is not asked.
     """
 
-    server: ClassVar[None] = None  # a KServe server would keep nothing of what was read
+    server: ClassVar[None] = None  # a KServe server has no key-value cache
 
     task: Literal["choice"]
     sources: tuple[()] = ()
@@ -485,7 +490,7 @@ class ChoiceCard(BaseCard):
 
     @property
     def networks(self) -> tuple[FolderFile, ...]:
-        """The ONNX files."""
+        """Its ONNX files."""
         named = (self.vision_encoder, self.embed_tokens, self.decoder)
         return tuple(part for part in named if part is not None)
 
@@ -501,19 +506,19 @@ class ChoiceCard(BaseCard):
 
     @property
     def path(self) -> Path:
-        """The folder that its files lie in."""
+        """The folder of its files."""
         return resources.models_dir() / self.folder
 
     def path_of(self, part: FolderFile) -> Path:
         return self.path / part.file
 
     def is_here(self) -> bool:
-        """Whether all its files are there."""
+        """Return True if all its files are there."""
         return all(os.path.isfile(self.path_of(part)) for part in self.parts)
 
 
 DirectionsCard = ChoiceCard | MarksCard
-"""What `perception.choice.card` may name."""
+"""A card that `perception.choice.card` may name."""
 FileCard = Union[
     DetectCard, TextCard, ImageCard, MarksCard, MaskEncoderCard, MaskDecoderCard, TranslateCard
 ]

@@ -1,7 +1,7 @@
-"""Model cards: reading them, and holding a model's file against its card.
+"""Model cards: reading them, and checking a model's files against them.
 
-Cards are those that the package brings, and own ones in the models' cache. A name that the package
-has too means the package's card.
+Cards come with the package or lie in the models' cache. For a name in both, the package's card
+counts.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def card_names() -> list[str]:
 
 
 def card_path(name: str) -> Path:
-    """Where the card of this name is.
+    """Return the path of the card of this name.
 
     Raises:
         ModelError: no such card.
@@ -71,13 +71,13 @@ def card_path(name: str) -> Path:
 
 
 def _card_paths() -> dict[str, Path]:
-    """Every card file by its card's name."""
+    """Return every card file by its card's name."""
     folders = (resources.models_dir(), resources.data_dir("models"))  # the later one wins
     return {path.stem: path for folder in folders for path in _cards_in(folder)}
 
 
 def _cards_in(folder: Path) -> list[Path]:
-    """None where the folder is not there or may not be read: what is shipped needs no cache."""
+    """Return the cards in a folder; none if it is missing or may not be read."""
     try:
         return [folder / name for name in os.listdir(folder) if name.endswith(".yaml")]
     except OSError:
@@ -85,21 +85,25 @@ def _cards_in(folder: Path) -> list[Path]:
 
 
 def load_card(name: str) -> Card:
-    """The card of a model, of any task.
+    """Load the card of a model, of any task.
 
     Raises:
-        ModelError: no such card, or one that is not valid (file, key, what is wrong).
+        ModelError: no such card, or an invalid one (file, key, reason).
     """
     return read_card(card_path(name))
 
 
 def load_detector_card(name: str) -> DetectCard:
-    """See `load_card`; raises ModelError for a card of another task too."""
+    """Load a detector's card; see `load_card_of`."""
     return load_card_of(DetectCard, name)
 
 
 def load_card_of(kind: type[C], name: str) -> C:
-    """See `load_detector_card`, for any kind."""
+    """Load a card of one kind; see `load_card`.
+
+    Raises:
+        ModelError: also for a card of another task.
+    """
     card = load_card(name)
     if isinstance(card, kind):
         return card
@@ -108,13 +112,13 @@ def load_card_of(kind: type[C], name: str) -> C:
 
 
 def all_cards() -> list[Card]:
-    """Every card, by name; those that are not valid are told in the log and left out."""
+    """Load every card, sorted by name; invalid ones are logged and left out."""
     found = []
     for _, path in sorted(_card_paths().items()):
         try:
             found.append(read_card(path))
         except ModelError as error:
-            log.warning("%s: passed over", "; ".join(str(error).splitlines()))
+            log.warning("%s: card ignored", "; ".join(str(error).splitlines()))
     return found
 
 
@@ -140,10 +144,10 @@ def read_card(path: Path) -> Card:
 
 
 def check_here(card: Card) -> None:
-    """Refuse a card whose model has a file that is not here, unless a server has it.
+    """Check that every file of a card is here, unless a server runs the model.
 
     Raises:
-        ModelError: it names the first such file and what to do.
+        ModelError: names the first missing file and what to do.
     """
     for file in card.files:
         if isinstance(file, ChoiceCard):
@@ -155,18 +159,18 @@ def check_here(card: Card) -> None:
 
 
 def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
-    """The model's file, sound as far as can be seen without running it.
+    """Verify the model's file as far as possible without running it; return its path.
 
-    Its hash is the card's, and it is an ONNX model with the card's inputs and outputs; see
-    `edge.perception.runtime.onnx_file`.
+    Its hash must be the card's, and it must be an ONNX model with the card's inputs and outputs;
+    see `edge.perception.runtime.onnx_file`.
 
     Args:
-        believe_cache: where `$EDGE_TRUST_CACHE` is set, a file that was sound when it was last
-            looked at, and has not been written since, is not hashed.
+        card: the model's card.
+        believe_cache: True: if `$EDGE_TRUST_CACHE` is set, a file that was valid at the last check
+            and has not changed since is not hashed.
 
     Raises:
-        ModelError: the file or its hash is missing, they do not belong together, or no session
-            should be made of it.
+        ModelError: the file or its hash is missing, they do not match, or the file is unusable.
     """
     path = card.path
     if card.server is not None:
@@ -182,10 +186,7 @@ def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
 
 
 def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
-    """The same for each file of a model that has several; the networks' formats too.
-
-    Args:
-        believe_cache: see `verify_model`.
+    """Verify each file of a model with several, and the networks' formats; see `verify_model`.
 
     Raises:
         ModelError: as `verify_model`.
@@ -207,18 +208,20 @@ def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
 
 
 def expected_of_part(card: ChoiceCard, part: FolderFile) -> tuple[str | None, int | None]:
-    """(sha256, size in bytes) from the card, else from what was put beside the file when it was
-    made or first pulled."""
+    """Return (sha256, size in bytes) of a file from its card, else from its `sidecar`.
+
+    The sidecar was written when the file was made or first pulled.
+    """
     if part.sha256 is not None:
         return part.sha256, None
     return _told_beside(card.path_of(part))
 
 
 def verify_file(card: FileCard, path: Path) -> bool:
-    """Whether a hash was there to compare; else as `verify_model`, for any file.
+    """Verify any file as `verify_model`; return True if there was a hash to compare.
 
     Raises:
-        ModelError: the file is not there or not what the card says; see `verify_model`.
+        ModelError: the file is missing or does not match the card; see `verify_model`.
     """
     if not os.path.isfile(path):
         raise ModelError(f"{path}: no such file; name an ONNX file of {card.name}")
@@ -228,7 +231,7 @@ def verify_file(card: FileCard, path: Path) -> bool:
 
 
 def _has_its_hash(card: FileCard, path: Path, believe_cache: bool = False) -> bool:
-    """False where no hash is known; raises ModelError for a file of another hash or size."""
+    """Return False if no hash is known; raise ModelError for a file of another hash or size."""
     expected, size = _expected(card, path)
     if expected is None:
         return False
@@ -242,7 +245,7 @@ def _hold_to(
     """Raise ModelError for a file of another hash or size."""
     found = path.stat().st_size
     if size is not None and found != size:
-        what = "truncated" if found < size else "longer than it was made"
+        what = "truncated" if found < size else "longer than expected"
         raise ModelError(f"{path}: {what}: {found} of {size} bytes; {how_to_get(card)}")
     believed = believe_cache and trusts_cache() and known_sha256(path) == expected
     if not believed and fresh_sha256(path) != expected:
@@ -252,7 +255,7 @@ def _hold_to(
 
 
 def how_to_get(card: FileCard | ChoiceCard) -> str:
-    """What to do for a model's file: a command, for the end of a message."""
+    """Return what to do to get a model's file, for the end of a message."""
     if isinstance(card, ChoiceCard):
         from_where = "" if card.url is not None else " --from FOLDER"
         return f"run `edge models pull {card.name}{from_where}`"
@@ -263,17 +266,17 @@ def how_to_get(card: FileCard | ChoiceCard) -> str:
     if any(source.sha256 == card.sha256 for source in card.sources):
         return f"run `edge models pull {card.name}`"
     if card.task == "segment":
-        return "put it there, as the exporter of its own project makes it"
+        return "export it with the tool of its project and put it there"
     return f"run `edge models export {card.name}`"
 
 
 def expected_sha256(card: FileCard) -> str | None:
-    """What the model's file hashes to when it is sound; None where nothing says so."""
+    """Return the expected hash of the model's file; None if it is unknown."""
     return _expected(card, card.path)[0]
 
 
 def _expected(card: FileCard, path: Path) -> tuple[str | None, int | None]:
-    """(sha256, size in bytes) from the card, else from what the export put beside the file."""
+    """Return (sha256, size in bytes) from the card, else from the file's `sidecar`."""
     if card.sha256 is not None:
         return card.sha256, None
     return _told_beside(path)
@@ -286,7 +289,7 @@ def _told_beside(path: Path) -> tuple[str | None, int | None]:
 
 
 def sidecar(path: Path) -> Path:
-    """What an export says of the file that it made."""
+    """Return the path of the export's record of a file."""
     return path.with_name(path.name + ".json")
 
 
@@ -298,7 +301,7 @@ def _made(path: Path) -> dict[str, Any]:
 
 
 def made_parity(card: FileCard) -> Parity | EmbeddingParity | None:
-    """The parity that the export wrote beside the model, None where there is none."""
+    """Return the parity that the export wrote next to the model, None if there is none."""
     kind = EmbeddingParity if isinstance(card, (ImageCard, TextCard)) else Parity
     try:
         return kind.model_validate(_made(card.path).get("parity"))

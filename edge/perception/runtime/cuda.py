@@ -1,4 +1,4 @@
-"""A GPU: what it is, from the driver, and memory on it, by NVIDIA's `cuda-bindings`."""
+"""A GPU: its name from the driver, and its memory by NVIDIA's `cuda-bindings`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _CAPABILITY = (75, 76)  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, _MINOR i
 
 
 def load() -> Any:
-    """The module `cuda.bindings.runtime`; ModelError where it is not installed."""
+    """Import `cuda.bindings.runtime`; raise ModelError if it is not installed."""
     try:
         from cuda.bindings import runtime
     except ImportError:
@@ -29,10 +29,11 @@ def load() -> Any:
 class Device:
     """One GPU with one stream.
 
-    `upload` and `download` only ask the GPU to copy: the arrays must stay as they are until `wait`.
+    `upload` and `download` only enqueue a copy: the arrays must not change until `wait` returns.
 
     Args:
         index: `perception.detector.device_id`.
+        cuda: the module of `load`, or a stand-in for tests.
 
     Raises:
         ModelError: no driver, or no such GPU.
@@ -65,44 +66,44 @@ class Device:
         self._call("cudaSetDevice", self.index)
 
     def allocate(self, nbytes: int) -> DeviceBuffer:
-        """Memory on the device, freed with the object."""
+        """Allocate memory on the device, freed with the returned object."""
         (pointer,) = self._call("cudaMalloc", nbytes)
         return DeviceBuffer(int(pointer), nbytes, self._cuda)
 
     def pin(self, array: np.ndarray) -> None:
-        """Keep an array's pages in memory, so that copies need no detour.
+        """Lock an array's pages in memory, for direct copies, until the array is freed.
 
-        It stays so for the life of the array. Where the system refuses, copies are slower.
+        If the system refuses, copies are slower.
         """
         address = array.ctypes.data
         if address in self._pinned:
             return
         (error,) = self._cuda.cudaHostRegister(address, array.nbytes, 0)
         if error != self._cuda.cudaError_t.cudaSuccess:
-            self._cuda.cudaGetLastError()  # or whoever asks next takes it for its own
+            self._cuda.cudaGetLastError()  # clear it, or the next check would report it
         else:
             self._pinned[address] = array
             _at_end(array, self._cuda.cudaHostUnregister, address)
 
     def upload(self, buffer: DeviceBuffer, array: np.ndarray) -> None:
-        """Array (contiguous) → buffer, in the stream's order."""
+        """Enqueue a copy of a contiguous array to the buffer."""
         kind = self._cuda.cudaMemcpyKind.cudaMemcpyHostToDevice
         self._copy(buffer.pointer, array.ctypes.data, array.nbytes, kind)
 
     def download(self, array: np.ndarray, buffer: DeviceBuffer) -> None:
-        """Buffer → array (contiguous), in the stream's order: `wait` before it is read."""
+        """Enqueue a copy of the buffer to a contiguous array; call `wait` before reading it."""
         kind = self._cuda.cudaMemcpyKind.cudaMemcpyDeviceToHost
         self._copy(array.ctypes.data, buffer.pointer, array.nbytes, kind)
 
     def wait(self) -> None:
-        """Until everything that was asked for is done."""
+        """Wait until all enqueued work is done."""
         self._call("cudaStreamSynchronize", self._stream)
 
     def _copy(self, to: int, source: int, nbytes: int, kind: Any) -> None:
         self._call("cudaMemcpyAsync", to, source, nbytes, kind, self._stream)
 
     def _call(self, name: str, *arguments: object) -> tuple:
-        """What a CUDA function returns besides its error; that raises RuntimeError."""
+        """Call a CUDA function; return its values without the error, which raises RuntimeError."""
         error, *values = getattr(self._cuda, name)(*arguments)
         if error != self._cuda.cudaError_t.cudaSuccess:
             _, text = self._cuda.cudaGetErrorString(error)
@@ -114,7 +115,7 @@ class DeviceBuffer:
     """Bytes on a device.
 
     Attributes:
-        pointer: where they begin.
+        pointer: address of the first byte.
     """
 
     def __init__(self, pointer: int, nbytes: int, cuda: Any) -> None:
@@ -123,13 +124,14 @@ class DeviceBuffer:
 
 
 def _at_end(owner: object, free: Callable[[Any], object], what: Any) -> None:
-    """Free with the owner; at the end of the process the driver does it."""
+    """Free the resource with its owner; at the end of the process the driver does it."""
     weakref.finalize(owner, free, what).atexit = False
 
 
 def gpu_of(device_id: int) -> tuple[str, str]:
-    """A GPU's name and compute capability, such as `Orin` and `8.7`, from the driver itself
-    (onnxruntime does not tell).
+    """Return a GPU's name and compute capability, such as `Orin` and `8.7`, from the driver.
+
+    onnxruntime does not report them.
 
     Raises:
         ModelError: no driver or no such GPU.

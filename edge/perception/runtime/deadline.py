@@ -1,4 +1,4 @@
-"""How long a model that chooses directions may run (`perception.choice.time_limit_s`)."""
+"""Time limit of models for frontier selection (`perception.choice.time_limit_s`)."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _NO_MEMORY = ("allocate memory", "bad_alloc", "bad allocation", "out of memory")
 
 
 class Deadline:
-    """A time limit for runs of sessions, which break off when it passes or when they are told to.
+    """A time limit for session runs, which abort when it passes or on `end`.
 
     Attributes:
-        options: to be given to `session.run`.
+        options: pass them to `session.run`.
     """
 
     def __init__(self, name: str) -> None:
@@ -28,18 +28,18 @@ class Deadline:
 
     @contextmanager
     def within(self, seconds: float) -> Iterator[None]:
-        """Break off what runs in this block after so long.
+        """Abort session runs in this block after this time.
 
         Raises:
-            ModelError: it was broken off, or failed; one line.
+            ModelError: a run was aborted, or failed; one line.
         """
         import onnxruntime as ort
 
         self.options = options = ort.RunOptions()
-        # What is not asked for is not computed: logits, where only keys and values are wanted.
+        # Compute only the requested outputs: no logits if only keys and values are needed.
         options.only_execute_path_to_fetches = True
-        options.log_severity_level = 4  # what fails is told once, by what is raised
-        options.terminate = self._ended  # `end` may have come before
+        options.log_severity_level = 4  # the exception already reports a failure
+        options.terminate = self._ended  # `end` may have been called before
         timer = threading.Timer(seconds, setattr, (options, "terminate", True))
         timer.daemon = True
         timer.start()
@@ -47,10 +47,10 @@ class Deadline:
             yield
         except ModelError:
             raise
-        except Exception as error:  # onnxruntime raises many types of its own
+        except Exception as error:  # onnxruntime raises many types
             text = str(error)
             if self._ended:
-                why = "given up: it was told to end"
+                why = "aborted: the model was closed"
             elif options.terminate:
                 why = f"no answer within {seconds:g} s (perception.choice.time_limit_s)"
             elif isinstance(error, MemoryError) or any(s in text.lower() for s in _NO_MEMORY):
@@ -62,7 +62,7 @@ class Deadline:
             timer.cancel()
 
     def end(self) -> None:
-        """Break off what runs and whatever would run; for any thread."""
+        """Abort the current run and all later ones; for any thread."""
         self._ended = True
         if self.options is not None:
             self.options.terminate = True

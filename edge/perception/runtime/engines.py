@@ -1,11 +1,11 @@
-"""Engines of TensorRT that were built once and are found again: one folder per model and machine.
+"""Cache of TensorRT engines: one folder per model and machine.
 
     <cache>/<key>/engine.json     what the engine was built from, and the digests of its files
     <cache>/<key>/…               the engine, as TensorRT or onnxruntime wrote it
-    <cache>/<key>.lock            held while it is built, so that no second process builds it too
+    <cache>/<key>.lock            held during a build, so that no second process builds it, too
 
-A folder gets its name only when everything in it is written, so an engine is there whole or not
-at all. Nothing here knows TensorRT.
+A folder gets its name only after everything in it is written, so an engine is complete or absent.
+This module does not use TensorRT.
 """
 
 from __future__ import annotations
@@ -37,28 +37,28 @@ from edge.perception.runtime.model_file import (
 log = logging.getLogger(__name__)
 
 MIN_FREE_BYTES = 256 << 20
-"""Room that an engine of the models here needs, with some to spare."""
+"""Least free disk space for a build: enough for the models here, with a reserve."""
 TELL_EVERY_S = 5.0
 _MANIFEST = "engine.json"
-_MODE = 0o755  # of an engine's folder: that of a temporary one shuts out the cache's other users
+_MODE = 0o755  # of an engine's folder: mkdtemp's mode would exclude other users of the cache
 _FIRST = "this takes minutes the first time"
 
 Shape = tuple[int, ...]
 Key = Mapping[str, object]
-"""What an engine depends on by name; another of any of these needs another engine."""
+"""Properties that an engine depends on, by name; if one changes, another engine is needed."""
 
 
 @dataclass(frozen=True)
 class EngineOptions:
-    """What TensorRT needs to know of a model beyond its file.
+    """TensorRT options of a model that its file does not contain.
 
     Attributes:
         model: the card's name.
         precision: the card's: `fp32`, `fp16` or `int8-trt`.
         shapes: least, usual and largest shape of every input whose shape may change.
-        cache: folder for engines, None: `engines` in the service's cache.
-        progress: told while an engine is built.
-        sha256: of the file when it is sound, None: of what it was when it was last looked at.
+        cache: folder for engines; None: `engines` in the service's cache.
+        progress: called during a build.
+        sha256: expected hash of the file; None: its hash at the last check.
     """
 
     model: str
@@ -80,15 +80,14 @@ def engine_of(
     device_id: int,
     **built_with: object,
 ) -> Path:
-    """The folder with a model's engine, which is built if it is not there.
+    """Return the folder with a model's engine; build it if it is missing.
 
     Args:
-        path: the ONNX file; it is hashed anew before anything is made of it.
-        build: writes the engine into the (empty) folder that it is given, and says in a few words
-            how far it is.
-        device_id: the GPU: an engine was timed on one of its name, and others have the same
-            compute capability.
-        built_with: the builder, TensorRT's version, and a count of our settings of the builder.
+        path: the ONNX file; it is hashed again before a build.
+        options: see `EngineOptions`.
+        build: writes the engine into an empty folder, and reports its progress in a few words.
+        device_id: the GPU. An engine is tuned for a GPU's name and compute capability.
+        **built_with: the builder, TensorRT's version, and a count of our builder settings.
 
     Raises:
         ModelError: there is no GPU, the file is damaged, or the cache cannot be used.
@@ -105,30 +104,32 @@ def engine_of(
         **built_with,
     }
 
-    def build_and_tell(folder: Path) -> None:
+    def build_with_progress(folder: Path) -> None:
         check_unchanged(path, sha256)
         with telling(options.model, options.progress) as note:
             build(folder, note)
 
-    return obtain(key, options.folder, build_and_tell, options.progress)
+    return obtain(key, options.folder, build_with_progress, options.progress)
 
 
 @contextlib.contextmanager
 def telling(
     model: str, progress: Tell, first: str = _FIRST, every_s: float = TELL_EVERY_S
 ) -> Iterator[Callable[[str], None]]:
-    """Within the block, `progress` hears at once and then every few seconds that an engine is
-    built, so that it does not look like a hang.
+    """Call `progress` at once and then every few seconds: a build must not look like a hang.
 
     Args:
-        first: how far it is at first.
+        model: name of the model.
+        progress: called with the state `building engine`.
+        first: progress text at first.
+        every_s: period in seconds.
 
     Yields:
-        Takes how far it is, told with the next beat; from any thread.
+        A function that sets the progress text, for any thread.
     """
     over, notes, start_s = threading.Event(), [first], time.monotonic()
 
-    def tell() -> None:
+    def report() -> None:
         while True:
             took_s = time.monotonic() - start_s
             progress(Health("building engine", f"{model}: {took_s:.0f} s, {notes[-1]}"))
@@ -138,7 +139,7 @@ def telling(
     def note(text: str) -> None:
         notes[:] = [text or first]
 
-    thread = threading.Thread(target=tell, name="building", daemon=True)
+    thread = threading.Thread(target=report, name="building", daemon=True)
     thread.start()
     try:
         yield note
@@ -148,24 +149,26 @@ def telling(
 
 
 def folder_name(key: Key) -> str:
-    """Of the folder that a key's engine lies in."""
+    """Return the name of the folder of a key's engine."""
     content = json.dumps(key, sort_keys=True).encode()
     return f"{key['model']}-{hashlib.sha256(content).hexdigest()[:20]}"
 
 
 def obtain(key: Key, cache: Path, build: Callable[[Path], None], progress: Tell) -> Path:
-    """The folder of an engine, which is built if it is not there; readable for every user.
+    """Return the folder of an engine, readable for every user; build it if it is missing.
 
     Args:
-        build: writes the engine's files into the (empty) folder that it is given.
-        progress: told while another process builds the same engine.
+        key: see `Key`.
+        cache: folder of engines.
+        build: writes the engine's files into an empty folder.
+        progress: called while another process builds the same engine.
 
     Raises:
         ModelError: the cache cannot be used; nothing was built then.
     """
     name = folder_name(key)
     folder = cache / name
-    if damage(folder) is None:  # also where nothing can be written
+    if damage(folder) is None:  # also works in a read-only cache
         return folder
     check_usable(cache)
     with _locked(cache / f"{name}.lock", progress):
@@ -185,8 +188,8 @@ def obtain(key: Key, cache: Path, build: Callable[[Path], None], progress: Tell)
             made.rename(folder)
         except OSError as error:
             raise ModelError(
-                f"{cache}: the engine cannot be kept ({error.strerror or error}); free some room, "
-                "or set perception.detector.engine_cache"
+                f"{cache}: the engine cannot be saved ({error.strerror or error}); free some disk "
+                "space, or set perception.detector.engine_cache"
             ) from None
         finally:
             shutil.rmtree(made, ignore_errors=True)
@@ -194,33 +197,33 @@ def obtain(key: Key, cache: Path, build: Callable[[Path], None], progress: Tell)
 
 
 def _remove(folder: Path, fault: str) -> None:
-    """Remove an engine that is of no use; ModelError where that is not allowed."""
+    """Remove a damaged engine; raise ModelError if that is not allowed."""
     shutil.rmtree(folder, ignore_errors=True)
     if folder.exists():
         raise ModelError(
-            f"{folder}: of no use ({fault}) and cannot be removed; remove it as the user who owns "
+            f"{folder}: unusable ({fault}) and cannot be removed; remove it as the user who owns "
             "it, or set perception.detector.engine_cache"
         )
 
 
 def check_usable(cache: Path) -> None:
-    """Raise ModelError unless engines can be written to `cache`; a build may take minutes."""
+    """Raise ModelError unless `cache` is writable with enough space, before a build of minutes."""
     todo = "make it writable, or set perception.detector.engine_cache"
     try:
         make_writable(cache)
         free = shutil.disk_usage(cache).free
     except OSError as error:
         reason = error.strerror or str(error)
-        raise ModelError(f"{cache}: no place for engines ({reason}); {todo}") from None
+        raise ModelError(f"{cache}: cannot hold engines ({reason}); {todo}") from None
     if free < MIN_FREE_BYTES:
         raise ModelError(
             f"{cache}: {free >> 20} MB free, an engine may need {MIN_FREE_BYTES >> 20} MB; "
-            "free some room, or set perception.detector.engine_cache"
+            "free some disk space, or set perception.detector.engine_cache"
         )
 
 
 def damage(folder: Path) -> str | None:
-    """What is wrong with an engine's folder, None if it is as it was written."""
+    """Return the fault of an engine's folder, None if it is as it was written."""
     try:
         files = json.loads(read_regular(folder / _MANIFEST))["files"]
         for name, digest in files.items():
@@ -232,7 +235,7 @@ def damage(folder: Path) -> str | None:
 
 
 def _seal(made: Path, key: Key) -> None:
-    """Write down what was built, and have all of it on the disk."""
+    """Write the manifest, and sync all files to the disk."""
     files = {path.name: sha256_of(path) for path in sorted(made.iterdir()) if path.is_file()}
     if not files:
         raise ModelError(f"model {key['model']}: the build left no engine; see the log for why")
@@ -245,7 +248,7 @@ def _seal(made: Path, key: Key) -> None:
 
 @contextlib.contextmanager
 def _locked(path: Path, progress: Tell) -> Iterator[None]:
-    """Hold a lock that the system lets go when its holder dies."""
+    """Hold a lock, which the system releases when its holder dies."""
     try:
         file = path.open("a")
     except OSError as error:

@@ -19,8 +19,9 @@ class Health(NamedTuple):
 
     Attributes:
         state: `ok`; `building engine` (TensorRT, takes minutes); `restarting` (its process ended);
-            `degraded` (it ended too often, or fails at every image: nothing is detected).
-        detail: one line for a person, empty when there is nothing to say.
+            `degraded` (its process ended too often, its server gives no answers, or it fails at
+            every image: nothing is detected).
+        detail: one line for a person, empty if there is nothing to report.
     """
 
     state: HealthState = "ok"
@@ -28,19 +29,19 @@ class Health(NamedTuple):
 
 
 UNSOUND = "not finite, far outside the image, or scored outside 0 to 1"
-"""The boxes of a model that are dropped, in the words of every message about them."""
+"""Description of dropped boxes, in every message about them."""
 
 Tell = Callable[[Health], None]
-"""Told every few seconds how a detector is that is still being made; from any thread."""
+"""Called every few seconds with the health of a detector that is loading; on any thread."""
 
 
 def log_progress(health: Health) -> None:
-    """A line in the log."""
+    """Log the health."""
     log.info("%s: %s", health.state, health.detail)
 
 
 def fault_of(xyxy_px: np.ndarray, score: np.ndarray, rival: np.ndarray | None = None) -> str:
-    """Return what is wrong with boxes and scores that a detector returned; empty: nothing."""
+    """Return the fault of a detector's boxes and scores; "" if there is none."""
     if not np.isfinite(xyxy_px).all():
         return "boxes that are not finite"
     for scores in (score, *(() if rival is None else (rival,))):

@@ -1,7 +1,7 @@
-"""A model on a server, with the interface that `edge.perception.runtime.sessions` gives sessions.
+"""A model on a server, with the interface of the sessions of `edge.perception.runtime.sessions`.
 
-One connection is kept open, and made anew after every failure. Neither redirects nor the
-environment's proxies are followed.
+One connection is kept open, and made again after every failure. Redirects and the environment's
+proxies are ignored.
 """
 
 from __future__ import annotations
@@ -26,17 +26,18 @@ from edge.text import one_line, without_secrets
 
 KSERVE = "kserve"
 MOST_BYTES = 16 << 20
-"""Of an answer; boxes and scores of a large detector and 200 words are 7 MB."""
+"""Largest answer; boxes and scores of a large detector and 200 words are 7 MB."""
 _DATATYPES = {FLOAT: "FP32", INT64: "INT64"}
 
 Kind = Literal["dead", "slow", "lying", "refusing"]
 
 
 class ServerError(ModelError):
-    """A server that gave no usable answer: one line that says which, what, and what to do.
+    """A server that gave no usable answer: one line with the server, the fault and what to do.
 
     Attributes:
-        kind: nobody answers; not in time; what comes is not what was asked for; it says no.
+        kind: `dead` (no connection), `slow` (no answer in time), `lying` (an invalid answer) or
+            `refusing` (an HTTP error).
     """
 
     def __init__(self, model: str, url: str, kind: Kind, what: str) -> None:
@@ -45,10 +46,12 @@ class ServerError(ModelError):
 
 
 class RemoteSession:
-    """For one thread at a time; any may close it. Nothing is asked before the first run.
+    """A session on a server, for one thread at a time; any thread may close it.
+
+    The server is not asked before the first run.
 
     Attributes:
-        binary: whether tensors go as bytes, once there was a connection.
+        binary: True if tensors are sent as bytes; known after the first connection.
     """
 
     def __init__(self, card: DetectCard | ImageCard) -> None:
@@ -56,17 +59,17 @@ class RemoteSession:
         self.name, self._server = card.name, card.server
         self.binary = False
         inputs, outputs = wanted(card)
-        self._inputs, self._outputs = _told(inputs), _told(outputs)
+        self._inputs, self._outputs = _specs(inputs), _specs(outputs)
         self._line: _Line | None = None
         self._under_way: Exchange | None = None
         self._lock, self._closed = threading.Lock(), False
 
     def get_providers(self) -> list[str]:
-        """As a session of onnxruntime."""
+        """Return the provider's name, as a session of onnxruntime does."""
         return [KSERVE]
 
     def run(self, names: Sequence[str] | None, feed: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-        """As a session of onnxruntime; takes at most the card's `server.time_limit_s`.
+        """Run as a session of onnxruntime; takes at most the card's `server.time_limit_s`.
 
         Raises:
             ServerError: no usable answer.
@@ -86,7 +89,7 @@ class RemoteSession:
     def infer(
         self, feed: Mapping[str, np.ndarray], shapes: Mapping[str, messages.Shape]
     ) -> list[np.ndarray]:
-        """Outputs of these shapes; see `run`."""
+        """Return outputs of these shapes; see `run`."""
         until_s = time.monotonic() + self._server.time_limit_s
         try:
             line = self._line or self._connect(until_s)
@@ -101,7 +104,7 @@ class RemoteSession:
         return [found[name] for name in shapes]
 
     def close(self) -> None:
-        """Give up at once what is being asked; nothing can be asked afterwards."""
+        """Abort the current request at once; do not call `run` afterwards."""
         with self._lock:
             self._closed, under_way = True, self._under_way
         if under_way is not None:
@@ -109,7 +112,7 @@ class RemoteSession:
         self._hang_up(at_work=under_way is not None)
 
     def _connect(self, until_s: float) -> _Line:
-        """A line to the server, which has the model."""
+        """Connect to the server and check that it has the model."""
         self._line = line = _Line(self._server.url)
         server = self._ask(line, "GET", None, until_s)
         model = self._ask(line, "GET", "", until_s)
@@ -127,10 +130,18 @@ class RemoteSession:
         headers: Mapping[str, str] = MappingProxyType({}),
         body: bytes | None = None,
     ) -> Reply:
-        """A whole answer of status 200.
+        """Send a request; return the whole answer, of status 200.
 
         Args:
-            path: below the model's; None: the server's own.
+            line: the connection.
+            method: of HTTP.
+            path: below the model's URL; None: the server's own URL.
+            until_s: deadline, on the monotonic clock.
+            headers: of the request.
+            body: of the request.
+
+        Raises:
+            ServerError: no usable answer.
         """
         url = f"{self._server.url.rstrip('/')}/v2"
         if path is not None:
@@ -155,7 +166,7 @@ class RemoteSession:
             limit_s = self._server.time_limit_s
             what = f"no whole answer within {limit_s:g} s; use a faster one, or raise time_limit_s"
             raise self._error("slow", what) from None
-        except Exception as error:  # httpx wraps much, but not all, of what sockets raise
+        except Exception as error:  # httpx wraps most, but not all, socket errors
             raise self._error("dead", failure(error)) from None
         finally:
             with self._lock:
@@ -168,7 +179,7 @@ class RemoteSession:
 
     @contextlib.contextmanager
     def _lies(self) -> Iterator[None]:
-        """A ValueError within the block is what is wrong with an answer."""
+        """Turn a ValueError within the block into a ServerError of kind `lying`."""
         try:
             yield
         except ValueError as error:
@@ -179,10 +190,10 @@ class RemoteSession:
         return ServerError(self.name, self._server.url, kind, what)
 
     def _hang_up(self, at_work: bool) -> None:
-        """Another connection next time.
+        """Close the connection; the next request opens another.
 
         Args:
-            at_work: a thread still waits on this one, which ends as it is cut.
+            at_work: True if a thread still waits on this one; cutting it ends that wait.
         """
         line, self._line = self._line, None
         if line is not None:
@@ -192,7 +203,7 @@ class RemoteSession:
 
 
 class RemoteBound:
-    """See `edge.perception.runtime.binding.Bound`: outputs are copied into arrays of its own."""
+    """A bound session of a server; outputs are copied into its own arrays."""
 
     def __init__(
         self,
@@ -215,15 +226,15 @@ class _Line:
     """A client with one connection."""
 
     def __init__(self, url: str) -> None:
-        # Reading the certificates takes longer than a short answer.
+        # Load certificates only for https: reading them takes longer than a short answer.
         verify = ssl.create_default_context() if url.startswith("https:") else False
         limits = httpx.Limits(max_connections=1, max_keepalive_connections=1, keepalive_expiry=None)
         self.client = httpx.Client(verify=verify, trust_env=False, limits=limits)
         self.connection = Connection()
 
 
-def _told(values: Sequence[Value]) -> dict[str, tuple[str, messages.Shape]]:
-    """Datatype and shape by name; sizes that may be anything are None."""
+def _specs(values: Sequence[Value]) -> dict[str, tuple[str, messages.Shape]]:
+    """Return datatype and shape by name; None stands for a free size."""
     return {
         v.name: (_DATATYPES[v.dtype], tuple(s if s and s > 0 else None for s in v.shape or ()))
         for v in values
@@ -234,6 +245,6 @@ def _refusal(reply: Reply) -> str:
     if 300 <= reply.status < 400:
         where = one_line(without_secrets(reply.headers.get("Location", "nowhere")))
         return f"HTTP {reply.status}, see {where}; configure another URL"
-    said = explanation(reply.body)
-    said = said.decode("utf-8", "replace") if isinstance(said, bytes) else said
-    return f"HTTP {reply.status}: {one_line(said) or 'it does not say why'}; see the server's log"
+    reason = explanation(reply.body)
+    reason = reason.decode("utf-8", "replace") if isinstance(reason, bytes) else reason
+    return f"HTTP {reply.status}: {one_line(reason) or 'it does not say why'}; see the server's log"

@@ -1,7 +1,7 @@
 """Requests and answers of KServe's inference protocol, version 2, over HTTP.
 
-Tensors go as bytes behind the JSON where the server can (`binary_tensor_data`, an extension of
-Triton's), else as numbers in the JSON, which are five times as long and take as much longer.
+Tensors go as bytes after the JSON if the server supports it (`binary_tensor_data`, an extension
+of Triton's). Otherwise they go as numbers in the JSON, which takes five times the size and time.
 https://github.com/kserve/open-inference-protocol
 https://github.com/triton-inference-server/server/blob/main/docs/protocol/extension_binary_data.md
 """
@@ -30,12 +30,14 @@ Shape = tuple["int | None", ...]
 def infer_request(
     inputs: Mapping[str, np.ndarray], outputs: Sequence[str], binary: bool
 ) -> tuple[dict[str, str], bytes]:
-    """Headers and body of a request.
+    """Build the headers and body of a request.
 
     Args:
-        inputs: of the types in `DTYPES`.
+        inputs: arrays of the types in `DTYPES`.
+        outputs: names of the outputs.
+        binary: True: send and ask for tensors as bytes.
     """
-    told: list[dict[str, Any]] = []
+    entries: list[dict[str, Any]] = []
     blocks: list[bytes] = []
     for name, array in inputs.items():
         entry = {"name": name, "shape": list(array.shape), "datatype": _NAMES[array.dtype]}
@@ -45,9 +47,9 @@ def infer_request(
             blocks.append(block)
         else:
             entry["data"] = array.ravel().tolist()
-        told.append(entry)
+        entries.append(entry)
     wanted = [{"name": name, "parameters": {"binary_data": binary}} for name in outputs]
-    head = json.dumps({"inputs": told, "outputs": wanted}).encode()
+    head = json.dumps({"inputs": entries, "outputs": wanted}).encode()
     if not binary:
         return {"Content-Type": "application/json"}, head
     headers = {"Content-Type": "application/octet-stream", HEADER_LENGTH: str(len(head))}
@@ -57,25 +59,26 @@ def infer_request(
 def infer_answer(
     body: bytes, head_bytes: str | None, wanted: Mapping[str, Shape]
 ) -> dict[str, np.ndarray]:
-    """The tensors of an answer.
+    """Decode the tensors of an answer.
 
     Args:
-        head_bytes: what the header `HEADER_LENGTH` says; None: it is not there.
-        wanted: float32 outputs, whatever else the answer holds.
+        body: of the answer.
+        head_bytes: value of the header `HEADER_LENGTH`; None: it is missing.
+        wanted: shapes of float32 outputs; other outputs are ignored.
 
     Returns:
-        By name, (shape) float32; not copied from the body where they are bytes of it.
+        By name, (shape) float32; views of the body if they are bytes of it.
 
     Raises:
-        ValueError: the answer is not what was asked for; one line.
+        ValueError: the answer does not fit the request; one line.
     """
     length = len(body) if head_bytes is None else _length(head_bytes, len(body))
     answer, at = read_json_object(body[:length]), length
-    told = answer.get("outputs")
-    if not isinstance(told, list) or not all(isinstance(entry, dict) for entry in told):
+    entries = answer.get("outputs")
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise ValueError("it has no list of outputs")
     found: dict[str, np.ndarray] = {}
-    for entry in told:
+    for entry in entries:
         name = entry.get("name")
         size = _binary_size(entry)
         block = None if size is None else memoryview(body)[at : at + size]
@@ -96,19 +99,21 @@ def infer_answer(
 def check_metadata(
     body: bytes, inputs: Mapping[str, tuple[str, Shape]], outputs: Mapping[str, tuple[str, Shape]]
 ) -> None:
-    """Hold what a server says of a model against what it should be.
+    """Compare a server's metadata of a model with the expected inputs and outputs.
 
-    A server need not know its models' inputs and outputs; what it does not name is not compared.
+    A server need not know its models' inputs and outputs; without them nothing is compared.
 
     Args:
-        inputs, outputs: datatype and shape by name.
+        body: of the answer.
+        inputs: datatype and shape by name.
+        outputs: datatype and shape by name.
 
     Raises:
         ValueError: the model is another; one line.
     """
-    told = read_json_object(body)
+    metadata = read_json_object(body)
     for kind, wanted in (("inputs", inputs), ("outputs", outputs)):
-        entries = told.get(kind)
+        entries = metadata.get(kind)
         entries = entries if isinstance(entries, list) else []
         named = {e["name"]: e for e in entries if isinstance(e, dict) and _is_name(e.get("name"))}
         if not named:
@@ -125,7 +130,7 @@ def check_metadata(
 
 
 def speaks_binary(body: bytes) -> bool:
-    """Whether a server says of itself that it takes and gives tensors as bytes."""
+    """Return True if the server supports tensors as bytes."""
     extensions = read_json_object(body).get("extensions")
     return isinstance(extensions, list) and BINARY in extensions
 
@@ -137,7 +142,7 @@ def _length(text: str, most: int) -> int:
 
 
 def _binary_size(entry: dict[str, Any]) -> int | None:
-    """How many of the bytes behind the JSON are an output's; None: it is in the JSON."""
+    """Return the number of bytes after the JSON of an output; None: it is in the JSON."""
     parameters = entry.get("parameters")
     if not isinstance(parameters, dict) or "binary_data_size" not in parameters:
         return None
@@ -170,10 +175,11 @@ def _tensor(entry: dict[str, Any], block: memoryview | None, wanted: Shape) -> n
 
 
 def _sizes(shape: object, open_too: bool = False) -> tuple[int, ...] | None:
-    """A shape as it was told; None where it is none.
+    """Return a shape from JSON; None if it is invalid.
 
     Args:
-        open_too: sizes may be -1.
+        shape: from JSON.
+        open_too: True: sizes may be -1.
     """
     if not isinstance(shape, list) or len(shape) > _SHOWN:
         return None

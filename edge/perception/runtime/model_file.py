@@ -1,8 +1,8 @@
-"""Model files on the disk: their hashes, and what goes wrong with them.
+"""Model files on the disk, and their hashes.
 
-A hash is computed anew at every start, since a disk may rot under an unchanged time of change. It
-is remembered too, in the cache, by path, size and time of change: `$EDGE_TRUST_CACHE` takes the
-memory's word for it.
+A hash is computed at every start, since a disk may corrupt a file without changing its time. The
+cache also remembers each hash, by path, size and time of change. With `$EDGE_TRUST_CACHE` set, a
+remembered hash is used and not computed again.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from edge.host.files import open_regular, read_regular, write_atomically
 from edge.text import read_json_object
 
 TRUST_CACHE = "EDGE_TRUST_CACHE"
-"""Variable of the environment; not empty, remembered hashes are not computed again."""
+"""Environment variable; if it is not empty, remembered hashes are used."""
 
 
 class ModelError(UnavailableError):
-    """A model that cannot be used: one line that says what, where and what to do."""
+    """A model that cannot be used: one line with the fault, the file or card, and what to do."""
 
 
 def sha256_of(path: Path) -> str:
-    """Hex digest of a file."""
+    """Return the hex digest of a file."""
     digest = hashlib.sha256()
     with open_regular(path) as file:
         while block := file.read(1 << 20):
@@ -40,7 +40,7 @@ def trusts_cache() -> bool:
 
 
 def fresh_sha256(path: Path) -> str:
-    """Hash of a file, computed and remembered.
+    """Compute and remember the hash of a file.
 
     Raises:
         ModelError: the file cannot be read.
@@ -51,7 +51,7 @@ def fresh_sha256(path: Path) -> str:
     except OSError as error:
         raise _unreadable(path, error) from None
     known, prefix, file = _memory(), f"{path.resolve()}|", _memory_file()
-    if known.get(key) == digest:  # a start writes nothing
+    if known.get(key) == digest:  # do not write at every start
         return digest
     known = {k: v for k, v in known.items() if not k.startswith(prefix)} | {key: digest}
     with contextlib.suppress(OSError):  # a read-only cache only costs hashing again
@@ -60,10 +60,10 @@ def fresh_sha256(path: Path) -> str:
 
 
 def known_sha256(path: Path) -> str | None:
-    """The hash that a file of this size and time of change had when it was last computed.
+    """Return the remembered hash of a file with this size and time of change; None if unknown.
 
     Raises:
-        ModelError: the file is not there, or may not be looked at.
+        ModelError: the file is missing or may not be read.
     """
     try:
         known = _memory().get(_key(path))
@@ -73,15 +73,14 @@ def known_sha256(path: Path) -> str | None:
 
 
 def remembered_sha256(path: Path) -> str:
-    """`known_sha256`, else `fresh_sha256`: for what belongs to a file that is verified anyway."""
+    """Return `known_sha256`, else `fresh_sha256`; for a file that is verified elsewhere."""
     return known_sha256(path) or fresh_sha256(path)
 
 
 def check_unchanged(path: Path, sha256: str) -> None:
-    """Raise ModelError unless a file, hashed anew, has this hash.
+    """Raise ModelError unless the file, hashed now, has this hash.
 
-    For what is to be made of the file and kept: it must not outlive the damage of a file whose
-    hash was only remembered.
+    Call it before something lasting is made of the file: a remembered hash may hide damage.
     """
     if fresh_sha256(path) != sha256:
         raise ModelError(

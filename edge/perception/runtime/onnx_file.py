@@ -1,8 +1,8 @@
-"""What a model's file must be before a session is made of it: its format, inputs and outputs.
+"""Checks of a model's file before a session opens it: its format, inputs and outputs.
 
-Read by our own hand, since onnxruntime opens files that a model names, and since the package onnx
-takes a file's size in memory for a sound one, and 73 times that for one made of empty parts.
-Field numbers: onnx.proto3 of ONNX 1.20 (github.com/onnx/onnx, onnx/onnx.proto3).
+The file is parsed here for two reasons. onnxruntime opens other files that a model names. The
+package onnx takes a file's size in memory for a valid file, and 73 times that for one made of empty
+parts. Field numbers: onnx.proto3 of ONNX 1.20 (github.com/onnx/onnx, onnx/onnx.proto3).
 """
 
 from __future__ import annotations
@@ -29,19 +29,20 @@ from edge.perception.runtime.model_file import ModelError
 
 MAX_IR = 10
 MAX_OPSET = 20
-"""What the onnxruntime of every supported Python and JetPack loads."""
+"""Newest versions that the onnxruntime of every supported Python and JetPack loads."""
 KNOWN_DOMAINS = {"", "ai.onnx", "ai.onnx.ml", "com.microsoft"}
 MAX_DEPTH = 40
 MAX_FIELDS = 1_000_000
-"""Far more than a model has whose weights are stored as bytes."""
+"""Far more fields than a model has whose weights are stored as bytes."""
 MAX_PARTS = 200_000
-"""Of those, messages that are looked into; each takes some 500 bytes of memory."""
+"""Limit of parsed messages; each takes some 500 bytes of memory."""
 
 PROMPTS = {"point_coords", "point_labels", "mask_input", "has_mask_input", "orig_im_size"}
-"""Inputs of a mask decoder that are no features of the image."""
+"""Inputs of a mask decoder that are not features of the image."""
 MASK_OUTPUTS = ("low_res_masks", "masks")
-"""Outputs of a mask decoder that hold its masks, the one that is taken where both are there first:
-the other is enlarged to the image."""
+"""Outputs of a mask decoder with its masks, in order of preference.
+
+The second is enlarged to the image."""
 
 FLOAT, INT64 = 1, 7
 _TYPES = {1: "float32", 7: "int64", 10: "float16", 11: "float64", 6: "int32", 2: "uint8"}
@@ -49,7 +50,7 @@ _ANY = -1
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
 Tree = dict[str, list[Any]]
-"""A message: what each of its fields holds, in order: numbers, texts, or messages."""
+"""A parsed message: the values of each of its fields, in order: numbers, texts, or messages."""
 Shape = tuple["int | None", ...]
 
 _FIELDS: dict[str, dict[int, str]] = {
@@ -70,12 +71,12 @@ _FIELDS: dict[str, dict[int, str]] = {
     "shape": {1: "dim"},
     "dim": {1: "size"},
 }
-"""By message: the fields that are looked at; those that are messages too have entries here."""
+"""Fields to parse, by message; a field that is a message has its own entry."""
 _NUMBERS = {"ir", "version", "location", "dtype", "size"}
 
 
 class NotOnnx(ValueError):
-    """The bytes are no ONNX model; says why."""
+    """The bytes are no ONNX model, for the reason in its text."""
 
 
 class Value(NamedTuple):
@@ -83,7 +84,7 @@ class Value(NamedTuple):
 
     Attributes:
         dtype: number of its type (TensorProto.DataType): 1 float32, 7 int64; 0 unknown.
-        shape: None for a free size; None altogether where no shape is declared.
+        shape: None for a free size; None as a whole if no shape is declared.
     """
 
     name: str
@@ -92,14 +93,15 @@ class Value(NamedTuple):
 
 
 class OnnxFile(NamedTuple):
-    """What a model declares.
+    """The declarations of a model.
 
     Attributes:
-        opset: of ONNX's own operators.
-        strange: domains of operators that neither onnxruntime nor the model itself brings along,
-            also in subgraphs.
+        ir: version of the ONNX IR.
+        opset: version of ONNX's own operators.
+        strange: domains of operators that neither onnxruntime nor the model itself defines, also in
+            subgraphs.
         external: files that it names for its weights.
-        inputs: without those that are initializers.
+        inputs: without initializers.
     """
 
     ir: int
@@ -111,8 +113,10 @@ class OnnxFile(NamedTuple):
 
 
 def check_file(path: Path, card: FileCard) -> None:
-    """Raise ModelError unless the file is an ONNX model that a session can be made of, and has
-    the card's inputs and outputs.
+    """Check that the file is an ONNX model with the card's inputs and outputs.
+
+    Raises:
+        ModelError: it is not, or no session should open it.
     """
     model = _read(path)
     check_format(path, model)
@@ -120,11 +124,14 @@ def check_file(path: Path, card: FileCard) -> None:
 
 
 def check_network(path: Path, is_covered: Callable[[str], bool]) -> None:
-    """Raise ModelError unless the file is an ONNX model that a session can be made of.
+    """Check that the file is an ONNX model that a session may open.
 
     Args:
-        is_covered: whether a file that it keeps weights in, named as from its folder, is one that
-            a hash covers.
+        path: of the file.
+        is_covered: returns True if a hash covers a file with weights, named relative to the folder.
+
+    Raises:
+        ModelError: it is not.
     """
     model = _read(path)
     outside = [where for where in model.external if not is_covered(where)]
@@ -132,16 +139,20 @@ def check_network(path: Path, is_covered: Callable[[str], bool]) -> None:
 
 
 def check_fixed(path: Path, key: str) -> None:
-    """Raise ModelError unless every input of a network has one shape, as TensorRT's engines have.
+    """Check that every input of a network has a fixed shape, as TensorRT's engines need.
 
     Args:
-        key: of the configuration that asked for TensorRT, for the message.
+        path: of the file.
+        key: configuration key that asked for TensorRT, for the message.
+
+    Raises:
+        ModelError: an input has a free size.
     """
     for value in _read(path).inputs:
         if value.shape is None or None in value.shape:
             raise ModelError(
-                f"{path}: its input {value.name!r:.60} has no fixed shape, of which TensorRT would "
-                f"build an engine: name CUDAExecutionProvider or CPUExecutionProvider in {key}"
+                f"{path}: its input {value.name!r:.60} has no fixed shape, which TensorRT needs "
+                f"here: name CUDAExecutionProvider or CPUExecutionProvider in {key}"
             )
 
 
@@ -155,7 +166,7 @@ def _read(path: Path) -> OnnxFile:
 
 
 def check_format(path: Path, model: OnnxFile) -> None:
-    """Raise ModelError for weights in other files, and for versions or operators unknown here."""
+    """Raise ModelError for weights in other files, and for unsupported versions or operators."""
     if model.external:
         where = model.external[0]
         outside = where.startswith(("/", "\\")) or ".." in Path(where.replace("\\", "/")).parts
@@ -176,14 +187,14 @@ def check_format(path: Path, model: OnnxFile) -> None:
 
 
 def check_interface(path: Path, model: OnnxFile, card: FileCard) -> None:
-    """Raise ModelError unless inputs and outputs are what the card's task asks for."""
+    """Raise ModelError unless inputs and outputs are those of the card's task."""
     if isinstance(card, (MaskEncoderCard, MaskDecoderCard)):
         return _check_segmenter(path, model, card)
     inputs, outputs = wanted(card)
     found = sorted(model.inputs), model.outputs
     fits = [len(some) == len(asked) for some, asked in zip(found, (inputs, outputs), strict=True)]
     fits += [_fits(value, spec) for value, spec in zip(found[0], sorted(inputs), strict=False)]
-    # Exporters often leave outputs' sizes open; those that are told must be right.
+    # Exporters often leave outputs' sizes free; sizes that are given must fit.
     fits += [
         _fits(value, spec, open_too=True) for value, spec in zip(found[1], outputs, strict=False)
     ]
@@ -196,7 +207,7 @@ def check_interface(path: Path, model: OnnxFile, card: FileCard) -> None:
 
 
 def _check_segmenter(path: Path, model: OnnxFile, card: MaskEncoderCard | MaskDecoderCard) -> None:
-    """As `check_interface`: exporters agree in a decoder's prompts, and in no other name."""
+    """Check as `check_interface`; exporters agree only in the names of a decoder's prompts."""
     made, taken = {v.name: v for v in model.outputs}, {v.name: v for v in model.inputs}
     if isinstance(card, MaskEncoderCard):
         image = (_ANY, 3, card.input.height, card.input.width)
@@ -220,7 +231,10 @@ def _check_segmenter(path: Path, model: OnnxFile, card: MaskEncoderCard | MaskDe
 
 
 def wanted(card: FileCard) -> tuple[list[Value], list[Value]]:
-    """(inputs in any order, outputs); a size that is None must be free, one that is -1 may be."""
+    """Return (inputs in any order, outputs) of the card's task.
+
+    In a shape, None must be free, -1 may be any size.
+    """
     if isinstance(card, TextCard):
         length = card.tokenizer.context if card.tokenizer.kind == "clip" else _ANY
         tokens = Value("tokens", INT64, (None, length))
@@ -273,7 +287,7 @@ def _list(values: list[Value]) -> str:
 
 
 def read_onnx(path: Path) -> OnnxFile:
-    """What the model in a file declares.
+    """Read the declarations of the model in a file.
 
     Raises:
         NotOnnx: it is not a whole model.
@@ -289,7 +303,7 @@ def read_onnx(path: Path) -> OnnxFile:
 
 
 def parse_onnx(content: bytes | mmap.mmap) -> OnnxFile:
-    """See `read_onnx`."""
+    """Parse the bytes of a model; see `read_onnx`."""
     model = _Reader(content).message("model", 0, len(content), 0)
     graphs, ir = model.get("graph", []), _last(model, "ir", 0)
     if len(graphs) != 1 or not ir:
@@ -312,12 +326,12 @@ def parse_onnx(content: bytes | mmap.mmap) -> OnnxFile:
 
 
 def _last(message: Tree, name: str, default: Any) -> Any:
-    """What a field holds; where it is there twice, the last one counts."""
+    """Return a field's value; if it occurs more than once, the last one counts."""
     return message.get(name, [default])[-1]
 
 
 def _all(message: Tree, name: str) -> Iterator[Tree]:
-    """Every message in a field of this name, however deep."""
+    """Yield every message in a field of this name, at any depth."""
     for field, held in message.items():
         if field in _FIELDS:
             for part in held:
@@ -327,7 +341,7 @@ def _all(message: Tree, name: str) -> Iterator[Tree]:
 
 
 def _is_outside(tensor: Tree) -> bool:
-    """Whether it keeps its values elsewhere."""
+    """Return True if the tensor's values are in another file."""
     return "external" in tensor or any(tensor.get("location", []))
 
 
@@ -344,14 +358,14 @@ def _value(info: Tree) -> Value:
 
 
 class _Reader:
-    """Walks the protocol buffers' wire format once, and keeps what is asked about."""
+    """A parser of the protocol buffers' wire format that keeps only the fields in `_FIELDS`."""
 
     def __init__(self, content: bytes | mmap.mmap) -> None:
         self._content = content
         self._fields = self._parts = 0
 
     def message(self, kind: str, begin: int, end: int, depth: int) -> Tree:
-        """One message and those in it that are in `_FIELDS`."""
+        """Parse one message and the messages in it that are in `_FIELDS`."""
         self._parts += 1
         if self._parts > MAX_PARTS:
             raise NotOnnx(f"it has more than {MAX_PARTS} parts")
@@ -370,7 +384,7 @@ class _Reader:
         return found
 
     def _in(self, begin: int, end: int) -> Iterator[tuple[int, int, int, int]]:
-        """(field number, wire type, value or first byte, one behind the last byte), in order."""
+        """Yield (field number, wire type, value or first byte, end) of each field in order."""
         at = begin
         while at < end:
             self._fields += 1

@@ -1,7 +1,7 @@
-"""Sessions that run a model: on exactly the providers named, or an error that says why not.
+"""Sessions that run a model, on exactly the configured providers, or an error with the reason.
 
-A provider is onnxruntime's name of one (`CPUExecutionProvider`, `CUDAExecutionProvider`,
-`TensorrtExecutionProvider`), or `tensorrt` alone, which is TensorRT itself without onnxruntime.
+A provider is onnxruntime's name (`CPUExecutionProvider`, `CUDAExecutionProvider`,
+`TensorrtExecutionProvider`), or `tensorrt` alone, which is TensorRT without onnxruntime.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ DTYPES = {
     "tensor(int32)": np.int32,
     "tensor(bool)": np.bool_,
 }
-"""onnxruntime's names of what networks take and make."""
+"""onnxruntime's names of tensor types."""
 
 RECIPE = 1
-"""Counts what `provider_options` tells TensorRT's builder: one more where that changes."""
+"""Version of TensorRT's builder settings in `provider_options`; raise it when they change."""
 
 
 def open_session(
@@ -48,24 +48,26 @@ def open_session(
     engine: EngineOptions | None = None,
     key: str = "perception.detector.providers",
 ) -> Any:
-    """A session that runs on exactly the providers named.
+    """Open a session that runs on exactly the named providers.
 
-    It is onnxruntime's, or one of TensorRT that has `run` and `get_providers` as those have;
+    It is onnxruntime's, or one of TensorRT with the same `run` and `get_providers`;
     `edge.perception.runtime.binding.bind` takes either.
 
     Args:
-        threads: of the CPU.
-        device_id: which GPU.
-        engine: for TensorRT; the default takes the file for an `fp32` model of fixed shapes.
-        key: of the configuration that named the providers, for messages.
+        path: the ONNX file.
+        providers: names, in order of preference.
+        threads: number of CPU threads.
+        device_id: number of the GPU.
+        engine: options for TensorRT; by default an `fp32` model of fixed shapes.
+        key: configuration key of the providers, for messages.
 
     Raises:
-        ModelError: a package or provider is not there, or the file is no model.
+        ModelError: a package or provider is missing, or the file is no model.
     """
     engine = engine or EngineOptions(path.stem, "fp32")
     if engine.precision == "int8-cpu" and TENSORRT_PROVIDERS.intersection(providers):
         raise ModelError(
-            f"model {engine.model}: its INT8 is not symmetric, which TensorRT demands; choose its "
+            f"model {engine.model}: its INT8 is not symmetric, but TensorRT needs that; choose its "
             "int8-trt or fp16 variant"
         )
     check_providers(providers, key)
@@ -75,20 +77,21 @@ def open_session(
 
 
 def check_providers(providers: Sequence[str], key: str, look: bool = True) -> None:
-    """Refuse providers that this installation does not have.
+    """Check that this installation has the providers.
 
     Args:
-        key: of the configuration that named them, for messages.
-        look: False: onnxruntime is not imported, so it is not asked which providers it has.
+        providers: names.
+        key: configuration key of the providers, for messages.
+        look: False: onnxruntime is not imported, so its list of providers is not checked.
 
     Raises:
-        ModelError: there are none, or a package or a provider is not there.
+        ModelError: there are none, or a package or a provider is missing.
     """
     if not providers:
         raise ModelError(f"{key}: empty, name at least one")
     if TENSORRT in providers:
         if len(providers) > 1:
-            raise ModelError(f"{key}: {TENSORRT!r} stands alone, without others")
+            raise ModelError(f"{key}: {TENSORRT!r} cannot be combined with others; name it alone")
         tensorrt.load()
         return
     lacks = ModelError("onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])")
@@ -147,9 +150,9 @@ def _load(
     ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[str, str]]], key: str
 ) -> Any:
     try:
-        # Its fallback would print, and go on with other providers than those named.
+        # Its fallback would print, and use other providers than those named.
         session = ort.InferenceSession(str(path), options, providers=providers, enable_fallback=0)
-    except Exception as error:  # onnxruntime raises many types of its own
+    except Exception as error:  # onnxruntime raises many types
         raise ModelError(f"{path}: onnxruntime cannot load it: {reason_of(error)}") from None
     # A provider that fails to start is only logged by onnxruntime, which then uses the CPU.
     if missing := [p for p, _ in providers if p not in session.get_providers()]:
@@ -163,22 +166,22 @@ def _load(
 
 @contextlib.contextmanager
 def failing_as(what: str) -> Iterator[None]:
-    """Whatever a model or its runtime raises within the block is a ModelError of one line.
+    """Turn any error of a model or its runtime within the block into a ModelError of one line.
 
     Args:
-        what: the line's beginning: which model, and what it failed at.
+        what: beginning of the line: the model, and what it failed at.
     """
     try:
         yield
     except UserError:
         raise
-    except Exception as error:  # onnxruntime raises many types of its own, CUDA RuntimeError
+    except Exception as error:  # onnxruntime raises many types, CUDA RuntimeError
         reason = one_line(error) or type(error).__name__
         raise ModelError(f"{what}: {reason}") from None
 
 
 def reason_of(error: Exception) -> str:
-    """What onnxruntime means, without the path and the place in its source that come before."""
+    """Return onnxruntime's reason without the path and source location in front of it."""
     text = " ".join(str(error).split()) or type(error).__name__
     text = re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ", "", text)
     text = re.sub(r"^.* failed: ?", "", text)
@@ -189,17 +192,17 @@ def reason_of(error: Exception) -> str:
 def provider_options(
     provider: str, device_id: int, engine: EngineOptions, folder: Path
 ) -> dict[str, str]:
-    """What onnxruntime's provider is told; empty for those that need nothing.
+    """Return the options of an onnxruntime provider; empty if it needs none.
 
     The TensorRT provider builds weakly typed networks: the flags allow the types that are in the
-    file. Q/DQ pairs in the file take the place of a calibration table.
+    file. Q/DQ pairs in the file replace a calibration table.
     https://onnxruntime.ai/docs/execution-providers/TensorRT-ExecutionProvider.html
     """
     if provider == "CUDAExecutionProvider":
         return {"device_id": str(device_id)}
     if provider != ORT_TENSORRT:
         return {}
-    told = {
+    options = {
         "device_id": str(device_id),
         "trt_engine_cache_enable": "True",
         "trt_engine_cache_path": str(folder),
@@ -211,14 +214,17 @@ def provider_options(
     for index, end in enumerate(("min", "opt", "max")):
         shapes = (f"{n}:{'x'.join(map(str, s[index]))}" for n, s in engine.shapes.items())
         if text := ",".join(shapes):
-            told[f"trt_profile_{end}_shapes"] = text
-    return told
+            options[f"trt_profile_{end}_shapes"] = text
+    return options
 
 
 def tensorrt_version() -> str:
-    """Of the TensorRT that onnxruntime will load, from Python's package or the library itself."""
+    """Return the version of TensorRT that onnxruntime will load.
+
+    It is read from Python's package or from the library itself.
+    """
     if importlib.util.find_spec("tensorrt") is not None:
-        import tensorrt  # loads its libraries, where onnxruntime then finds them
+        import tensorrt  # loads its libraries, so that onnxruntime finds them
 
         return str(tensorrt.__version__)
     for name in ("libnvinfer.so.10", "libnvinfer.so.11", "libnvinfer.so"):

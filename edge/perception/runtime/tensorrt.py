@@ -1,9 +1,9 @@
-"""Engines of TensorRT itself: built from ONNX, kept, and run without onnxruntime.
+"""TensorRT engines: built from ONNX, cached, and run without onnxruntime.
 
-Written against TensorRT 10 (JetPack 6 and 7) and 11, whose networks are always strongly typed:
-the file's own types decide what is float32, float16 or int8, and a builder flag could only undo
-what was measured. TensorRT's Python package comes with JetPack, or from the package index on
-x86-64 (extra `tensorrt`).
+Written for TensorRT 10 (JetPack 6 and 7) and 11, whose networks are always strongly typed: the
+file's own types decide what is float32, float16 or int8. A builder flag could only undo measured
+choices. TensorRT's Python package comes with JetPack, or from the package index on x86-64 (extra
+`tensorrt`).
 https://docs.nvidia.com/deeplearning/tensorrt/latest/_static/python-api/
 """
 
@@ -28,23 +28,23 @@ log = logging.getLogger(__name__)
 _PLAN = "model.engine"
 _WORKSPACE_BYTES = 1 << 30
 RECIPE = 1
-"""Counts what `build_plan` tells the builder: one more where that changes."""
+"""Version of the builder settings in `build_plan`; raise it when they change."""
 
 
 def load() -> Any:
-    """The module `tensorrt`; ModelError where it is not installed."""
+    """Import `tensorrt`; raise ModelError if it is not installed."""
     try:
         import tensorrt
     except ImportError:
         raise ModelError(
             "TensorRT for Python is not installed: pip install edge-vln[tensorrt]; on a Jetson "
-            "take JetPack's, in an environment made with --system-site-packages"
+            "use JetPack's, in an environment made with --system-site-packages"
         ) from None
     return tensorrt
 
 
 def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtSession:
-    """The engine of an ONNX file, from the cache or built now.
+    """Open the engine of an ONNX file, from the cache or built now.
 
     Raises:
         ModelError: TensorRT, the GPU or the cache cannot be used, or TensorRT refuses the model.
@@ -67,7 +67,7 @@ def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtS
     logger = make_logger(trt)
     runtime = trt.Runtime(logger)
     engine = runtime.deserialize_cuda_engine((folder / _PLAN).read_bytes())
-    if engine is None:  # as it was written, for this GPU and TensorRT: want of memory
+    if engine is None:  # the file is intact, for this GPU and TensorRT: memory is short
         raise ModelError(
             f"{folder}: TensorRT cannot load this engine: {logger.last}; free memory on the GPU, "
             "or remove the folder to have the engine built again"
@@ -76,11 +76,13 @@ def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtS
 
 
 def build_plan(trt: Any, path: Path, shapes: Mapping[str, Any], note: Callable[[str], None]) -> Any:
-    """Build the engine of an ONNX file; minutes.
+    """Build the engine of an ONNX file, which takes minutes.
 
     Args:
+        trt: the module `tensorrt`.
+        path: the ONNX file.
         shapes: see `EngineOptions.shapes`.
-        note: told how far it is.
+        note: called with the progress.
 
     Returns:
         The serialized engine, a buffer.
@@ -111,7 +113,7 @@ def build_plan(trt: Any, path: Path, shapes: Mapping[str, Any], note: Callable[[
 
 
 def make_logger(trt: Any) -> Any:
-    """A TensorRT logger that writes to ours; `last` is the newest error, for one line of ours."""
+    """Make a TensorRT logger that writes to ours; its `last` is the newest error."""
     severity = trt.ILogger.Severity
     levels = {
         severity.INTERNAL_ERROR: logging.ERROR,
@@ -136,8 +138,8 @@ def make_logger(trt: Any) -> Any:
 
 
 def make_monitor(trt: Any, note: Callable[[str], None]) -> Any:
-    """A TensorRT progress monitor that notes lines such as `45% of building engine`."""
-    lock = threading.Lock()  # TensorRT tells from several threads
+    """Make a TensorRT progress monitor that notes lines such as `45% of building engine`."""
+    lock = threading.Lock()  # TensorRT reports from several threads
     phases: dict[str, list[Any]] = {}  # name → [parent, steps, done], outermost first
 
     class Monitor(trt.IProgressMonitor):
@@ -165,7 +167,7 @@ def make_monitor(trt: Any, note: Callable[[str], None]) -> Any:
 
 
 def how_far(phases: Mapping[str, Sequence[Any]]) -> str:
-    """The outermost phase and its share done, inner phases counted in; empty for no phase.
+    """Return the outermost phase and its share done, inner phases included; "" if there is none.
 
     Args:
         phases: (parent, steps, steps done) by name.
@@ -183,26 +185,27 @@ def how_far(phases: Mapping[str, Sequence[Any]]) -> str:
 class TensorrtSession:
     """An engine with the part of onnxruntime's interface that is used here.
 
-    Inputs and outputs are float32, as `onnx_file` made sure of. Different threads may bind and
-    run.
+    Inputs and outputs are float32, as `onnx_file` has checked. Different threads may bind and run.
 
     Args:
-        runtime: what `engine` came from, kept as long.
+        runtime: the owner of `engine`, kept alive with it.
+        engine: of TensorRT.
+        device: the GPU.
     """
 
     def __init__(self, runtime: Any, engine: Any, device: Device) -> None:
-        self._kept = (runtime, engine)  # which must outlive the context
+        self._kept = (runtime, engine)  # both must outlive the context
         self.device = device
         self._context = engine.create_execution_context()
         if self._context is None:
-            raise ModelError("TensorRT: no room on the GPU for the engine's working memory")
+            raise ModelError("TensorRT: not enough GPU memory for the engine; free some")
         self._lock = threading.Lock()
 
     def get_providers(self) -> list[str]:
         return ["tensorrt"]
 
     def run(self, names: Sequence[str], feeds: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-        """The outputs named, for these inputs (float32, contiguous)."""
+        """Return the named outputs for these inputs (float32, contiguous)."""
         with self._lock:
             for name, array in feeds.items():
                 self._set_shape(name, array.shape)
@@ -214,7 +217,7 @@ class TensorrtSession:
         return TensorrtBound(self, inputs, outputs, live)
 
     def execute(self, shapes: Shapes, addresses: Mapping[str, int]) -> None:
-        """Put one run on the stream; the caller holds `exclusive`."""
+        """Enqueue one run on the stream; the caller holds `exclusive`."""
         for name, shape in shapes.items():
             self._set_shape(name, shape)
         for name, address in addresses.items():
@@ -225,18 +228,18 @@ class TensorrtSession:
     def _set_shape(self, name: str, shape: Sequence[int]) -> None:
         if not self._context.set_input_shape(name, tuple(shape)):
             raise ValueError(
-                f"TensorRT: input {name} of shape {tuple(shape)} is outside of what the engine "
-                "was built for: name fewer prompts"
+                f"TensorRT: input {name} of shape {tuple(shape)} is outside the shapes that the "
+                "engine was built for: name fewer prompts"
             )
 
     @property
     def exclusive(self) -> threading.Lock:
-        """Held by whoever runs."""
+        """The lock that a caller holds during a run."""
         return self._lock
 
 
 class TensorrtBound:
-    """Buffers on the device for one set of inputs; outputs come to pinned arrays."""
+    """Device buffers for one set of inputs; outputs are copied to pinned arrays."""
 
     def __init__(
         self,

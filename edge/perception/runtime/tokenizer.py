@@ -1,4 +1,4 @@
-"""Reading the tokenizer that a model is published with: a `tokenizer.json` of Hugging Face."""
+"""Reader of a published model's tokenizer: a `tokenizer.json` of Hugging Face."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from edge.text import one_line
 
 
 def read_tokenizer(path: Path, model: str, install: str) -> Any:
-    """A `tokenizers.Tokenizer` that neither pads nor cuts off.
+    """Read a `tokenizers.Tokenizer`, without padding or truncation.
 
     Args:
-        model: whose it is, for people.
-        install: what to run where the package is missing.
+        path: of `tokenizer.json`.
+        model: name of its model, for messages.
+        install: command to run if the package is missing.
 
     Raises:
         ModelError: the package is not installed, or the file is no tokenizer.
@@ -25,7 +26,7 @@ def read_tokenizer(path: Path, model: str, install: str) -> Any:
         raise ModelError(f"{model}: the package tokenizers is not installed: {install}") from None
     try:
         tokenizer = Tokenizer.from_file(str(path))
-    except Exception as error:  # it raises Exception itself
+    except Exception as error:  # the package raises plain Exception
         raise ModelError(f"{path}: not a tokenizer: {one_line(error)}") from None
     tokenizer.no_padding()
     tokenizer.no_truncation()

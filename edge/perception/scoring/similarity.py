@@ -1,4 +1,4 @@
-"""How well an image as a whole goes with a text: the score of VLFM."""
+"""Similarity of a whole image and a text: the score of VLFM."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ class SimilarityScorer(Protocol):
     name: str
 
     def score(self, rgb: np.ndarray, prompts: Sequence[str]) -> np.ndarray:
-        """Higher is likelier to lead to the thing.
+        """Score each prompt; a higher score means that the image more likely leads to the object.
 
-        The scale is the backend's, and nothing maps one to another: an encoder pair gives cosines
-        in [-1, 1] (CLIP ViT-B/32's lie between 0.15 and 0.35), a detector its best class score in
-        [0, 1]. Scores of one scorer and one prompt can be compared.
+        The scale depends on the backend. A pair of encoders gives cosines in [-1, 1] (those of CLIP
+        ViT-B/32 lie between 0.15 and 0.35); a detector gives its best class score in [0, 1]. Only
+        scores of one scorer and one prompt can be compared.
 
         Args:
             rgb: (h, w, 3) uint8.
-            prompts: names of things, at least one.
+            prompts: names of objects, at least one.
 
         Returns:
             (n,) float32, finite.
 
         Raises:
             PromptError: a prompt cannot be encoded.
-            ModelError: the model fails, or what it says is not finite.
+            ModelError: the model fails, or its output is not finite.
         """
         ...
 
@@ -55,13 +55,18 @@ class SimilarityScorer(Protocol):
 
 
 class PairSimilarity:
-    """The cosine between an image's and a text's embedding, as VLFM takes it from BLIP-2."""
+    """The cosine between the embeddings of an image and a text, as VLFM uses BLIP-2.
+
+    Args:
+        name: of the scorer's card.
+        image: encodes images.
+        text: encodes texts, in the same embedding.
+
+    Raises:
+        ModelError: the embeddings of the two have different lengths.
+    """
 
     def __init__(self, name: str, image: ClipImageEncoder, text: TextEncoder) -> None:
-        """
-        Raises:
-            ModelError: the embeddings of the two have different lengths.
-        """
         if image.dim != text.dim:
             raise ModelError(
                 f"model {name}: image embeddings have length {image.dim}, those of its text "
@@ -78,27 +83,27 @@ class PairSimilarity:
         return self._rows @ self._image.embed(rgb)
 
     def prepare(self, prompts: Sequence[str]) -> None:
-        """Encode prompts, unless they are those of last time."""
+        """Encode the prompts, unless they are those of the last call."""
         if tuple(prompts) != self._prompts:
             self._rows = _rows_of(self._text, prompts)
             self._prompts = tuple(prompts)
 
     def close(self) -> None:
-        """Give up what a server is asked."""
+        """Abort a request to a server."""
         self._image.close()
 
 
 def _rows_of(text: TextEncoder, prompts: Sequence[str]) -> np.ndarray:
-    """(n, d): of VLFM's sentence where the encoder reads sentences, else of the names."""
+    """Return embeddings, (n, d): of VLFM's sentences if the encoder reads them, else of names."""
     if isinstance(text, ClipTextEncoder):
         return text.encode([SENTENCE.format(text.resolve(prompt)) for prompt in prompts])
     return text.embed(prompts)[0]
 
 
 class DetectorSimilarity:
-    """The best class score of any place in the image.
+    """The best class score of a detector anywhere in the image.
 
-    VL-Nav's authors gave VLFM such scores of YOLO-World, since BLIP-2 is too slow for a robot.
+    The authors of VL-Nav gave VLFM such scores of YOLO-World, since BLIP-2 is too slow for a robot.
     """
 
     def __init__(self, name: str, detector: OnnxDetector | RemoteDetector) -> None:
@@ -116,7 +121,7 @@ class DetectorSimilarity:
 
 
 def best_scores(detections: Detections) -> np.ndarray:
-    """The same from detections that are there anyway; below the detector's `tau_vl` it is 0.
+    """Return the best score of each prompt in existing detections; 0 if it is below `tau_vl`.
 
     Returns:
         (n,) float32 in [0, 1], one for each prompt.
@@ -127,7 +132,7 @@ def best_scores(detections: Detections) -> np.ndarray:
 
 
 def is_running_detector(card: SimilarityCard, perception: Perception) -> bool:
-    """Whether a scorer's detector is the one that looks for the targets: it need not run twice."""
+    """Return True if the scorer's detector is the running one, so that it need not run twice."""
     running = perception.detector
     same = isinstance(running, DetectorOnnx) and running.model == card.detector
     return same or card.detector == RUNNING
@@ -136,10 +141,12 @@ def is_running_detector(card: SimilarityCard, perception: Perception) -> bool:
 def make_similarity(
     card: SimilarityCard, perception: Perception, prompts: Sequence[str]
 ) -> SimilarityScorer:
-    """The scorer of a card, in sessions of its own.
+    """Make the scorer of a card, with its own model sessions.
 
     Args:
-        prompts: what it will be asked about at first.
+        card: the scorer's card.
+        perception: settings of the detector, which the scorer's models share.
+        prompts: what to score first.
 
     Raises:
         ModelError: a model is missing or unusable.
@@ -147,7 +154,7 @@ def make_similarity(
     """
     running = perception.detector if isinstance(perception.detector, DetectorOnnx) else None
     if card.detector is not None:
-        assert card.detector != RUNNING, "that one is asked anyway"
+        assert card.detector != RUNNING, "the running detector needs no scorer"
         settings = running or DetectorOnnx()
         own = settings.model_copy(update={"model": card.detector, "background": ()})
         return DetectorSimilarity(card.name, open_detector(own, prompts))
@@ -170,7 +177,7 @@ def make_similarity(
 
 
 def similarity_card(perception: Perception) -> SimilarityCard | None:
-    """The card of the configured scorer, None where none is to run.
+    """Return the card of the configured scorer, None if there is none.
 
     Raises:
         ModelError: there is no such card, or it is of another task.

@@ -1,4 +1,4 @@
-"""Another model in the running service: loaded beside, tried, switched to, watched, kept or not.
+"""Swap of a model in the running service: load, try, switch, watch, then keep or roll back.
 
-The loop asks for nothing but the detector's worker; how requests come in is not known here.
+It needs only the worker that runs the model; it does not know how requests arrive.
 """

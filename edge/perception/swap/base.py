@@ -1,9 +1,8 @@
-"""Another model in the running service: loaded beside it, tried, switched to, kept or not.
+"""Swap of a model in the running service, in steps that never block the loop.
 
-The running model goes on until the new one was tried, and is kept, open, until the new one has
-proved itself at work. Loading and trying happen on a thread; the loop only looks, once a tick,
-whether it is time for the next step. A swap that fails at any point leaves the model that ran
-before, and one line.
+A thread loads and tries the new model while the old one keeps running. After the switch the new
+model is on probation, and the old one stays open. `Swap.step` only checks if the next step is
+due. A swap that fails at any point leaves the old model running, and logs one line.
 """
 
 from __future__ import annotations
@@ -26,33 +25,33 @@ log = logging.getLogger(__name__)
 
 OVER = ("kept", "rolled back", "refused")
 LOAD_TIMEOUT_S = 600.0
-LOOK_S = 0.02  # between two looks of the thread at what it waits for
+LOOK_S = 0.02  # polling period of the thread
 CLOSE_S = 5.0
 
 Tell = Callable[[str, int, int], object]
-"""Called with a line, the loop's time and the log's level."""
+"""Called with a line, the loop's time in ns, and the log level."""
 
 
 class SwapError(UserError):
-    """Why no swap was begun; one line."""
+    """The reason why no swap was begun; one line."""
 
 
 class Attempt(ABC, Generic[Model, Item]):
-    """One model that is to take the place of a worker's.
+    """One model that is to replace a worker's model.
 
-    Its own thread loads and tries the model and closes the loser. The worker's thread calls
-    `see`, the loop's the other methods.
+    Its own thread loads and tries the model, and at the end closes the model that lost. The
+    worker's thread calls `see`; the caller of `Swap.step` calls the other methods.
 
     Attributes:
-        name: of the new model.
+        name: name of the new model.
         previous: the model that runs when the attempt begins.
-        model: the new one, once it is loaded.
-        busy: what loading takes its time with, in one line; empty when it is nothing special.
-        finding: what the trial found, in one line; empty before.
-        trying: it is being loaded or tried.
-        switched: it was put to work, on probation.
-        fault: why it cannot stay, in one line; empty while nothing speaks against it.
-        over: set once it is decided which of the two stays.
+        model: the new model, once it is loaded.
+        busy: progress of a slow load (an engine build), in one line; empty otherwise.
+        finding: result of the trial, in one line; empty before it.
+        trying: True while the model is loaded or tried.
+        switched: True once the model runs, on probation.
+        fault: the reason to reject the model, in one line; empty if there is none.
+        over: set once it is decided which of the two models stays.
     """
 
     def __init__(self, name: str, worker: ModelWorker[Any, Any, Model]) -> None:
@@ -70,33 +69,34 @@ class Attempt(ABC, Generic[Model, Item]):
 
     @abstractmethod
     def see(self, model: Model, item: Item, outcome: object) -> None:
-        """Take note of what came of an item; see `ModelWorker.watch`."""
+        """Record the outcome of an item; see `ModelWorker.watch`."""
 
     @abstractmethod
     def verdict(self, idle: bool) -> str:
-        """Return how the model did on probation, empty until that is over; set `fault` where it
-        did badly.
+        """Return the result of the probation, or "" while it lasts.
+
+        Set `fault` if the model failed it.
 
         Args:
-            idle: nothing is asked for any more, so probation would never end.
+            idle: True: no more items will come, so the probation would never end.
         """
 
     @property
     @abstractmethod
     def progress(self) -> str:
-        """How far it is, for a person; may change with every item."""
+        """Progress for a person; may change with every item."""
 
     @property
     @abstractmethod
     def probation(self) -> str:
-        """How long probation lasts, for a person."""
+        """Length of the probation, for a person."""
 
     @abstractmethod
     def _try(self) -> None:
-        """Load the model and set `model`, try it and set `finding`; on the attempt's thread.
+        """Load and set `model`, try it, and set `finding`; on the attempt's thread.
 
         Raises:
-            what keeps the model from being switched to.
+            Exception: the model must not be switched to, for this reason.
         """
 
     def status(self) -> dict[str, object]:
@@ -111,7 +111,7 @@ class Attempt(ABC, Generic[Model, Item]):
         }
 
     def switch(self) -> bool:
-        """Put the model to work if it was tried; return whether that was done."""
+        """Run the model if its trial has passed; return True if it now runs."""
         if not self.finding:
             return False
         self.switched = True
@@ -119,18 +119,18 @@ class Attempt(ABC, Generic[Model, Item]):
         return True
 
     def end(self) -> None:
-        """Have the thread close the model that is not at work: it is decided."""
+        """Close the model that does not run, on the attempt's thread: the swap is decided."""
         self._won = self._worker.model is self.model
         self._worker.watch = None
         self.over.set()
 
     def _run(self) -> None:
-        """The thread: ends with the loser closed."""
+        """Run the attempt's thread, which ends once the model that lost is closed."""
         try:
             self._try()
         except UserError as error:
             self.fault = one_line(error, LONGEST_ERROR)
-        except Exception as error:  # whatever loading a model may raise
+        except Exception as error:  # loading a model may raise anything
             log.debug("model %s", self.name, exc_info=True)
             self.fault = failure(error)
         self.trying = False
@@ -145,24 +145,25 @@ class Attempt(ABC, Generic[Model, Item]):
 
 
 class Swap(Generic[Model]):
-    """Swaps a worker's model; all methods are for the loop's thread.
+    """Swaps a worker's model; all its methods must be called from one thread, the loop's.
 
     Args:
-        tell: called with a line for everything that happens.
-        clock: seconds, for `LOAD_TIMEOUT_S`.
+        worker: runs the model.
+        report: called with a line for every step.
+        clock: returns seconds, for `LOAD_TIMEOUT_S`.
 
     Attributes:
-        outcomes: how many swaps ended how (`OVER`), since the start.
-        number: how many were begun.
+        outcomes: number of swaps since the start, by outcome (`OVER`).
+        number: number of swaps that were begun.
     """
 
     def __init__(
         self,
         worker: ModelWorker[Any, Any, Model],
-        tell: Tell,
+        report: Tell,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._worker, self._tell, self._clock = worker, tell, clock
+        self._worker, self._report, self._clock = worker, report, clock
         self._attempt: Attempt[Model, Any] | None = None
         self._ended: list[Attempt[Model, Any]] = []
         self._until_s = 0.0
@@ -172,7 +173,7 @@ class Swap(Generic[Model]):
 
     @property
     def running(self) -> str:
-        """Name of the model at work."""
+        """Name of the model that runs."""
         return self._worker.model.name
 
     @property
@@ -181,18 +182,22 @@ class Swap(Generic[Model]):
         return str(self.status()["state"])
 
     def status(self) -> dict[str, object]:
-        """The swap under way, or the outcome of the last one; JSON-ready.
+        """Return the state of the current swap, or the outcome of the last one; JSON-ready.
 
-        `detail` is a line that changes with the state, `progress` changes more often, and
-        `number` is the attribute.
+        `detail` is a line that changes with the state. `progress` changes more often. `number` is
+        the attribute.
         """
-        told = self._over if self._attempt is None else self._attempt.status()
-        return {"progress": "", **told, "number": self.number}
+        status = self._over if self._attempt is None else self._attempt.status()
+        return {"progress": "", **status, "number": self.number}
 
-    def step(self, now_ns: int = 0, idle: bool = False) -> None:
-        """Take the next step if it is time for one: between two ticks, and never waiting.
+    def step(self, now_ns: int = 0, *, idle: bool = False) -> None:
+        """Do the next step of the swap if it is due; never block.
+
+        The service calls it inside a tick for choice models; the runner calls it between two ticks
+        for detectors.
 
         Args:
+            now_ns: the loop's time, passed on to `report`.
             idle: see `Attempt.verdict`.
         """
         attempt = self._attempt
@@ -209,50 +214,53 @@ class Swap(Generic[Model]):
                 self._end(attempt, "kept", verdict, now_ns)
         elif not attempt.fault and attempt.switch():
             line = f"switched to, on probation for {attempt.probation}; {attempt.finding}"
-            self._tell(f"model {attempt.name}: {line}", now_ns, logging.INFO)
+            self._report(f"model {attempt.name}: {line}", now_ns, logging.INFO)
         elif fault := attempt.fault or self._overdue(attempt):
             self._end(attempt, "refused", f"{fault}; {previous.name} goes on", now_ns)
 
     def close(self) -> None:
-        """Close whatever is open but the worker's own model.
+        """Close every model except the worker's own.
 
         A model that takes longer than `CLOSE_S` to load is left to its thread; the process must
-        then end without the interpreter's clearing up (see `edge.cli.main`).
+        then end without the interpreter's clean-up (see `edge.cli.main`).
         """
         if self._attempt is not None:
-            self._let_go(self._attempt)
+            self._finish(self._attempt)
         until_s = time.monotonic() + CLOSE_S
         for ended in self._ended:
             ended.thread.join(max(0.0, until_s - time.monotonic()))
         if any(ended.thread.is_alive() for ended in self._ended):
-            log.warning("a model is still being loaded: not waited for")
+            log.warning("a swapped model is still loading: the process ends without waiting for it")
 
     def _check_free(self, name: str, again: bool = False) -> None:
         """Check that a swap to a model may begin.
 
         Args:
-            again: it may be the one that runs, made anew.
+            name: of the model.
+            again: True: the model may be the running one, to be loaded again.
 
         Raises:
-            SwapError: it runs already, another swap is under way, or a model that was refused
-                is still being loaded and would be a third one in memory.
+            SwapError: the model runs already, another swap is under way, or a refused model is
+                still loading: a third model would not fit in memory.
         """
         if self._attempt is not None:
-            raise SwapError(f"{self._attempt.name} is still {self.state}; wait until that is over")
+            raise SwapError(
+                f"{self._attempt.name} is still {self.state}; wait until that swap ends"
+            )
         if name == self.running and not again:
             raise SwapError(f"{name} runs already")
         if late := next((one.name for one in self._ended if one.trying), None):
-            raise SwapError(f"{late}, which was refused, is still being loaded; try again later")
+            raise SwapError(f"{late}, which was refused, is still loading; try again later")
 
     def _begin(self, attempt: Attempt[Model, Any], now_ns: int) -> None:
         self.number += 1
         self._attempt = attempt
         self._until_s = self._clock() + LOAD_TIMEOUT_S
         attempt.start()
-        self._tell(f"model {attempt.name}: loading beside {self.running}", now_ns, logging.INFO)
+        self._report(f"model {attempt.name}: loading, {self.running} runs", now_ns, logging.INFO)
 
     def _overdue(self, attempt: Attempt[Model, Any]) -> str:
-        """Why a model is not waited for any longer; empty while it is."""
+        """Return the reason to stop waiting for the model; "" if there is none yet."""
         if self._clock() <= self._until_s:
             return ""
         what = attempt.progress or ("not loaded" if attempt.model is None else "not ready")
@@ -264,12 +272,12 @@ class Swap(Generic[Model]):
             "state": state, "model": attempt.name, "previous": attempt.previous.name,
             "detail": detail,
         }  # fmt: skip
-        self._let_go(attempt)
+        self._finish(attempt)
         level = logging.INFO if state == "kept" else logging.WARNING
-        self._tell(f"model {attempt.name}: {state}: {detail}", now_ns, level)
+        self._report(f"model {attempt.name}: {state}: {detail}", now_ns, level)
 
-    def _let_go(self, attempt: Attempt[Model, Any]) -> None:
-        """No swap is under way any more; the model that is not at work is closed."""
+    def _finish(self, attempt: Attempt[Model, Any]) -> None:
+        """End the attempt; its thread closes the model that does not run."""
         self._attempt = None
         self._ended = [one for one in self._ended if one.thread.is_alive()] + [attempt]
         attempt.end()

@@ -1,7 +1,7 @@
-"""Another model that chooses directions; see `base`.
+"""Swap of the model for VLM frontier selection; see `base`.
 
-It was asked once when it was loaded; from the next question on it is asked, and it is kept once
-it has answered `PROBATION` of them, or no mission is left to ask.
+Loading asks the model once. After the switch it is kept once it has answered `PROBATION`
+questions, or once there is no mission to ask about.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 CARD_KEY = "perception.choice.card"
 PROBATION = 3
-"""Questions: enough to see that it knows the mission's targets and is shown what it can take."""
+"""Number of questions. Enough to show that the model accepts the mission's targets and images."""
 
 Make = Callable[[str], Scorer]
 """Makes the scorer of a card, which may take minutes."""
@@ -32,7 +32,7 @@ def _log(text: str, now_ns: int, level: int) -> None:
 
 
 class ChoiceSwap(Swap[Scorer]):
-    """Swaps a worker's scorer."""
+    """Swaps the scorer of a worker for VLM frontier selection."""
 
     def __init__(self, worker: ScorerWorker[Any, Any], make: Make) -> None:
         super().__init__(worker, _log)
@@ -48,7 +48,7 @@ class ChoiceSwap(Swap[Scorer]):
         self._begin(_ChoiceAttempt(card, self._worker, self._make), 0)
 
     def status(self) -> dict[str, object]:
-        """See `Swap.status`; `key` is what would make it lasting."""
+        """See `Swap.status`; `key` is the configuration key that makes the swap permanent."""
         return {**super().status(), "key": CARD_KEY}
 
 
@@ -72,7 +72,7 @@ class _ChoiceAttempt(Attempt[Scorer, Question]):
             return
         if not isinstance(outcome, Exception):
             self._answers += outcome is not None
-        elif item.observation.rgb is not None:  # no image is no model's fault
+        elif item.observation.rgb is not None:  # a missing image is not the model's fault
             of_ours = isinstance(outcome, UserError)
             self.fault = self.fault or (one_line(outcome, 500) if of_ours else failure(outcome))
 
@@ -80,7 +80,7 @@ class _ChoiceAttempt(Attempt[Scorer, Question]):
         enough = self._answers >= PROBATION
         if self.fault or not (enough or idle):
             return ""
-        short = "" if enough else ", and no mission to ask more for"
+        short = "" if enough else ", and no mission that needs more"
         return f"{self._answers} answers{short}; {self.finding}"
 
     def _try(self) -> None:

@@ -1,7 +1,7 @@
-"""Another detector in the running service; see `base`.
+"""Swap of the detector; see `base`.
 
-It is tried on images that the running one was shown, must look for the same, and is kept once it
-has run clean on `perception.swap.probation` images.
+The new detector is tried on images that the running one has seen. It must have the same prompts,
+and is kept once it has run on `perception.swap.probation` images without a fault.
 """
 
 from __future__ import annotations
@@ -26,30 +26,33 @@ from edge.types import Detections, Observation
 Make = Callable[..., Detector]
 """Called like `make_detector`."""
 
-IMAGES = 4  # that a model is tried on
-_APART_NS = 200_000_000  # between two images that a model is tried on
+IMAGES = 4  # images of a trial
+_APART_NS = 200_000_000  # least time between two of them
 
 
 class DetectorSwap(Swap[Detector]):
     """Swaps the worker's detector.
 
     Args:
-        tell, clock: see `Swap`.
+        perception: see the attribute.
+        worker: runs the detector.
+        report, clock: see `Swap`.
         make: makes the new detector.
 
     Attributes:
-        perception: what models are made and judged by, but for their name; may be set.
+        perception: configuration that new models are made and judged by, except their name; may be
+            set.
     """
 
     def __init__(
         self,
         perception: Perception,
         worker: DetectorWorker,
-        tell: Tell,
+        report: Tell,
         make: Make = make_detector,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(worker, tell, clock)
+        super().__init__(worker, report, clock)
         self.perception, self._make = perception, make
 
     def request(
@@ -58,10 +61,11 @@ class DetectorSwap(Swap[Detector]):
         """Begin to swap a model in.
 
         Args:
-            model: a detector's card.
-            force: too slow or too different is told, not held against it.
-            perception: to make and judge it by, in the place of `self.perception`; the model may
-                then be the one that runs, made anew.
+            model: card of a detector.
+            force: True: a slow model, or one with other boxes, is reported but not rejected.
+            now_ns: the loop's time.
+            perception: used in place of `self.perception`; the model may then be the running one,
+                loaded again.
 
         Raises:
             SwapError: see `Swap._check_free`.
@@ -72,10 +76,10 @@ class DetectorSwap(Swap[Detector]):
 
 
 class _DetectorAttempt(Attempt[Detector, Observation]):
-    """See `Attempt`; its thread also keeps the model's prompts those of the running one.
+    """See `Attempt`; its thread also copies the running detector's prompts to the new one.
 
     Attributes:
-        perception: what the model is made and judged by.
+        perception: configuration that the model is made and judged by.
     """
 
     def __init__(
@@ -86,7 +90,7 @@ class _DetectorAttempt(Attempt[Detector, Observation]):
         self._samples = deque(maxlen=IMAGES)
         self._latencies_ns: list[int] = []
         self._invalid = 0
-        self._hand = threading.Lock()  # on the model's prompts, and on whether it is switched to
+        self._hand = threading.Lock()  # guards the model's prompts and `switched`
 
     @property
     def progress(self) -> str:
@@ -95,14 +99,14 @@ class _DetectorAttempt(Attempt[Detector, Observation]):
             return f"{len(self._latencies_ns)} of {self.perception.swap.probation} images"
         if self.model is None or self.finding:
             return ""
-        return f"{n} of {IMAGES} images at hand" if n < IMAGES else f"tried on {n} images"
+        return f"{n} of {IMAGES} images collected" if n < IMAGES else f"tried on {n} images"
 
     @property
     def probation(self) -> str:
         return f"{self.perception.swap.probation} images"
 
     def switch(self) -> bool:
-        """See `Attempt.switch`; the model must look for what the running one looks for."""
+        """See `Attempt.switch`; the model must have the running detector's prompts."""
         if not self.finding or not self._hand.acquire(blocking=False):
             return False
         try:
@@ -133,15 +137,15 @@ class _DetectorAttempt(Attempt[Detector, Observation]):
         return pace
 
     def see(self, model: Detector, item: Observation, outcome: Detections | Exception) -> None:
-        """See `Attempt.see`: an image to try the model on, or one of its probation."""
-        if item.rgb is None or self.fault:  # no image is no detector's fault
+        """See `Attempt.see`: an image for the trial, or one of the probation."""
+        if item.rgb is None or self.fault:  # a missing image is not the detector's fault
             return
         try:
             if not self.switched:
                 self._collect(item, outcome)
             elif model is self.model:
                 self._watch(outcome)
-        except Exception as error:  # no memory for a copy: none for the model either
+        except Exception as error:  # such as no memory for a copy: the model would not fit either
             self.fault = f"it cannot be watched: {type(error).__name__}: {one_line(error, 300)}"
 
     def _collect(self, observation: Observation, outcome: Detections | Exception) -> None:
@@ -165,7 +169,7 @@ class _DetectorAttempt(Attempt[Detector, Observation]):
         self.model = self._load(wanted)
         self.busy = ""
         self._await_samples()
-        if self.over.is_set():  # given up, perhaps while it was loaded
+        if self.over.is_set():  # aborted, perhaps while the model was loading
             return
         self._follow_prompts()
         running = self.previous.name
@@ -178,13 +182,13 @@ class _DetectorAttempt(Attempt[Detector, Observation]):
             self._follow_prompts()
 
     def _try_apart(self, perception: Perception) -> None:
-        """Run the model on the samples in a process of its own before it is loaded into this one.
+        """Run the model on the samples in another process before it is loaded into this one.
 
-        A model that never ends, crashes or takes all memory is killed there; here nothing could
-        end it, and no other swap could begin.
+        A model that never returns, crashes or takes all memory is killed there. In this process
+        nothing could end it, and no other swap could begin.
 
         Raises:
-            UserError: it fails, or returns what is not sound.
+            UserError: it fails, or returns invalid boxes.
         """
         with closing(self._load(perception)) as detector:
             self._await_samples()
@@ -200,19 +204,19 @@ class _DetectorAttempt(Attempt[Detector, Observation]):
             time.sleep(LOOK_S)
 
     def _follow_prompts(self) -> None:
-        """Look for what the running detector looks for."""
+        """Give the new detector the running detector's prompts."""
         with self._hand:
             wanted = self._worker.detector.prompts
             if not self.switched and self.model.prompts != wanted:
                 self.model.set_prompts(wanted)
 
     def _loading(self, health: Health) -> None:
-        """An engine is built, which takes minutes."""
+        """Record the progress of an engine build, which takes minutes."""
         self.busy = ": ".join(filter(None, health))
 
 
 def variant(perception: Perception, model: str) -> Perception:
-    """The configuration with another model; of a detector that has none, with defaults."""
+    """Return the configuration with another model; with defaults if the detector runs no model."""
     detector = perception.detector
     if not isinstance(detector, DetectorOnnx):
         detector = DetectorOnnx()
@@ -220,8 +224,8 @@ def variant(perception: Perception, model: str) -> Perception:
 
 
 def related(model: str, running: str) -> bool:
-    """Whether both names are cards of one family."""
+    """Return True if both names are cards of one family."""
     try:
         return load_detector_card(model).family == load_detector_card(running).family
-    except ModelError:  # the running one may be no model at all
+    except ModelError:  # the running detector may have no card, as `sim`
         return False

@@ -1,4 +1,4 @@
-"""Whether a model may take another's place: tried on images that the running one was shown."""
+"""Trial of a new detector on images that the running one has seen."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from edge.text import one_line
 from edge.types import Detections, Observation
 
 MATCH_IOU = 0.5
-MATCH_SCORE = 0.5  # a box that is found again with less than this share of its score is lost
+MATCH_SCORE = 0.5  # least share of its score for a box to count as found again
 MIN_RECALL = 0.5
 _WARM_UPS = 2
 _ROUNDS = 3
@@ -26,19 +26,19 @@ _FORCE = "--force takes it all the same"
 
 
 class Unfit(UserError):
-    """Why a model may not take another's place; one line."""
+    """The reason why a model may not replace another; one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A copy of an image, and what the running model found in it; None: it failed."""
+    """A copy of an image, and the running model's detections in it; None if that failed."""
 
     observation: Observation
     found: Detections | None
 
 
 def sample(observation: Observation, outcome: Detections | Exception) -> Sample:
-    """A sample that owns its image; nothing else of the observation is kept."""
+    """Copy an image with its detections; nothing else of the observation is kept."""
     rgb = observation.rgb.copy()
     copy = replace(observation, rgb=rgb, depth_m=None, cloud_m=None, slot=None)
     failed = isinstance(outcome, Exception)
@@ -53,22 +53,24 @@ def judge(
     related: bool,
     force: bool = False,
 ) -> str:
-    """Run the model on the samples, one of them a few times first to warm it up.
+    """Run the model on the samples, after some warm-up runs, and judge it.
 
-    The running model takes its share of the machine meanwhile, so an image's time is the shortest
-    of a few runs; probation measures the model alone.
+    The running model shares the machine at that time, so the shortest of a few runs counts for each
+    image. The probation measures the model alone.
 
     Args:
+        detector: the new model.
         samples: at least one.
-        running: name of the model whose boxes they hold.
-        related: both are of one family, so the boxes must be found again.
-        force: time and boxes are told, not held against it.
+        perception: time budget and score threshold.
+        running: name of the running model, whose boxes the samples hold.
+        related: True if both are of one family, so that the boxes must be found again.
+        force: True: a slow model, or one with other boxes, is reported but not rejected.
 
     Returns:
-        What was found, in one line.
+        The result, in one line.
 
     Raises:
-        Unfit: it fails, returns what is not sound, takes too long, or finds too little.
+        Unfit: it fails, returns invalid boxes, is too slow, or finds too few of the boxes.
     """
     for _ in range(_WARM_UPS):
         run(detector, samples[0].observation)
@@ -80,21 +82,21 @@ def judge(
         raise Unfit(f"too slow: {pace}, perception.swap.budget_ms is {budget_ms:g}; {_FORCE}")
     old, found = boxes_found_again(samples, runs[0], perception.tau_det)
     if old == 0:
-        return f"{pace}; {running} saw nothing there to compare with"
+        return f"{pace}; {running} found nothing there to compare with"
     share = f"finds {found} of the {old} boxes of {running}"
     if not related:
-        return f"{pace}; {share} (another family, not held against it)"
+        return f"{pace}; {share} (another family: no reason to refuse it)"
     if found < MIN_RECALL * old and not force:
         raise Unfit(f"{share}, fewer than half; {_FORCE}")
     return f"{pace}; {share}"
 
 
 def run(detector: Detector, observation: Observation) -> Detections:
-    """Detect in one image; Unfit when that fails or anything is not sound."""
+    """Detect in one image; raise Unfit if that fails or a box is invalid."""
     before = detector.invalid_boxes
     try:
         found = detector.detect(observation)
-    except Exception as error:  # whatever a model does
+    except Exception as error:  # a model may raise anything
         raise Unfit(failure(error)) from None
     if fault := unsound(detector, before, found):
         raise Unfit(fault)
@@ -102,15 +104,17 @@ def run(detector: Detector, observation: Observation) -> Detections:
 
 
 def failure(error: Exception) -> str:
-    """What a model failed with, as a reason in one line."""
+    """Return the error of a model as a reason in one line."""
     return f"it fails: {type(error).__name__}: {one_line(error, 300)}"
 
 
 def unsound(detector: Detector, before: int, found: Detections) -> str:
-    """Return the reason against a model whose boxes or scores cannot be; empty: they can.
+    """Return the reason to reject invalid boxes or scores; "" if all are valid.
 
     Args:
-        before: `invalid_boxes` before it detected.
+        detector: counts invalid boxes.
+        before: its `invalid_boxes` before it detected.
+        found: its detections.
     """
     if (invalid := detector.invalid_boxes - before) > 0:
         return f"it returns {invalid} boxes of an image that are {UNSOUND}"
@@ -127,11 +131,14 @@ def median_ms(times_ns: Sequence[int]) -> float:
 def boxes_found_again(
     samples: Sequence[Sample], runs: Sequence[Detections], tau: float
 ) -> tuple[int, int]:
-    """(boxes of the running model, those that the other finds too) over all samples.
+    """Count the boxes of the running model, and those that the other finds, too, over all samples.
 
-    Counted are the boxes of at least `tau` that nothing else explains better; found again means
-    the same prompt, `MATCH_IOU`, and `MATCH_SCORE` of the score. Samples of other prompts than
-    the runs' do not count.
+    Boxes of at least `tau` with no higher-scoring rival count. A box is found again if the prompt
+    is the same, the IoU at least `MATCH_IOU`, and the score at least `MATCH_SCORE` of the old one.
+    Samples with other prompts than the runs do not count.
+
+    Returns:
+        (boxes of the running model, those found again).
     """
     old = found = 0
     for one, new in zip(samples, runs, strict=True):

@@ -1,4 +1,4 @@
-"""Surface points of instances. Arrays only."""
+"""Kernels for the surface points of instances. Arrays only."""
 
 from __future__ import annotations
 
@@ -6,25 +6,30 @@ import numpy as np
 from numba import njit
 
 NEAR_M = 0.25
-"""Points of two views this near to each other are of one surface."""
+"""Points of two views that are at most this far apart belong to one surface."""
 CORE_SHARE = 0.1
-"""A surface that was seen in fewer than this share of the views may be another thing's."""
+"""A point with less than this share of the largest support may belong to another object."""
 
 STRAY, LEAST_RADIUS_M = 1.6, 0.3
-"""A point so many times farther from the middle than half of them, and this far, is what stands
-before or behind the thing in its box."""
+"""Points beyond STRAY times the median distance from the centre, and beyond LEAST_RADIUS_M, are
+dropped: they belong to what is in front of or behind the object."""
 
 
 @njit(nogil=True, cache=True)
 def merge_points(old, support, new, voxel_m, cap):
-    """One point per voxel of both sets, at most `cap` spread evenly over the voxels' order.
+    """Merge two point sets into one point per voxel, at most `cap` in all.
 
-    A point of `old` stays where it shares its voxel with one of `new`. Each point counts the views
-    that showed something within NEAR_M of it; one of `new` begins with the count of its
-    neighbourhood.
+    The points kept are spread evenly over the voxels' order. A point of `old` wins over one of
+    `new` in the same voxel. Each point of `old` counts one more view if a point of `new` is within
+    NEAR_M in the plane. A point of `new` starts with 1, or with the highest count of its neighbours
+    in `old`.
 
     Args:
-        old: (k, 3) float32, support: (k,) int32, new: (m, 3) float32; k + m > 0, all finite.
+        old: (k, 3) float32, finite; k + m > 0.
+        support: (k,) int32, number of views of each point of `old`.
+        new: (m, 3) float32, finite.
+        voxel_m: side of a voxel.
+        cap: largest number of points.
 
     Returns:
         (points (n, 3) float32, their support (n,) int32).
@@ -65,11 +70,14 @@ def merge_points(old, support, new, voxel_m, cap):
 
 @njit(nogil=True, cache=True)
 def core_points(points, support):
-    """The points of what most views show, so that one view of the wrong thing moves nothing,
-    without those that lie astray.
+    """Return the well-supported points, without stray ones.
+
+    A point needs the support of two views, if any point has that, and CORE_SHARE of the largest
+    support. So one view of the wrong object moves nothing.
 
     Args:
-        points: (n, 3) float32, support: (n,) int32, from `merge_points`; n > 0.
+        points: (n, 3) float32, from `merge_points`; n > 0.
+        support: (n,) int32, from `merge_points`.
 
     Returns:
         (points (m, 3) float32, their median (3,) float32, greatest planar distance from it).
@@ -87,7 +95,7 @@ def core_points(points, support):
 
 @njit(nogil=True, cache=True)
 def farthest(points, x, y):
-    """Greatest planar distance from (x, y) to (n, 3) points."""
+    """Return the greatest planar distance from (x, y) to (n, 3) points."""
     most = 0.0
     for i in range(len(points)):
         dx, dy = points[i, 0] - x, points[i, 1] - y
@@ -97,7 +105,7 @@ def farthest(points, x, y):
 
 @njit(nogil=True, cache=True)
 def nearest(points, x, y):
-    """Least planar distance from (x, y) to (n, 3) points; inf when there are none."""
+    """Return the least planar distance from (x, y) to (n, 3) points; inf if there are none."""
     least = np.inf
     for i in range(len(points)):
         dx, dy = points[i, 0] - x, points[i, 1] - y

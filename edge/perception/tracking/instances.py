@@ -1,4 +1,4 @@
-"""Things that may be the target, merged over time (VL-Nav III.C)."""
+"""Instances: objects that may be the target, merged over time (VL-Nav III.C)."""
 
 from __future__ import annotations
 
@@ -22,22 +22,24 @@ from edge.types import Instance, InstanceState, Observation
 MAX_POINTS = 64
 MAX_INSTANCES = 128
 RISE, FALL = 0.5, 0.15
-"""Weights of a new score that is above, or below, the running one: a good view counts more than
-a bad one, since most views are from afar or from the side."""
+"""Weights of a new score above (RISE) or below (FALL) the running one.
+
+A good view counts more than a bad one, since most views are from afar or from the side."""
 DECAY = 0.9
-"""Factor on the score of an instance that was looked at and not found."""
+"""Factor on the score of an instance that was in view and not detected."""
 GONE = 0.5
-"""An instance whose score fell under this share of `tau_det` is forgotten."""
+"""An instance that is not confirmed is forgotten once its score is below GONE * `tau_det`."""
 FORGET_VIEWS = 100
-"""Every so many views the counts that confirm are halved, so that old ones fade."""
+"""After this many views the counts for confirmation are halved, so that old views fade."""
 REFUTE_VIEWS = 30
-"""After so many views, what something else explains better on average is not the target."""
+"""After this many views an instance is refuted if its mean rival score is above its own."""
 SURER = 1.6
-"""So much more must speak against a thing that was confirmed to bring it in doubt: from near by it
-is seen in part, and what stands before it fills the image."""
+"""Factor on the evidence against a confirmed instance before it is doubted.
+
+From near by the object is only partly in view, and what stands in front of it fills the image."""
 _PROTECTED = ("confirmed", "refuted", "reached")
 _STATES: tuple[InstanceState, ...] = get_args(InstanceState)
-# State of an instance, and of its track.
+# Checkpoint columns: of an instance, and of the evidence of its track.
 _COLUMNS = (
     ("id", np.int64), ("score", np.float64), ("hits", np.int64), ("first_seen_ns", np.int64),
     ("last_seen_ns", np.int64),
@@ -51,21 +53,22 @@ _EVIDENCE = (
 
 @dataclass(slots=True, eq=False)
 class _Track:
-    """An instance and what deciding about it needs.
+    """An instance with the evidence that decides about its state.
 
     Attributes:
         name: canonical form of the label.
-        good_hits: views from near by in which it looked like the target.
-        views: views from near by in which it would have shown, partial ones at a lesser weight;
-            `target_sum` and `rival_sum` are the sums of what the detector gave the target and
+        good_hits: number of frames from near by with a score of `confirm_score` or more.
+        views: number of views from near by that should show it; a partial view counts less.
+            `target_sum` and `rival_sum` are the weighted sums of the scores of the target and of
             its best rival in them.
-        now_target, now_rival: of the frame at hand.
-        evidence_ns: newest stamp at which anything, even a weak box, was seen there.
-        x_m, y_m, z_m: the centre, as plain numbers.
-        radius_m: the farthest surface point from the centre.
-        points_m, support: every surface point, and in how many views something was near it; the
-            instance itself has those of what most views show.
-        doubted: it was seen as something else more often, or more clearly (`SightingTracker`).
+        now_target, now_rival: scores in the current frame.
+        evidence_ns: newest stamp of any detection there, weak ones included.
+        good_ns: stamp of the newest frame in `good_hits`.
+        x_m, y_m, z_m: the centre in `map`, as plain numbers.
+        radius_m: largest planar distance of a surface point from the centre.
+        points_m, support: all surface points, and the number of views that support each. The
+            instance has only the well-supported ones (`core_points`).
+        doubted: True if another object explains the place better (`SightingTracker.doubts`).
     """
 
     instance: Instance
@@ -91,21 +94,25 @@ class _Track:
 
 
 class InstanceTracker:
-    """Keeps one `Instance` per thing seen.
+    """Fuses detections of the targets into one `Instance` per object.
 
-    Scores: a detection above the running score pulls it up by half the difference, one below
-    pulls it down by 0.15 of it; weak detections (under `tau_det`) at a known place count too,
-    but never found a new instance. Each look in vain takes a tenth off (`expire`).
+    A detection above the running score pulls the score up by `RISE` of the difference, one below
+    pulls it down by `FALL` of it. Weak detections (below `tau_det`) count at a known place, but
+    never start a new instance. Each view without a detection multiplies the score by `DECAY`
+    (`expire`).
+
+    Args:
+        perception: the configuration.
+        sightings: all objects seen, updated with the newest image first; None: no evidence of other
+            objects.
+
+    Attributes:
+        dropped: number of instances removed over `MAX_INSTANCES`.
     """
 
     def __init__(
         self, perception: config.Perception, sightings: SightingTracker | None = None
     ) -> None:
-        """
-        Args:
-            sightings: all that was seen, the newest image included; None: there is no memory of
-                what else stands where.
-        """
         self.config = perception
         self.dropped = 0
         self._sightings = sightings
@@ -117,7 +124,7 @@ class InstanceTracker:
 
     @property
     def all(self) -> list[Instance]:
-        """Every instance, refuted ones too, oldest first."""
+        """All instances, refuted ones included, oldest first."""
         return [track.instance for track in self._tracks.values()]
 
     def get(self, instance_id: int) -> Instance | None:
@@ -125,14 +132,14 @@ class InstanceTracker:
         return track.instance if track else None
 
     def of(self, label: str, sure: bool = False, doubted: bool = True) -> list[Instance]:
-        """Instances worth driving to, best first.
+        """Return the instances of a label (or a synonym) that are worth driving to, best first.
 
-        Those that answer to a label (or a synonym), were found in `min_hits` images at least, and
-        were not refuted.
+        They were detected in at least `min_hits` images and are not refuted.
 
         Args:
-            sure: only those that are confirmed.
-            doubted: also those that were seen as something else more often.
+            label: a prompt.
+            sure: True: only confirmed ones.
+            doubted: True: also those that another object explains better.
         """
         name = names.canonical(label)
         found = [
@@ -147,11 +154,11 @@ class InstanceTracker:
         return sorted(found, key=lambda instance: (-instance.score, instance.id))
 
     def update(self, lifted: Lifted, stamp_ns: int) -> None:
-        """Merge lifted detections, strongest first.
+        """Merge the detections of one image, strongest first.
 
         Args:
-            lifted: of one image.
-            stamp_ns: when that image was taken.
+            lifted: detections with positions.
+            stamp_ns: stamp of the image.
         """
         seen = lifted.detections
         pose = seen.observation.pose
@@ -186,12 +193,13 @@ class InstanceTracker:
         self._limit()
 
     def expire(self, observation: Observation, prompts: Sequence[str]) -> list[int]:
-        """Take score off what this observation looked at without finding it.
+        """Lower the score of instances that this observation should show and does not.
 
-        Call it after `update` with the same observation. Refuted and reached instances stay, and
-        all that the detector was not asked for.
+        Call it after `update` with the same observation. Refuted and reached instances stay, and so
+        do those of labels that the detector did not look for.
 
         Args:
+            observation: an image's camera, pose and depth.
             prompts: what the detector looked for.
 
         Returns:
@@ -221,13 +229,13 @@ class InstanceTracker:
             self._doubt(track)
             near = track.distance_m(pose.x_m, pose.y_m) <= near_m + track.radius_m
             if near:
-                # A partial view says less, of what it is as of what it is not.
+                # A partial view is weaker evidence, for and against.
                 self._count_view(track, 1.0 if look == WHOLE else PARTIAL)
             track.now_target = track.now_rival = 0.0
             if look == AT_EDGE or track.evidence_ns >= observation.stamp_ns:
                 continue
             instance.score *= DECAY
-            # Some looks in vain do not undo what many confirmed: it is behind a chair, or too near.
+            # A few misses do not undo a confirmation: it may be behind a chair, or too near.
             if instance.score < GONE * self.config.tau_det and not self.confirmed(instance):
                 gone.append(instance.id)
         for instance_id in gone:
@@ -235,12 +243,15 @@ class InstanceTracker:
         return gone
 
     def confirmed(self, instance: Instance) -> bool:
-        """Whether it was seen well enough, often enough, from near enough to be the target."""
+        """Return True if the instance is confirmed as the target, or was reached."""
         return instance.state in ("confirmed", "reached")
 
     def refute(self, instance_id: int) -> None:
-        """It is not the target: never chase it again, nor anything found within
-        `refute_radius_m` of it."""
+        """Refute an instance: it is not the target and is never chased again.
+
+        Instances of the same name within `refute_radius_m` are removed, and no new one starts
+        there.
+        """
         track = self._tracks.get(instance_id)
         if track is None:
             return
@@ -259,8 +270,10 @@ class InstanceTracker:
             track.instance.state = "reached"
 
     def state_dict(self) -> Arrays:
-        """Return every instance and what deciding about it needs, a row each, oldest first; the
-        points of one after the other."""
+        """Return all instances and their evidence, one row each, oldest first.
+
+        The points of all instances are concatenated.
+        """
         tracks = list(self._tracks.values())
         found = [track.instance for track in tracks]
         points = [track.points_m for track in tracks]
@@ -276,14 +289,18 @@ class InstanceTracker:
         }
 
     def adopt(self, instance: Instance) -> None:
-        """Take in an instance that was found elsewhere, under its id."""
+        """Add an instance that was found elsewhere, under its own id."""
         self._adopt(instance, instance.points_m, np.ones(len(instance.points_m), np.int32))
 
     def load_state_dict(self, state: Arrays, later_ns: int) -> None:
-        """Go on with a `state_dict`, with no instance known yet.
+        """Load a `state_dict` into an empty tracker.
 
         Args:
-            later_ns: how much later it all happened on the sensors' clock of now.
+            state: from `state_dict`.
+            later_ns: added to all stamps: offset of the sensors' clock since then.
+
+        Raises:
+            ValueError: the state is invalid.
         """
         each = tuple(name for name, _ in (*_COLUMNS, *_EVIDENCE))
         rows = {(*each, "label", "state", "n_points"): 1 << 13}
@@ -313,13 +330,15 @@ class InstanceTracker:
 
     @property
     def newest_id(self) -> int:
-        """The highest id that was given so far; 0: none."""
+        """Highest id given so far; 0: none."""
         return self._next_id - 1
 
     def recall(self, labels: Sequence[str]) -> None:
-        """What was seen as context becomes an instance of the label that it answers to, with all
-        that was counted for it, so that it need not be found again; what would be given up at
-        once does not."""
+        """Make instances of context objects that answer to these labels, with their evidence.
+
+        So a new target that was already seen as context need not be found again. Weak context
+        objects, which would be forgotten at once, are skipped.
+        """
         if self._sightings is None:
             return
         least = GONE * self.config.tau_det
@@ -340,12 +359,15 @@ class InstanceTracker:
         self._limit()
 
     def clear(self) -> None:
-        """Forget every instance; ids go on, so that what comes is newer than all that was."""
+        """Forget every instance; ids continue, so that later instances have higher ids."""
         self._tracks.clear()
 
     def forget_verdicts(self) -> None:
-        """A new mission begins: what the last one reached is as good a target as any, and what it
-        refuted may be found again."""
+        """Reset the verdicts of the last mission.
+
+        A reached instance becomes a confirmed one; a refuted one is forgotten and may be found
+        again.
+        """
         for track in list(self._tracks.values()):
             if track.instance.state == "reached":
                 track.instance.state = "confirmed"
@@ -353,14 +375,17 @@ class InstanceTracker:
                 del self._tracks[track.instance.id]
 
     def forget_refuted(self, label: str) -> None:
-        """What was refuted as a label (or a synonym) may be found again."""
+        """Forget the refuted instances of a label (or a synonym): they may be found again."""
         name = names.canonical(label)
         for track in list(self._tracks.values()):
             if track.name == name and track.instance.state == "refuted":
                 del self._tracks[track.instance.id]
 
     def _match(self, name: str, x_m: float, y_m: float) -> _Track | None:
-        """The instance that a detection belongs to; a refuted one near its centre comes first."""
+        """Return the instance that a detection belongs to, or None.
+
+        A refuted instance near the detection comes first.
+        """
         best, best_m = None, self.config.merge_m
         for track in self._tracks.values():
             if track.name != name:
@@ -426,7 +451,7 @@ class InstanceTracker:
         self._outline(track)
 
     def _outline(self, track: _Track) -> None:
-        """The thing itself, by those of the points that most views show."""
+        """Update the instance's points, centre and radius from the well-supported points."""
         instance = track.instance
         instance.points_m, instance.center_m, track.radius_m = kernels.core_points(
             track.points_m, track.support
@@ -458,13 +483,17 @@ class InstanceTracker:
         self._judge(track)
 
     def _judge(self, track: _Track) -> None:
-        """Confirmed is what was found often enough and, over all looks at it from near by, scored
-        well and clearly better than anything else would, and what all looks at the place, targets'
-        and context's, say is nothing else.
+        """Update the state from the evidence.
 
-        A mistake now and then is no confirmation when most looks find nothing, nor is a bed that
-        is also a fair sofa. What was confirmed stays so while nothing else does better: from near
-        by a thing is seen in part, and the lead shrinks.
+        An instance is confirmed if all of these hold:
+        - it had at least `confirm_hits` good hits;
+        - its mean score over all near views is at least `confirm_mean`;
+        - its mean score is at least `confirm_lead` times that of its rivals;
+        - it is not doubted (`_doubt`).
+
+        So neither a rare false positive nor a bed that is also a fair sofa is confirmed. A
+        confirmed instance needs no lead to stay confirmed: from near by the object is only partly
+        in view, and the lead shrinks.
         """
         c, instance = self.config, track.instance
         if instance.state not in ("seen", "confirmed"):
@@ -481,7 +510,7 @@ class InstanceTracker:
             self.refute(instance.id)
 
     def _doubt(self, track: _Track) -> bool:
-        """Whether something else is surer to stand there, by all that was seen."""
+        """Update and return `doubted`: True if another object explains the place better."""
         if self._sightings is not None:
             instance = track.instance
             surer = SURER if instance.state == "confirmed" else 1.0
@@ -491,7 +520,7 @@ class InstanceTracker:
         return track.doubted
 
     def _unite(self, instance_id: int) -> None:
-        """Merge instances of one label that grew into each other; the older one stays."""
+        """Merge instances of one label that overlap by now; the older one stays."""
         track = self._tracks.get(instance_id)
         if track is None or track.instance.state in ("refuted", "reached"):
             return
@@ -509,7 +538,7 @@ class InstanceTracker:
             track = old
 
     def _overlap(self, a: _Track, b: _Track) -> bool:
-        """Whether the centre of one lies on the other, give or take half of `merge_m`."""
+        """Return True if the centre of one lies within half of `merge_m` of the other's points."""
         near_m = 0.5 * self.config.merge_m
         if a.distance_m(b.x_m, b.y_m) > near_m + max(a.radius_m, b.radius_m):
             return False
@@ -530,7 +559,7 @@ class InstanceTracker:
         self._grow(old, b.points_m)
 
     def _limit(self) -> None:
-        """Over `MAX_INSTANCES`, the weakest go, the longest unseen of equals first."""
+        """Drop the weakest instances over `MAX_INSTANCES`; of equal ones, those longest unseen."""
         excess = len(self._tracks) - MAX_INSTANCES
         if excess <= 0:
             return

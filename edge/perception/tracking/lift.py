@@ -1,4 +1,4 @@
-"""2D boxes → 3D points in `map`, through depth or a LiDAR cloud (VL-Nav III.C)."""
+"""Back-projection of 2-D boxes to 3-D points in `map`, by depth or LiDAR cloud (VL-Nav III.C)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from edge.types import MASK_SIDE, Detections, Observation
 log = logging.getLogger(__name__)
 
 POINTS = 32
-"""Surface points kept of each box."""
+"""Number of surface points kept of each box."""
 _RASTER_COLUMNS = 320
 _NO_DEPTH = np.zeros((1, 1), np.float32)
 _NO_RASTER = np.full((1, 1), -1, np.int32)
@@ -25,15 +25,15 @@ _NO_MASKS = np.zeros((0, MASK_SIDE, MASK_SIDE), np.bool_)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lifted:
-    """Where the boxes of `detections` lie in space, as arrays parallel to them.
+    """Positions of the boxes of `detections`, as arrays parallel to them.
 
     Attributes:
-        detections: what was lifted.
+        detections: the boxes.
         center_m: (n, 3) float32 in `map`, median of the surface points.
         points_m: (n, POINTS, 3) float32 in `map`; the first `n_points[i]` of row i count.
         n_points: (n,) int32.
-        n_samples: (n,) int32, returns that the centre rests on.
-        valid: (n,) bool; False where too few returns came back from the object.
+        n_samples: (n,) int32, number of returns behind the centre.
+        valid: (n,) bool; False if the object gave too few returns.
     """
 
     detections: Detections
@@ -47,20 +47,22 @@ class Lifted:
         return len(self.valid)
 
     def surface_m(self, i: int) -> np.ndarray:
-        """Surface points of box i, (k, 3) float32 in `map`."""
+        """Return the surface points of box i, (k, 3) float32 in `map`."""
         return self.points_m[i, : self.n_points[i]]
 
 
 class Lifter:
-    """Lifts through the detections' *own* depth or cloud and pose, not the newest ones.
+    """Back-projects boxes through the depth or cloud, and the pose, of their own observation.
 
-    A box also shows what is in front of and behind the object. Of its inner part, the largest
-    surface that ends with the box is taken, else the nearest that fills a good share of it (see
-    `lift_kernels.lift_boxes`), without the floor that the object stands on. Where the detections
-    have masks, only what lies on a box's mask is looked at.
+    A box also shows what is in front of and behind the object. In the inner part of the box, the
+    surface is chosen that fits the box best (see `lift_kernels.choose`), without the floor under
+    the object. If the detections have masks, only samples on the mask count.
+
+    Args:
+        perception: the configuration.
 
     Attributes:
-        unliftable: observations with boxes that lacked what lifting needs.
+        unliftable: number of observations with boxes but without the camera, depth or cloud needed.
     """
 
     def __init__(self, perception: config.Perception) -> None:
@@ -81,17 +83,18 @@ class Lifter:
     def lift(
         self, detections: Detections, floor_over_base_m: float = 0.0
     ) -> tuple[Lifted, Lifted | None]:
-        """All boxes; those without enough returns are marked invalid, never left out.
+        """Back-project all boxes; those without enough returns are marked invalid, never left out.
 
-        An observation that lacks the camera, depth or cloud that lifting needs (a LiDAR that fell
-        silent) is counted in `unliftable`, and all its boxes are invalid.
+        If the observation lacks the camera, depth or cloud (a LiDAR that stopped), it is counted in
+        `unliftable` and all its boxes are invalid.
 
         Args:
-            floor_over_base_m: height of the floor over the base's frame.
+            detections: boxes of targets and of the context.
+            floor_over_base_m: height of the floor over the base frame.
 
         Returns:
-            The targets' boxes, and those of context words (None: not looked for). They are lifted
-            together, since one thing may hide much of another.
+            The targets' boxes, and those of context words (None: not looked for). They are
+            processed together, since one object may hide much of another.
         """
         seen, around = detections.observation, detections.around()
         k, boxes, word = len(detections), detections.xyxy_px, detections.class_id
@@ -124,16 +127,16 @@ class Lifter:
         return Lifted(detections, *(array[:k] for array in out)), others
 
     def _liftable(self, seen: Observation) -> bool:
-        """Whether an observation has what lifting needs; told once where it has not."""
+        """Return True if the observation can be back-projected; log the first that cannot."""
         if missing := self._missing(seen):
             self.unliftable += 1
             if self.unliftable == 1:
-                log.warning("observation %d: %s; boxes cannot be lifted (further ones are only "
-                            "counted)", seen.seq, missing)  # fmt: skip
+                log.warning("observation %d: %s; its boxes get no position (more of these are "
+                            "only counted)", seen.seq, missing)  # fmt: skip
         return not missing
 
     def _missing(self, seen: Observation) -> str:
-        """What an observation lacks to be lifted through, or ""."""
+        """Return the input that the observation lacks for back-projection, or ""."""
         camera, depth = seen.camera, seen.depth_m
         if camera is None:
             return "no camera model"
@@ -148,7 +151,7 @@ class Lifter:
         return ""
 
     def _project(self, seen: Observation, camera: CameraModel) -> int:
-        """The cloud into the raster; the raster's cell in pixels."""
+        """Project the cloud into the raster; return the side of a raster cell in pixels."""
         cell_px = max(1, -(-camera.width_px // _RASTER_COLUMNS))
         shape = (-(-camera.height_px // cell_px), -(-camera.width_px // cell_px))
         if self._raster.shape != shape:

@@ -1,4 +1,4 @@
-"""From boxes in the image to points in space. Arrays only."""
+"""Kernels that back-project boxes to points in space. Arrays only."""
 
 from __future__ import annotations
 
@@ -7,43 +7,50 @@ from numba import njit
 
 BINS = 128
 SIDE = 24
-"""A box is sampled at no more than SIDE × SIDE places."""
+"""A box is sampled at no more than SIDE × SIDE pixels."""
 INNER = 0.8
-"""Share of the box's width and height that is looked at: its rim is mostly background."""
+"""Share of the box's width and height that is sampled: its rim is mostly background."""
 SPARSE = 60
-"""A depth at which fewer than one in so many samples lie is between surfaces."""
+"""A depth bin with at most 1/SPARSE of the samples counts as a gap between surfaces."""
 GAP_M = 0.3
-"""Surfaces further apart than this along the view are different things."""
+"""Surfaces further apart than this along the viewing axis are different objects."""
 BESIDE = 0.12
-"""Strips of this share of a box's size, beside it, show what goes on beyond it."""
+"""Width of the strips next to a box, as a share of its size; they show what goes on beyond it."""
 BESIDE_OFF = 0.05
-"""They lie this share of its size off the box, since no box is exact."""
+"""Distance of the strips from the box, as a share of its size, since no box is exact."""
 FARTHER = 1.2
-"""What a surface behind another must have more of, to be the thing's."""
+"""Factor by which a surface behind another must fit better, to be chosen."""
 LEAST_SHARE = 0.15
-"""The thing fills at least this share of its box."""
+"""The object fills at least this share of its box."""
 APART, LEFT, OTHER_M = 0.5, 0.1, 0.1
-"""A box with less overlap (IoU) is of another thing: what lies in it at that one's depths, give or
-take `OTHER_M`, is not this one's, where that fits it nearly as well and so much of the box is
-left. (Of 6,100 boxes in 70 houses of `procthor_train` 2.0 % keep more than a quarter of another
-thing's surface; 3.2 % where only the better fit counts, 2.4 % where a quarter has to be left.)"""
+"""Limits for samples that belong to another box.
+
+A box with IoU below APART is of another object. Its samples, within OTHER_M of its depths, are
+removed from this box if it fits them nearly as well (NEARLY) and LEFT of this box's samples
+remain. (Of 6,100 boxes in 70 houses of `procthor_train`, 2.0 % keep more than a quarter of
+another object's surface. It is 3.2 % if only the better fit counts, and 2.4 % if a quarter must
+remain.)"""
 NEARLY = 0.8
 MOSTLY = 0.5
 MASKED = 0.05
-"""A mask with less of the box's samples than that counts for nothing."""
+"""A mask with less than this share of the box's samples is ignored."""
 FLOOR_M = 0.06
-"""Points lower than this over the ground count only when the box shows nothing else."""
+"""Points lower than this over the floor count only if the box shows nothing else."""
 
 
 @njit(nogil=True, cache=True)
 def cloud_raster(cloud, T_camera_cloud, fx, fy, cx, cy, cell_px, raster, points):
-    """Nearest cloud point of every image cell.
+    """Find the nearest cloud point of every image cell.
 
     Args:
         cloud: (n, 3) float32, any frame; points that are not finite are ignored.
         T_camera_cloud: (4, 4) float64, optical frame from the cloud's.
+        fx: focal length in pixels.
+        fy: focal length in pixels.
+        cx: principal point in pixels.
+        cy: principal point in pixels.
         cell_px: side of a cell in pixels.
-        raster: (rows, columns) int32 out, index into `points`, -1 where nothing lies.
+        raster: (rows, columns) int32 out, index into `points`, -1 if the cell is empty.
         points: (n, 3) float32 out, the cloud in the optical frame.
     """
     rows, columns = raster.shape
@@ -72,10 +79,10 @@ def cloud_raster(cloud, T_camera_cloud, fx, fy, cx, cy, cell_px, raster, points)
 
 @njit(nogil=True, cache=True)
 def sample_depth(depth, fx, fy, cx, cy, x0, y0, x1, y1, max_range, samples):
-    """Points of a box of a depth image, in the optical frame, at most SIDE × SIDE.
+    """Sample the points of a box of a depth image, in the optical frame, at most SIDE × SIDE.
 
     Returns:
-        How many rows of `samples` (SIDE*SIDE, 3) float32 were written.
+        Number of rows of `samples` (SIDE*SIDE, 3) float32 that were written.
     """
     h, w = depth.shape
     u0, v0, u1, v1 = max(0, int(x0)), max(0, int(y0)), min(w, int(x1) + 1), min(h, int(y1) + 1)
@@ -94,7 +101,7 @@ def sample_depth(depth, fx, fy, cx, cy, x0, y0, x1, y1, max_range, samples):
 
 @njit(nogil=True, cache=True)
 def sample_raster(raster, points, cell_px, x0, y0, x1, y1, max_range, samples):
-    """Like `sample_depth`, from a raster of `cloud_raster`."""
+    """Sample like `sample_depth`, from a raster of `cloud_raster`."""
     h, w = raster.shape
     c0, r0 = max(0, int(x0 / cell_px)), max(0, int(y0 / cell_px))
     c1, r1 = min(w, int(x1 / cell_px) + 1), min(h, int(y1 / cell_px) + 1)
@@ -115,10 +122,10 @@ def sample_raster(raster, points, cell_px, x0, y0, x1, y1, max_range, samples):
 
 @njit(nogil=True, cache=True)
 def drop_floor(samples, n, T, floor_z):
-    """Move samples above `floor_z` (map) to the front; all stay when too few are above.
+    """Move samples above `floor_z` (in `map`) to the front; keep all if too few are above.
 
     Returns:
-        How many count.
+        Number of samples that count.
     """
     above = 0
     for i in range(n):
@@ -140,11 +147,10 @@ def drop_floor(samples, n, T, floor_z):
 def drop_unmasked(samples, n, view, boxes, masks, mine):
     """Move the samples that lie on their box's mask to the front.
 
-    Args:
-        view, boxes, masks: as in `lift_boxes`; mine: index of the box that was sampled.
+    `view`, `boxes` and `masks` are those of `lift_boxes`; `mine` is the index of the sampled box.
 
     Returns:
-        How many count: all, where hardly any would be left, as with an empty mask.
+        Number of samples that count: all, if the mask would leave hardly any (an empty mask).
     """
     if mine >= len(masks):
         return n
@@ -155,11 +161,11 @@ def drop_unmasked(samples, n, view, boxes, masks, mine):
     k = 0
     for i in range(n):
         z = samples[i, 2]
-        # The middle of a pixel lies half a pixel from its corner, where boxes count from.
+        # Boxes count from a pixel's corner, half a pixel from its centre.
         c = int(np.floor((fx * samples[i, 0] / z + cx + 0.5 - box[0]) * across))
         r = int(np.floor((fy * samples[i, 1] / z + cy + 0.5 - box[1]) * down))
         if 0 <= r < rows and 0 <= c < columns and mask[r, c]:
-            # Swapped, not dropped: all are kept where too few would be left.
+            # Swap, do not drop: all are kept if too few would be left.
             for axis in range(3):
                 kept = samples[k, axis]
                 samples[k, axis] = samples[i, axis]
@@ -170,15 +176,20 @@ def drop_unmasked(samples, n, view, boxes, masks, mine):
 
 @njit(nogil=True, cache=True)
 def drop_others(samples, n, view, boxes, word, mine, depth, claim):
-    """Move the samples that no box of another word claims too to the front.
+    """Move the samples that no box of another word claims to the front.
 
     Args:
-        view, boxes, word: as in `lift_boxes`; mine: index of the box that was sampled.
-        depth: (m, 2) float32, nearest and farthest of what each box took.
-        claim: (m,) float32, how well that fits the box.
+        samples: points of the box.
+        n: number of samples.
+        view: see `lift_boxes`.
+        boxes: see `lift_boxes`.
+        word: see `lift_boxes`.
+        mine: index of the box that was sampled.
+        depth: (m, 2) float32, nearest and farthest depth of each box's surface.
+        claim: (m,) float32, fit of that surface to the box.
 
     Returns:
-        How many those are.
+        Number of these samples.
     """
     _, _, _, _, fx, fy, cx, cy = view
     box = boxes[mine]
@@ -199,7 +210,7 @@ def drop_others(samples, n, view, boxes, word, mine, depth, claim):
             z = samples[i, 2]
             u, v = fx * samples[i, 0] / z + cx, fy * samples[i, 1] / z + cy
             if not (u0 <= u <= u1 and v0 <= v <= v1 and low <= z <= far):
-                # Swapped, not dropped: the caller may keep all where too few would be left.
+                # Swap, do not drop: the caller may keep all if too few would be left.
                 for axis in range(3):
                     kept = samples[k, axis]
                     samples[k, axis] = samples[i, axis]
@@ -211,14 +222,17 @@ def drop_others(samples, n, view, boxes, word, mine, depth, claim):
 
 @njit(nogil=True, cache=True)
 def surfaces(samples, n, max_range, histogram, found):
-    """The surfaces in a box: depths between which nothing lies for GAP_M are different things.
+    """Split the samples of a box into surfaces: objects are separated by a gap of GAP_M in depth.
 
     Args:
+        samples: points in the optical frame.
+        n: number of samples.
+        max_range: largest depth in metres.
         histogram: (BINS,) int32, scratch.
-        found: (BINS, 3) float32 out, rows of (low, high, how many samples), nearest first.
+        found: (BINS, 3) float32 out, rows of (low, high, number of samples), nearest first.
 
     Returns:
-        How many rows were written.
+        Number of rows written.
     """
     width = max_range / BINS
     gap = max(2, int(np.ceil(GAP_M / width)))
@@ -242,15 +256,19 @@ def surfaces(samples, n, max_range, histogram, found):
 
 @njit(nogil=True, cache=True)
 def place(samples, n, low, high, T, points, scratch):
-    """Median point and a spread-out subset of the samples with depth in [low, high], in `map`.
+    """Compute the median point and a spread-out subset of the samples with depth in [low, high].
 
     Args:
+        samples: points in the optical frame.
+        n: number of samples.
+        low: least depth.
+        high: greatest depth.
         T: (4, 4) float64, map from optical frame.
-        points: (k, 3) float32 out.
+        points: (k, 3) float32 out, in `map`.
         scratch: (3, SIDE*SIDE) float32.
 
     Returns:
-        (x, y, z, how many samples, how many rows of `points`).
+        (x, y, z, number of samples, number of rows of `points`), in `map`.
     """
     m = 0
     for i in range(n):
@@ -274,7 +292,7 @@ def place(samples, n, low, high, T, points, scratch):
 
 @njit(nogil=True, cache=True)
 def sample(view, x0, y0, x1, y1, max_range, samples):
-    """`sample_raster` or `sample_depth`, of a view as in `lift_boxes`."""
+    """Sample a box of a view (see `lift_boxes`) by `sample_raster` or `sample_depth`."""
     depth, raster, points, cell_px, fx, fy, cx, cy = view
     if cell_px > 0:
         return sample_raster(raster, points, cell_px, x0, y0, x1, y1, max_range, samples)
@@ -283,11 +301,14 @@ def sample(view, x0, y0, x1, y1, max_range, samples):
 
 @njit(nogil=True, cache=True)
 def sample_beside(view, box, max_range, beside, n):
-    """Sample a strip on each side of a box.
+    """Sample a strip next to each side of a box.
 
     Args:
+        view: see `lift_boxes`.
         box: (4,) float32, the whole box.
-        beside: (4, SIDE*SIDE, 3) float32 out; n: (4,) int32 out, rows written of each.
+        max_range: largest depth in metres.
+        beside: (4, SIDE*SIDE, 3) float32 out.
+        n: (4,) int32 out, rows written of each.
     """
     x0, y0, x1, y1 = box[0], box[1], box[2], box[3]
     near_u, near_v = BESIDE_OFF * (x1 - x0), BESIDE_OFF * (y1 - y0)
@@ -308,13 +329,10 @@ def sample_beside(view, box, max_range, beside, n):
 
 @njit(nogil=True, cache=True)
 def going_on(beside, n, low, high, T, floor_z):
-    """How far the surface between two depths goes on beyond the box: its mean share of the strips.
+    """Return how far a surface goes on beyond the box: its mean share of the samples in the strips.
 
-    A thing ends where its box does; the wall behind it, or a table before it, mostly does not.
-    Points on the floor do not count as the surface's.
-
-    Args:
-        beside, n: from `sample_beside`; strips without returns do not count.
+    An object ends at its box; the wall behind it, or a table in front of it, mostly does not.
+    Points on the floor do not count. Strips without returns (`n` is 0) are ignored.
     """
     total, sides = 0.0, 0
     for side in range(4):
@@ -331,7 +349,7 @@ def going_on(beside, n, low, high, T, floor_z):
 
 @njit(nogil=True, cache=True)
 def count_between(samples, n, low, high):
-    """How many of the first `n` samples lie at these depths."""
+    """Count the first `n` samples with depth in [low, high]."""
     count = 0
     for i in range(n):
         count += low <= samples[i, 2] <= high
@@ -340,25 +358,30 @@ def count_between(samples, n, low, high):
 
 @njit(nogil=True, cache=True)
 def choose(view, box, samples, n, T, floor_z, max_range, scratch):
-    """The surface that is the thing's, among those in its box.
+    """Choose the surface of the object among those in its box.
 
-    It fills much of the box, goes on little beyond it and is near: the greatest share of the box,
-    times the fifth power of the share of its sides left free, over `FARTHER` for each surface
-    before it. (Of 94 boxes with several surfaces, in seven simulated houses, this picked the right
-    one in 90 %, the nearest with 30 % of the box in 76 %; the exponent and `FARTHER` were chosen
-    on them.)
+    It fills much of the box, goes on little beyond it and is near. The score is its share of the
+    box, times (1 - share beyond the box)^5, divided by `FARTHER` for each surface in front of it.
+    (Of 94 boxes with several surfaces in seven simulated houses, this chose the right one in 90 %;
+    the nearest with 30 % of the box in 76 %. The exponent and `FARTHER` were fitted to them.)
 
     Args:
-        samples: of which `n` count.
+        view: see `lift_boxes`.
+        box: (4,) float32.
+        samples: points in the optical frame.
+        n: number of samples.
+        T: (4, 4) float64, map from optical frame.
+        floor_z: height of the floor in `map`, plus `FLOOR_M`.
+        max_range: largest depth in metres.
         scratch: see `lift_boxes`.
 
     Returns:
-        (nearest, farthest, claim): its depths, and how well it fits the box, in [0, 1].
+        (nearest depth, farthest depth, claim): claim is the fit to the box, in [0, 1].
     """
     _, beside, n_beside, histogram, found, _ = scratch
     k = surfaces(samples, n, max_range, histogram, found)
     if k == 0:
-        return 0.0, max_range, 0.0  # every depth of its own: all of it is one surface
+        return 0.0, max_range, 0.0  # no dense depth bin: take all samples
     chosen = np.argmax(found[:k, 2])
     claim = found[chosen, 2] / n
     if claim < 1.0 - LEAST_SHARE:
@@ -379,18 +402,23 @@ def choose(view, box, samples, n, T, floor_z, max_range, scratch):
 def lift_boxes(
     view, boxes, masks, word, T_map_camera, floor_z, max_range, min_points, scratch, out
 ):
-    """Lift every box; see `lift.Lifter`.
+    """Back-project every box; see `lift.Lifter`.
 
-    Two boxes may take the same surface, where one thing hides much of the other: it stays with the
-    box that it fits best, and the other looks at what is left. Where that is another's too, the box
-    is not valid.
+    Two boxes may choose the same surface if one object hides much of the other. The box that fits
+    it best keeps it; the other chooses among the remaining samples. If that surface belongs to a
+    third box, the box is invalid.
 
     Args:
-        view: depth, raster, the raster's points, its cell_px (0: depth is sampled), fx, fy, cx, cy.
-        boxes: (n, 4) float32; word: (n,) int32, what each is of.
+        view: depth, raster, the raster's points, its cell_px (0: sample the depth), fx, fy, cx, cy.
+        boxes: (n, 4) float32, in pixels.
         masks: (m, rows, columns) bool, rasters over the first m boxes, m <= n.
+        word: (n,) int32, class of each box.
+        T_map_camera: (4, 4) float64, map from optical frame.
+        floor_z: height in `map` below which points are floor.
+        max_range: largest depth in metres.
+        min_points: least number of samples of a valid box.
         scratch: samples (SIDE*SIDE, 3), beside (4, SIDE*SIDE, 3), n_beside (4,) int32,
-            histogram (BINS,) int32, found (BINS, 3), in_map (3, SIDE*SIDE); float32 where not said.
+            histogram (BINS,) int32, found (BINS, 3), in_map (3, SIDE*SIDE); float32 by default.
         out: center (n, 3), points (n, k, 3) float32 in `map`; n_points, n_samples (n,) int32,
             valid (n,) bool.
     """
@@ -424,11 +452,11 @@ def lift_boxes(
             left = n
         rest = drop_floor(samples, left, T, floor_z)
         mine = True
-        # Whose surface is mostly its own keeps it: a cushion hides no sofa.
+        # A box keeps a surface that is mostly its own: a cushion does not hide a sofa.
         if left < n and count_between(samples, left, low, high) < MOSTLY * whole:
             first = claim[i]
             low, high, fits = choose(view, boxes[i], samples, rest, T, floor_z, max_range, scratch)
-            # The second choice may be another's too: then the box shows nothing of its own.
+            # The second choice may belong to another box, too: then this box is invalid.
             claim[i] = fits * rest / n
             whole = count_between(samples, rest, low, high)
             own = drop_others(samples, rest, view, boxes, word, i, depth, claim)

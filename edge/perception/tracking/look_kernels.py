@@ -1,4 +1,4 @@
-"""How well an image shows a thing whose place is known. Arrays only."""
+"""Kernels for the visibility of an object at a known place in an image. Arrays only."""
 
 from __future__ import annotations
 
@@ -8,41 +8,47 @@ from numba import njit
 from edge.geometry import CameraModel
 
 LOOK_MIN_M, LOOK_RIM, OCCLUDED_M = 1.0, 0.1, 0.4
-"""What a look says little about: things nearer than that, which do not fit into the image, or in
-that share of the image at its edge; and a return so much nearer hides what is behind it."""
+"""Limits of a reliable view.
+
+An object nearer than LOOK_MIN_M does not fit into the image. LOOK_RIM is the share of the image
+at its border that is unreliable. A return nearer than the object by OCCLUDED_M hides it."""
 MOST = 0.7
-"""A thing is in the image as a whole where that share of its surface is."""
+"""An object is wholly in the image if at least this share of its surface is."""
 
 HIDDEN, AT_EDGE, IN_PART, WHOLE = range(4)
-"""Not in view; in view where a look says little; well in view, but much of it cut off; well."""
+"""Visibility: not in view; in an unreliable part of the view; well in view but partly cut off;
+well in view as a whole."""
 
 NO_DEPTH = np.zeros((1, 1), np.float32)
 
 
 def view_of(camera: CameraModel) -> np.ndarray:
-    """What kernels need of a camera: (fx, fy, cx, cy, width, height) px, (6,) float64."""
+    """Return the camera for the kernels: (fx, fy, cx, cy, width, height) in px, (6,) float64."""
     c = camera
     return np.array((c.fx_px, c.fy_px, c.cx_px, c.cy_px, c.width_px, c.height_px), np.float64)
 
 
 @njit(nogil=True, cache=True)
 def ahead_m(T_camera_map, x, y, z):
-    """How far before the camera a place in `map` lies, along its axis."""
+    """Return the depth of a place in `map`, along the camera's axis."""
     T = T_camera_map
     return T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
 
 
 @njit(nogil=True, cache=True)
 def shown(x, y, z, points, n_points, T_camera_map, view, depth, far_m):
-    """How well an image shows a thing: HIDDEN, AT_EDGE, IN_PART or WHOLE.
+    """Return the visibility of an object: HIDDEN, AT_EDGE, IN_PART or WHOLE.
 
     Args:
-        x, y, z: its middle in `map`; points: (k, 3) float32, of which the first `n_points` count,
-            of its surface; where there are none, it is taken for a point.
+        x: centre of the object in `map`.
+        y: centre of the object in `map`.
+        z: centre of the object in `map`.
+        points: (k, 3) float32 in `map`, its surface.
+        n_points: number of points that count; 0: the object is a point.
         T_camera_map: (4, 4) float64, optical frame from `map`.
         view: see `view_of`.
-        depth: (h, w) float32, registered; `NO_DEPTH` where there is none.
-        far_m: from there on nothing is in view.
+        depth: (h, w) float32, registered; `NO_DEPTH` if there is none.
+        far_m: depth from which on nothing is in view.
     """
     T = T_camera_map
     fx, fy, cx, cy, width, height = view[0], view[1], view[2], view[3], view[4], view[5]
@@ -68,7 +74,14 @@ def shown(x, y, z, points, n_points, T_camera_map, view, depth, far_m):
 
 @njit(nogil=True, cache=True)
 def share_in_view(points, n, T_camera_map, view):
-    """Share of the first `n` > 0 of (k, 3) float32 points in `map` that lie in the image."""
+    """Return the share of the first `n` > 0 points that are in the image.
+
+    Args:
+        points: (k, 3) float32 in `map`.
+        n: number of points that count.
+        T_camera_map: (4, 4) float64, optical frame from `map`.
+        view: see `view_of`.
+    """
     T = T_camera_map
     inside = 0
     for i in range(n):

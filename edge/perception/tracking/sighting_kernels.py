@@ -1,4 +1,4 @@
-"""What was seen where, fused over time. Arrays only."""
+"""Kernels of the object map: records of objects, fused over time. Arrays only."""
 
 from __future__ import annotations
 
@@ -8,29 +8,37 @@ from numba import njit
 from edge.perception.tracking.look_kernels import HIDDEN, WHOLE, ahead_m, shown
 
 POINTS = 32
-"""Surface points kept of each sighting."""
+"""Number of surface points kept of each record."""
 _TAKEN = 6
-"""Points of a view that are taken up at most: later views bring others."""
+"""Most points added from one view: later views bring others."""
 PARTIAL = 0.25
-"""What a look counts that does not show a thing as a whole."""
+"""Weight of a view that does not show the object as a whole."""
 FORGET = 40.0
-"""Weight at which what was seen is halved, so that the old fades."""
+"""Weight at which the evidence is halved, so that old evidence fades."""
 SAME_M = 0.2
-"""Surface points so near to each other (along each axis) are of one surface."""
+"""Surface points at most this far apart (along each axis) belong to one surface."""
 WITHIN = 0.5
-"""A thing with that share of its surface on another's may be that other; less of it, less so."""
+"""Share of its surface on another's from which a record counts fully as that object.
+
+With a smaller share it counts in proportion."""
 PRIOR = 0.5
-"""Weight of the doubt that a confidence starts with: one look convinces nobody."""
+"""Weight of the prior confidence of 0: one view is not enough."""
 
 
 @njit(nogil=True, cache=True)
 def match(centers, points, n_points, word, n, of_word, x, y, merge_m):
-    """The record of a word that lies nearest to a place, -1 where none is within `merge_m`.
+    """Return the record of a word that is nearest to a place, -1 if none is within `merge_m`.
 
     Args:
-        centers: (cap, 3) float32, points: (cap, POINTS, 3) float32 of which the first `n_points[i]`
-            of record i count, word: (cap,) int16; the first `n` records count.
-        of_word: of the thing, at (x, y) in `map`.
+        centers: (cap, 3) float32 in `map`; the first `n` records count.
+        points: (cap, POINTS, 3) float32 in `map`; the first `n_points[i]` of record i count.
+        n_points: (cap,) int32.
+        word: (cap,) int16.
+        n: number of records.
+        of_word: word to match.
+        x: of the place in `map`.
+        y: of the place in `map`.
+        merge_m: largest planar distance.
     """
     best, least = -1, merge_m * merge_m
     for i in range(n):
@@ -48,14 +56,19 @@ def match(centers, points, n_points, word, n, of_word, x, y, merge_m):
 
 @njit(nogil=True, cache=True)
 def drifted(centers, word, n, now, near_m):
-    """Two records of one word whose middles have come within `near_m`: of one thing, seen from
-    either end before from the middle.
+    """Find two records of one word whose centres are closer than `near_m`.
+
+    They are one object, seen from either end before it was seen from the middle.
 
     Args:
-        centers, word, n: see `match`; now: (cap,) float32, over 0 where this image showed it.
+        centers: see `match`.
+        word: see `match`.
+        n: see `match`.
+        now: (cap,) float32, over 0 if this image showed the record.
+        near_m: planar distance.
 
     Returns:
-        (lower, higher) index, of which one was seen now; (-1, -1): there are none.
+        (lower, higher) index, at least one of them seen now; (-1, -1): there are none.
     """
     for i in range(n):
         if now[i] <= 0.0:
@@ -71,11 +84,16 @@ def drifted(centers, word, n, now, near_m):
 
 @njit(nogil=True, cache=True)
 def take_up(points, n_points, cursor, i, surface, n_surface, voxel_m):
-    """Add some points of a new view to record `i`: one a voxel; over POINTS the oldest go.
+    """Add some points of a new view to record `i`, one a voxel; beyond POINTS, replace the oldest.
 
     Args:
-        points, n_points: see `match`; cursor: (cap,) int32, where the next one goes.
-        surface: (k, 3) float32 in `map`, the first `n_surface` count.
+        points: see `match`.
+        n_points: see `match`.
+        cursor: (cap,) int32, position of the next point.
+        i: index of the record.
+        surface: (k, 3) float32 in `map`.
+        n_surface: number of rows of `surface` that count.
+        voxel_m: side of a voxel.
     """
     step = max(1, n_surface // _TAKEN)
     for j in range(0, n_surface, step):
@@ -98,12 +116,11 @@ def take_up(points, n_points, cursor, i, surface, n_surface, voxel_m):
 
 @njit(nogil=True, cache=True)
 def weight_of(x, y, z, points, n_points, T_camera_map, view, depth, near_m, far_m):
-    """What a look counts for a thing: 1 near by and whole in the image, less with the square of
-    the distance, as the share of the image that a thing fills; 0 where its middle is not in view.
+    """Return the weight of a view of an object; 0 if its centre is not in view.
 
-    Args:
-        x, y, z, points, n_points, T_camera_map, view, depth: see `look_kernels.shown`.
-        near_m, far_m: full weight up to there; none from there.
+    It is 1 near by and wholly in the image, and falls with the square of the distance, as the share
+    of the image that the object fills. See `look_kernels.shown` for the first parameters. Up to
+    `near_m` the weight is full; from `far_m` on it is 0.
     """
     how = shown(x, y, z, points, n_points, T_camera_map, view, depth, far_m)
     if how == HIDDEN:
@@ -117,14 +134,23 @@ def fuse(
     centers, points, n_points, word, n, now, asked, T_camera_map, view, depth, near_m, far_m,
     weight, total, confidence,
 ):  # fmt: skip
-    """One look at every record: what was detected is its evidence, what was not speaks against it.
+    """Update every record by one image: detections are evidence for a record, misses against it.
 
     Args:
-        centers, points, n_points, word, n: see `match`.
-        now: (cap,) float32, the score of each record in this image, 0 where not detected; zeroed.
-        asked: (words,) bool, what the detector looked for.
-        T_camera_map, view, depth: see `look_kernels.shown`; near_m, far_m: see `weight_of`.
-        weight, total: (cap,) float32, sums of weights, and of weights times scores.
+        centers: see `match`.
+        points: see `match`.
+        n_points: see `match`.
+        word: see `match`.
+        n: see `match`.
+        now: (cap,) float32, score of each record in this image, 0 if not detected; zeroed.
+        asked: (words,) bool, True for words that the detector looked for.
+        T_camera_map: see `look_kernels.shown`.
+        view: see `look_kernels.shown`.
+        depth: see `look_kernels.shown`.
+        near_m: see `weight_of`.
+        far_m: see `weight_of`.
+        weight: (cap,) float32, sum of weights.
+        total: (cap,) float32, sum of weights times scores.
         confidence: (cap,) float32 out.
     """
     for i in range(n):
@@ -135,7 +161,7 @@ def fuse(
             centers[i, 0], centers[i, 1], centers[i, 2], points[i], n_points[i], T_camera_map,
             view, depth, near_m, far_m,
         )  # fmt: skip
-        if now[i] > 0.0:  # it was seen, whatever hides its middle
+        if now[i] > 0.0:  # it was detected, even if something hides its centre
             w = max(w, PARTIAL * PARTIAL)
         if w > 0.0:
             weight[i] += w
@@ -149,24 +175,30 @@ def fuse(
 
 @njit(nogil=True, cache=True)
 def strongest_rival(surface, centers, points, n_points, word, confidence, n, against, reach_m):
-    """How sure it is that something else stands where a thing was seen.
+    """Return the confidence that another object stands at the place of an object.
 
-    A record speaks for what it covers of the thing: a row of chairs for all of a sofa, a pillow
-    for little of a bed. One that lies for the most part elsewhere, as the table under a vase does,
-    says little; records of one word speak together.
+    A record counts for the part of the object that it covers: a row of chairs for all of a sofa, a
+    pillow for little of a bed. A record that lies mostly elsewhere, such as the table under a vase,
+    counts little. Records of one word count together.
 
     Args:
-        surface: (k, 3) float32 in `map`, the thing's; k > 0.
-        centers, points, n_points, word, confidence, n: the records, see `match`.
-        against: (words,) float32, what each word's confidence counts; 0: it names the same thing.
-        reach_m: how far records' middles may lie from the surface's.
+        surface: (k, 3) float32 in `map`, the object's; k > 0.
+        centers: see `match`.
+        points: see `match`.
+        n_points: see `match`.
+        word: see `match`.
+        confidence: (cap,) float32.
+        n: see `match`.
+        against: (words,) float32, weight of each word's confidence; 0: it names the same object.
+        reach_m: largest planar distance of a record's centre from the surface's.
 
     Returns:
-        The highest mean, over the surface, of the confidences of a word's records that cover it.
+        The maximum over words of the mean, over the surface, of the confidence of the word's
+        records that cover it.
     """
     k = len(surface)
     x, y = np.mean(surface[:, 0]), np.mean(surface[:, 1])
-    told = np.zeros(len(against), np.bool_)
+    found = np.zeros(len(against), np.bool_)
     cover = np.zeros((len(against), k), np.float32)
     for i in range(n):
         dx, dy = centers[i, 0] - x, centers[i, 1] - y
@@ -186,12 +218,12 @@ def strongest_rival(surface, centers, points, n_points, word, confidence, n, aga
                     lies = True
             inside += lies
         share = min(1.0, inside / (WITHIN * n_points[i]))
-        told[word[i]] = True
+        found[word[i]] = True
         for s in range(k):
             if on[s]:
                 cover[word[i], s] = max(cover[word[i], s], share * confidence[i])
     best = np.float32(0.0)
     for w in range(len(against)):
-        if told[w]:
+        if found[w]:
             best = max(best, against[w] * np.mean(cover[w]))
     return best

@@ -1,4 +1,4 @@
-"""What stands around: every thing that the detector names, by place, fused over time."""
+"""The object map: every object that the detector names, by word and place, fused over time."""
 
 from __future__ import annotations
 
@@ -18,33 +18,35 @@ from edge.types import Observation
 
 MAX_SIGHTINGS = 512
 GONE = 0.1
-"""What falls under this share of `tau_det` was a mistake, or is there no more."""
+"""A record below this share of `tau_det` was a mistake or has gone."""
 _MATTERS = 0.1
-"""A confidence that moved so far since it was counted, or a place that moved twice as many metres,
-is a change of the whole."""
+"""Change of a confidence that raises the generation; half the shift of a place in metres."""
 _BROADER = 0.75
-"""What a broader word counts against a narrower one: an armchair is a chair, but what is clearly a
-chair and hardly an armchair is none."""
+"""Weight of a broader word against a narrower one.
+
+An armchair is a chair; but an object that is clearly a chair and hardly an armchair is none."""
 _NONE = np.zeros(0, np.float32)
 
 
 class Sightings:
-    """What was seen where, as parallel arrays of which the first `n` entries count, in no order.
+    """The objects seen, as parallel arrays in no order; the first `n` rows count.
 
     Attributes:
-        n: how many.
-        generation: counts changes that matter: something new, gone, moved, or surer or less sure.
-        words: canonical names; grows at its end only.
-        xyz_m: (capacity, 3) float32 in `map`, the middle of what was seen.
+        n: number of rows.
+        generation: raised by each relevant change: a row is new, gone or moved, or its confidence
+            changed.
+        words: canonical names; only grows at its end.
+        xyz_m: (capacity, 3) float32 in `map`, centre of the object.
         word: (capacity,) int16, index into `words`.
-        confidence: (capacity,) float32 in [0, 1], mean score over all looks at the place, weighted
-            by how well each showed it; a look that found nothing has score 0 (as ApexNav fuses).
+        confidence: (capacity,) float32 in [0, 1], mean score over all views of the place, weighted
+            by the quality of each view; a view without a detection has score 0 (as in ApexNav).
         last_seen_ns: (capacity,) int64, stamp of the newest detection.
-        id: (capacity,) int64, never given again.
-        hits: (capacity,) int32, images that it was detected in; `near_hits` of them from near by
-            and well.
-        points_m: (capacity, POINTS, 3) float32 in `map`, surface points, of which the first
-            `n_points[i]` of row i count; the newest POINTS voxels.
+        id: (capacity,) int64, never reused.
+        hits: (capacity,) int32, number of images with a detection.
+        near_hits: (capacity,) int32, number of those from near by with a score of `confirm_score`.
+        points_m: (capacity, POINTS, 3) float32 in `map`, surface points of the newest voxels; the
+            first `n_points[i]` of row i count.
+        n_points: (capacity,) int32.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -61,7 +63,7 @@ class Sightings:
         self.n_points = np.zeros(capacity, np.int32)
 
     def read_only(self) -> Sightings:
-        """The same arrays, for those who may not write there; whoever writes renews the counts."""
+        """Return a read-only view of the same arrays; the writer must copy `n` and `generation`."""
         shown = copy(self)
         for name, value in vars(self).items():
             if isinstance(value, np.ndarray):
@@ -71,14 +73,19 @@ class Sightings:
         return shown
 
     def of(self, name: str) -> np.ndarray:
-        """Indices of all that has this canonical name, (k,) int64."""
+        """Return the indices of all rows with this canonical name, (k,) int64."""
         if name not in self.words:
             return np.zeros(0, np.int64)
         return np.flatnonzero(self.word[: self.n] == self.words.index(name))
 
 
 class Sighting(NamedTuple):
-    """One of them, with what its confidence rests on: `total` of scores over `weight` of looks."""
+    """One row with its evidence.
+
+    Attributes:
+        weight: sum of the weights of all views.
+        total: sum of weights times scores.
+    """
 
     center_m: np.ndarray
     points_m: np.ndarray
@@ -91,14 +98,17 @@ class Sighting(NamedTuple):
 
 
 class SightingTracker:
-    """Merges the lifted boxes of targets and context by word and place, and fuses them over time.
+    """Fuses the boxes of targets and context into objects, by word and place.
 
-    A strong box (over `tau_det`) founds a sighting; weak ones count where one is. A word's
-    confidence at a place falls with every look that does not find it there. The arrays are made
-    once: over `MAX_SIGHTINGS` the least confident goes.
+    A strong box (over `tau_det`) starts an object; a weak one counts at a known place. Each view
+    that does not find a word at a place lowers its confidence. The arrays are allocated once: over
+    `MAX_SIGHTINGS` the least confident object is dropped.
+
+    Args:
+        perception: the configuration.
 
     Attributes:
-        shown: the same, for policies to read.
+        shown: read-only view, for policies.
     """
 
     def __init__(self, perception: config.Perception) -> None:
@@ -109,7 +119,8 @@ class SightingTracker:
         self._weight = np.zeros(cap, np.float32)
         self._total = np.zeros(cap, np.float32)
         self._cursor = np.zeros(cap, np.int32)
-        self._told = np.zeros((cap, 4), np.float32)  # confidence and place when last counted
+        # Confidence and place at the last generation.
+        self._counted = np.zeros((cap, 4), np.float32)
         self._number: dict[str, int] = {}
         self._rivals: dict[str, np.ndarray] = {}
         self._asked = np.zeros(0, np.bool_)
@@ -119,10 +130,11 @@ class SightingTracker:
         self.shown = self._all.read_only()
 
     def look(self, targets: Lifted, around: Lifted | None) -> None:
-        """Take in all that was found in one image, and that nothing else was.
+        """Update the objects with all detections of one image, and with what it did not show.
 
         Args:
-            targets, around: boxes of targets, and of context words (None: not looked for), lifted.
+            targets: boxes of targets, with positions.
+            around: boxes of context words, with positions; None: not looked for.
         """
         observation = targets.detections.observation
         self._ask(targets.detections.prompts, () if around is None else around.detections.prompts)
@@ -136,7 +148,10 @@ class SightingTracker:
         self._count()
 
     def answering(self, label: str) -> Iterator[Sighting]:
-        """All that a label names, kinds of it too, the surest first; arrays of their own."""
+        """Yield all objects that a label names, kinds of it included, most confident first.
+
+        The arrays are copies.
+        """
         s = self._all
         kinds = [names.is_kind_of(word, label) for word in s.words]
         mine = [at for at in range(s.n) if kinds[s.word[at]] and s.n_points[at] > 0]
@@ -148,14 +163,15 @@ class SightingTracker:
             )  # fmt: skip
 
     def doubts(self, name: str, surface_m: np.ndarray, radius_m: float, surer: float = 1.0) -> bool:
-        """Whether something else is surer to stand where a thing was seen: of what the detector
-        looks for, since what it does not could never be found wanting.
+        """Return True if another object is more likely to stand at the place of an object.
+
+        Only words that the detector looks for count: the others could never be missed.
 
         Args:
-            name: canonical, of the thing.
+            name: canonical name of the object.
             surface_m: (k, 3) float32 in `map`; k > 0.
-            radius_m: how far it reaches from its middle.
-            surer: so many times as sure must something else be.
+            radius_m: reach of the object from its centre.
+            surer: factor by which the other must be more confident.
         """
         s, merge_m = self._all, self.config.merge_m
         x_m, y_m, _ = surface_m.mean(axis=0).tolist()
@@ -172,7 +188,7 @@ class SightingTracker:
         return rival > surer * mine
 
     def _rivals_of(self, name: str) -> np.ndarray:
-        """(words,) float32: what the confidence of each word counts against a thing."""
+        """Return the weight of each word's confidence against an object, (words,) float32."""
         known = self._rivals.get(name, _NONE)
         if len(known) < len(self._all.words):
             more = [_against(word, name) for word in self._all.words[len(known) :]]
@@ -180,13 +196,13 @@ class SightingTracker:
         return known
 
     def clear(self) -> None:
-        """Forget every sighting; ids and words go on."""
+        """Forget every object; ids and words continue."""
         self._all.generation += self._all.n > 0
         self._all.n = 0
         self._show()
 
     def state_dict(self) -> Arrays:
-        """Return all of it, as plain arrays of `n` rows, and what numbers its words."""
+        """Return all rows as plain arrays, with `words` and `next_id`."""
         columns = {name: array[: self._all.n].copy() for name, array in self._saved()}
         return {
             **columns, "words": np.array(self._all.words, np.str_),
@@ -194,10 +210,14 @@ class SightingTracker:
         }  # fmt: skip
 
     def load_state_dict(self, state: Arrays, later_ns: int) -> None:
-        """Go on with a `state_dict`, with nothing seen yet; rows beyond the capacity are left out.
+        """Load a `state_dict` into an empty tracker; rows beyond the capacity are left out.
 
         Args:
-            later_ns: how much later it all happened on the sensors' clock of now.
+            state: from `state_dict`.
+            later_ns: added to all stamps: offset of the sensors' clock since then.
+
+        Raises:
+            ValueError: the state is invalid.
         """
         s, words = self._all, state.get("words", np.zeros(0))
         rows = {tuple(name for name, _ in self._saved()): 1 << 12, ("words",): 1 << 15}
@@ -212,7 +232,7 @@ class SightingTracker:
         s.word[: s.n] = self._numbers(words.tolist())[state["word"][: s.n]]
         s.last_seen_ns[: s.n] += later_ns
         self._next_id = max(self._next_id, int(state["next_id"]))
-        # Nothing was looked for yet, whatever was known before.
+        # This run has not looked for anything yet.
         self._asked, self._asked_for = np.zeros(len(s.words), np.bool_), ((), ())
         s.generation += 1
         self._show()
@@ -224,11 +244,11 @@ class SightingTracker:
             ("last_seen_ns", s.last_seen_ns), ("id", s.id), ("hits", s.hits),
             ("near_hits", s.near_hits), ("points_m", s.points_m), ("n_points", s.n_points),
             ("weight", self._weight), ("total", self._total), ("cursor", self._cursor),
-            ("told", self._told),
+            ("told", self._counted),
         )  # fmt: skip
 
     def _ask(self, prompts: tuple[str, ...], words: tuple[str, ...]) -> None:
-        """Number what was looked for."""
+        """Set the words that the detector looked for in this image."""
         if (prompts, words) == self._asked_for:
             return
         self._asked_for = prompts, words
@@ -262,7 +282,7 @@ class SightingTracker:
                 if not strong:
                     continue
                 at = self._found(word, (x_m, y_m, z_m))
-            if self._now[at] > 0.0:  # another box of this image is there
+            if self._now[at] > 0.0:  # a stronger box of this image matched before
                 continue
             self._now[at] = score
             s.last_seen_ns[at] = observation.stamp_ns
@@ -278,7 +298,7 @@ class SightingTracker:
             )  # fmt: skip
 
     def _unite(self) -> None:
-        """Make one of two sightings of one thing."""
+        """Merge pairs of rows that are one object."""
         s, near_m = self._all, 0.5 * self.config.merge_m
         while True:
             kept, gone = kernels.drifted(s.xyz_m, s.word, s.n, self._now, near_m)
@@ -302,10 +322,10 @@ class SightingTracker:
             self._drop(int(np.argmin(s.confidence[: s.n] + self._now[: s.n])))
         at, s.n = s.n, s.n + 1
         s.xyz_m[at], s.word[at], s.id[at] = xyz_m, word, self._next_id
-        s.points_m[at] = 0.0  # of the one that was here: a checkpoint keeps the whole row
+        s.points_m[at] = 0.0  # clear the old row: a checkpoint saves all of it
         s.confidence[at] = s.hits[at] = s.near_hits[at] = s.n_points[at] = 0
         self._weight[at] = self._total[at] = self._cursor[at] = self._now[at] = 0
-        self._told[at] = -1.0
+        self._counted[at] = -1.0
         self._next_id += 1
         return at
 
@@ -320,32 +340,32 @@ class SightingTracker:
         )  # fmt: skip
 
     def _forget(self) -> None:
-        """What was looked at and not found too often goes."""
+        """Drop the rows that were in view and not detected too often."""
         s = self._all
         weak = (s.confidence[: s.n] < GONE * self.config.tau_det) & (self._weight[: s.n] > 1.0)
         for at in np.flatnonzero(weak)[::-1].tolist():
             self._drop(at)
 
     def _drop(self, at: int) -> None:
-        """Let one go; the last takes its place."""
+        """Drop a row; the last one takes its place."""
         s = self._all
         last = s.n - 1
         for array in (
             s.xyz_m, s.word, s.confidence, s.last_seen_ns, s.id, s.hits, s.near_hits, s.points_m,
-            s.n_points, self._now, self._weight, self._total, self._cursor, self._told,
+            s.n_points, self._now, self._weight, self._total, self._cursor, self._counted,
         ):  # fmt: skip
             array[at] = array[last]
         s.n = last
         s.generation += 1
 
     def _count(self) -> None:
-        """A new generation where anything changed that matters."""
-        s, told = self._all, self._told
-        moved = np.abs(s.confidence[: s.n] - told[: s.n, 0]) > _MATTERS
-        moved |= np.abs(s.xyz_m[: s.n] - told[: s.n, 1:]).max(axis=1, initial=0) > 2 * _MATTERS
+        """Raise the generation if any confidence or place has changed enough."""
+        s, counted = self._all, self._counted
+        moved = np.abs(s.confidence[: s.n] - counted[: s.n, 0]) > _MATTERS
+        moved |= np.abs(s.xyz_m[: s.n] - counted[: s.n, 1:]).max(axis=1, initial=0) > 2 * _MATTERS
         if moved.any():
             at = np.flatnonzero(moved)
-            told[at, 0], told[at, 1:] = s.confidence[at], s.xyz_m[at]
+            counted[at, 0], counted[at, 1:] = s.confidence[at], s.xyz_m[at]
             s.generation += 1
         self._show()
 
@@ -354,7 +374,7 @@ class SightingTracker:
 
 
 def _against(word: str, name: str) -> float:
-    """What it counts against a thing of some name that a word was seen in its place."""
+    """Return the weight of a word's confidence against an object of this name."""
     if names.is_kind_of(word, name):
         return 0.0
     return _BROADER if names.is_kind_of(name, word) else 1.0

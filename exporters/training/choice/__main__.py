@@ -1,10 +1,10 @@
-"""Train the small choice scorer of our own, from nothing but code, the small detector and a seed.
+"""Command that trains our small direction-choice model from code, the small detector and a seed.
 
     python -m exporters.training.choice --out RUN
 
-Has a robot explore houses (seconds each, kept in RUN/views), reads what it saw with the detector's
-trunk, and trains; goes on from RUN/checkpoint.pt when stopped. The ONNX file is made and measured
-in RUN, on houses that training never saw, and put into `--models` with its card.
+It lets a robot explore houses (seconds each, stored in RUN/views), reads the images with the
+detector's trunk, and trains. A stopped run continues from RUN/checkpoint.pt. The ONNX file is made
+and measured in RUN on held-out houses, and put into `--models` with its card.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ STEPS = 1800
 
 
 def seeds(option: str, text: str) -> list[int]:
-    """The numbers of half-open ranges, in their order.
+    """Return the numbers of half-open ranges, in their order.
 
     >>> seeds("--houses", "0:3,7:9")
     [0, 1, 2, 7, 8]
@@ -40,18 +40,18 @@ def seeds(option: str, text: str) -> list[int]:
 def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m exporters.training.choice",
-        description="train the small choice scorer on what a robot sees in generated houses",
+        description="train the small choice scorer on images of generated houses",
     )
     parser.add_argument("--out", type=Path, required=True, help="folder of views and weights")
     parser.add_argument("--models", type=Path, default=Path("models"), help="for file and card")
     parser.add_argument("--seed", type=int, default=SEED, help="of the training; default: 0")
     parser.add_argument(
         "--houses", default=HOUSES,
-        help="seeds of those to train on, as half-open ranges (default: %(default)s)",
+        help="seeds of houses to train on, as half-open ranges (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--held-out", default=HELD_OUT_HOUSES,
-        help="seeds of those to measure on (default: %(default)s)",
+        help="seeds of houses to measure on (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument("--steps", type=int, default=STEPS, help="default: %(default)s")
     parser.add_argument("--cores", type=int, default=CORES, help="processes that explore")
@@ -72,13 +72,16 @@ def _train(args: argparse.Namespace) -> None:
 
     houses, measured = seeds("--houses", args.houses), seeds("--held-out", args.held_out)
     if max(houses) >= HELD_OUT or min(measured) < HELD_OUT:
-        raise ExportError(f"seeds from {HELD_OUT} on are held out, those below are to train on")
+        raise ExportError(
+            f"--houses, --held-out: seeds below {HELD_OUT} are for training, the others are held "
+            "out: change the ranges"
+        )
     paths = make_views(houses, args.out / "views", args.cores)
     make_views(measured, args.out / "held-out", args.cores)
     trunk = Trunk(export.DETECTOR_FILE, export.TEXT_FILE)
     views, features = load_views(paths), make_features(paths, trunk)
     logging.info("%d views of %d houses", len(views), len(houses))
-    torch.set_num_threads(1)  # tensors this small gain nothing by more
+    torch.set_num_threads(1)  # more threads do not help with such small tensors
     data = Data(views, features, trunk.scales, trunk.words)
     plan = Plan(seed=args.seed, steps=args.steps)
     train(data, plan, len(trunk.words), args.out / "checkpoint.pt")

@@ -1,9 +1,9 @@
-"""What a robot sees while it explores, and which of the frontiers in view leads where.
+"""Views of a robot that explores, with the true distance from each frontier to every object.
 
     views = load_views(make_views(range(100), Path("..."), workers=2))
 
-A house that is explored for a thing that it does not have is explored to the end. In a generated
-house it is known how far every frontier is from every thing.
+The robot searches for an object that the house does not have, so it explores the whole house. The
+generator knows the true distances.
 """
 
 from __future__ import annotations
@@ -37,42 +37,42 @@ from exporters.training.mini import looks
 ABSENT = "piano"
 """No generated house has one."""
 POLICIES = ("nearest_frontier", "search")
-"""Who explores, in turn: the one goes to what is near, the other to what shows much."""
+"""Policies to explore with, in turn: one prefers near frontiers, the other large ones."""
 EXPLORE_S = 200.0
 STEP_S, LOOK_EVERY = 0.1, 8
-"""The controller's period of simulated time; the service looks once in so many of these."""
+"""Simulated period of the controller; the service ticks once in `LOOK_EVERY` periods."""
 HW, COARSE = (256, 320), 2
-"""Size of the images; what the robot maps by is so many times smaller, which is quicker."""
+"""Size of the stored images; the robot maps with images `COARSE` times smaller, which is faster."""
 SNAP_M = 0.6
-"""A frontier lies up to so far from where a robot fits."""
+"""Largest distance from a frontier to the nearest cell where the robot fits."""
 SEEN_PX, SEEN_M = 10, 6.0
-"""What a thing shows at least on the smaller image, and how near, to count as seen."""
+"""An object counts as seen with this many pixels on the smaller image, up to this distance."""
 NEVER, BEFORE, NOW = 0, 1, 2
 _KEY = 31
 
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """Views of one or more houses, `t` being the things of `looks.CATEGORIES`.
+    """Views of one or more houses; `t` counts the objects of `looks.CATEGORIES`.
 
     Attributes:
         png: (n,) object, the encoded images, BGR as OpenCV writes them.
         house: (n,) int32, seeds.
-        count: (n,) uint8, how many marks there are, at least 1.
+        count: (n,) uint8, number of marks, at least 1.
         marks: (n, MAX_MARKS, 4) float32: u and v [px], bearing [rad], distance [m]; 0 beyond
             `count`.
         path_m: (n, MAX_MARKS) float32, driving distance to the mark on the robot's own map.
-        gain_m2: (n, MAX_MARKS) float32, unknown area that a mark is expected to show.
-        others: (n, 3) float32, of the frontiers without a mark: how many, the least of `path_m`
-            (0 where there are none), and the most of `gain_m2`.
+        gain_m2: (n, MAX_MARKS) float32, expected unknown area at the mark.
+        others: (n, 3) float32, of the frontiers without a mark: number, least `path_m` (0 if there
+            are none), largest `gain_m2`.
         left_m: (n, MAX_MARKS, t) float32, true driving distance from a mark to the nearest such
-            thing; inf where there is none.
-        else_m: (n, t) float32, the least `left_m` of all frontiers without a mark.
-        else_path_m: (n, t) float32, the least of `path_m` + `left_m` over them.
-        here_m: (n, t) float32, from the robot.
-        seen: (n, t) uint8, whether a thing of the kind was seen: `NEVER`, `BEFORE` or `NOW`.
-        lift: (n, MAX_MARKS, t) float32, what `edge.loop.prior` says of the marks, by what was seen
-            so far, on houses that are held out; 1 elsewhere, since it takes time.
+            object; inf if there is none.
+        else_m: (n, t) float32, least `left_m` of all frontiers without a mark.
+        else_path_m: (n, t) float32, least `path_m` + `left_m` of these frontiers.
+        here_m: (n, t) float32, true driving distance from the robot.
+        seen: (n, t) uint8, when an object of the kind was seen: `NEVER`, `BEFORE` or `NOW`.
+        lift: (n, MAX_MARKS, t) float32, likelihood ratio of `edge.loop.prior` for each mark, from
+            the objects seen so far. Only in held-out houses, since it takes time; 1 elsewhere.
     """
 
     png: np.ndarray
@@ -93,12 +93,12 @@ class Views:
         return len(self.house)
 
     def rgb(self, i: int) -> np.ndarray:
-        """(h, w, 3) uint8."""
+        """Return image i, (h, w, 3) uint8."""
         return cv2.cvtColor(cv2.imdecode(self.png[i], cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
 
 
 class _Collector:
-    """A sink that keeps views."""
+    """Sink that stores views."""
 
     def __init__(self, seed: int, world: World, radius_m: float) -> None:
         self._seed, self._world = seed, world
@@ -134,7 +134,7 @@ class _Collector:
         self._seen |= now
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Do nothing."""
 
     def _in_view(self, ids: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
         near = ids[depth_m < SEEN_M]
@@ -183,7 +183,7 @@ class _Collector:
         self.rows.append(row)
 
     def _lifts(self, xy_m: np.ndarray) -> np.ndarray:
-        """(MAX_MARKS, t) float32."""
+        """Return the prior's likelihood ratios, (MAX_MARKS, t) float32."""
         n, out = len(xy_m), np.ones((len(looks.CATEGORIES), MAX_MARKS), np.float32)
         prior = self.loop.service.map.prior
         if prior is not None:
@@ -192,7 +192,7 @@ class _Collector:
         return out.T
 
     def _left_m(self, xy_m: np.ndarray) -> np.ndarray:
-        """(n, t) float32, from places to things."""
+        """Return the distances from places to objects, (n, t) float32."""
         plan, out = self._world.plan, np.full((len(xy_m), len(self._fields)), np.inf, np.float32)
         resolution_m = plan.grid.resolution_m
         reach = round(SNAP_M / resolution_m)
@@ -211,7 +211,7 @@ class _Collector:
 
 
 def collect(seed: int) -> Views:
-    """What a robot sees while it explores the house of a seed; the same each time."""
+    """Return the views of a robot that explores the house of a seed, repeatably."""
     data = {
         "perception": {
             "detector": {"kind": "sim"}, "prior": "both" if seed >= HELD_OUT else "none",
@@ -243,7 +243,7 @@ def collect(seed: int) -> Views:
 
 
 def _drive_on(loop: ClosedLoop) -> None:
-    """The controller's next step, without a look."""
+    """Run the controller's next step, without a tick of the service."""
     motion = loop.drive.motion
     command, answers = loop.controller.step(
         motion.odometry, motion.v_mps, motion.w_radps, motion.stamp_ns
@@ -269,7 +269,7 @@ def _as_views(columns: Sequence[Sequence]) -> Views:
 
 
 def make_views(seeds: Sequence[int], folder: Path, workers: int = 1) -> list[Path]:
-    """Files with the views of each house; what is there is not made again."""
+    """Write a file with the views of each house; existing files are not made again."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{seed}.npz" for seed in seeds]
     jobs = [job for job in zip(seeds, paths, strict=True) if not job[1].is_file()]
@@ -295,7 +295,7 @@ def _write(job: tuple[int, Path]) -> None:
 
 
 def load_views(paths: Sequence[Path]) -> Views:
-    """The views of several files as one."""
+    """Return the views of several files as one."""
     parts = [_read(path) for path in paths]
     parts = [part for part in parts if len(part)]
     joined = (np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Views))

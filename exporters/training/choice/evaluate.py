@@ -1,8 +1,8 @@
-"""How well directions are chosen, on houses that training never saw.
+"""Evaluation of the direction-choice model on held-out houses.
 
-Of each view every target is asked that the robot has not seen and that could be reached, where two
-marks or more are there and differ: a choice is right that is as good as the best mark, within
-`labels.RIGHT_M`. Intervals resample whole houses, since views of one are not independent.
+For each view, every reachable target that the robot has not seen is asked for, if two or more marks
+exist and differ. A choice is right if it is at most `labels.RIGHT_M` worse than the best mark.
+Confidence intervals resample whole houses, since views of one house are not independent.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from exporters.training.results import auc, took_ms
 
 PARITY_QUESTIONS = 300
 Logits = tuple[np.ndarray, np.ndarray]
-"""(n, t, MAX_MARKS + 1) of the directions and (n, t) of the scene; NaN where it was not asked."""
+"""(n, t, MAX_MARKS + 1) of the directions and (n, t) of the scene; NaN for pairs not asked."""
 
 
 def asked_at(views: Views) -> np.ndarray:
-    """(n, t) bool: targets that count."""
+    """Return (n, t) bool: the targets that count."""
     return labels.asked(views) & (views.seen == NEVER)
 
 
 def logits_of(net: ChoiceNet, data: Data, views: Views) -> Logits:
-    """What the net answers, by kept features, wherever it counts."""
+    """Return the net's answers from stored features, for all targets that count."""
     counts = asked_at(views)
     directions = np.full((*counts.shape, MAX_MARKS + 1), np.nan, np.float32)
     scene = np.full(counts.shape, np.nan, np.float32)
@@ -46,10 +46,13 @@ def logits_of(net: ChoiceNet, data: Data, views: Views) -> Logits:
 
 
 def parity(model: Path, views: Views, words: np.ndarray, logits: Logits) -> float:
-    """How much an ONNX file's logits differ at most from those, on the images themselves.
+    """Return the largest difference between an ONNX file's logits and `logits`, on the images.
 
     Args:
+        model: the ONNX file.
+        views: images and marks.
         words: (t, text_dim) of `looks.CATEGORIES`.
+        logits: see `logits_of`.
     """
     session, marks, counts = cpu_session(model, 1), labels.marks_of(views), asked_at(views)
     asked = np.argwhere(counts)
@@ -68,19 +71,22 @@ def parity(model: Path, views: Views, words: np.ndarray, logits: Logits) -> floa
 
 
 def choosers(views: Views, logits: Logits) -> dict[str, np.ndarray]:
-    """Scores of the marks by whoever chooses, (n, t, MAX_MARKS); the highest is chosen."""
+    """Return each chooser's scores of the marks, (n, t, MAX_MARKS); it chooses the highest."""
     shape = logits[0][..., :MAX_MARKS].shape
     near = np.broadcast_to(-views.path_m[:, None], shape)
     return {
         "model": logits[0][..., :MAX_MARKS],
         "nearest_mark": near,
-        "cooccurrence": views.lift.transpose(0, 2, 1) + 1e-6 * near,  # which often has no opinion
+        "cooccurrence": views.lift.transpose(0, 2, 1) + 1e-6 * near,  # `near` breaks ties
     }
 
 
 def top1(views: Views, logits: Logits) -> dict[str, float | int | str]:
-    """Shares of right choices, with 95 % intervals over houses: of all questions, and of those
-    (`in_view`) in which no frontier without a mark is better than the best mark."""
+    """Return the shares of right choices, with 95 % intervals over houses.
+
+    The entries `in_view_…` count only questions in which no frontier without a mark is better than
+    the best mark.
+    """
     left_m = np.where(labels.shown(views)[:, None], views.left_m.transpose(0, 2, 1), np.inf)
     best_m = left_m.min(axis=2)
     right = (left_m <= best_m[..., None] + labels.RIGHT_M) & np.isfinite(left_m)
@@ -95,13 +101,13 @@ def top1(views: Views, logits: Logits) -> dict[str, float | int | str]:
         hits[f"model_minus_{name}"] = hits["model"] - hits[name]
     houses = np.broadcast_to(views.house[:, None], counts.shape)
     in_view = counts & (best_m <= views.else_m + labels.RIGHT_M)
-    said: dict[str, float | int | str] = {}
-    for prefix, those in (("", counts), ("in_view_", in_view)):
-        said[f"{prefix}questions"] = int(those.sum())
+    shares: dict[str, float | int | str] = {}
+    for prefix, chosen in (("", counts), ("in_view_", in_view)):
+        shares[f"{prefix}questions"] = int(chosen.sum())
         for name, hit in hits.items():
-            mean, low, high = by_house(hit[those], houses[those])
-            said[prefix + name] = f"{mean:.3f} ({low:.3f} to {high:.3f})"
-    return said
+            mean, low, high = by_house(hit[chosen], houses[chosen])
+            shares[prefix + name] = f"{mean:.3f} ({low:.3f} to {high:.3f})"
+    return shares
 
 
 def scene_auc(views: Views, logits: Logits) -> float:
@@ -111,7 +117,7 @@ def scene_auc(views: Views, logits: Logits) -> float:
 
 
 def by_house(values: np.ndarray, houses: np.ndarray) -> Interval:
-    """Mean over questions and its 95 % interval; `houses` are seeds."""
+    """Return the mean over questions and its 95 % interval; `houses` are seeds."""
     cluster = np.unique(houses, return_inverse=True)[1]
     return bootstrap(values[None], np.ones((1, len(values))), cluster)[0]
 

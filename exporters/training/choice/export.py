@@ -1,7 +1,7 @@
-"""Trunk and net as one ONNX file, with its card.
+"""Export of trunk and net as one ONNX file, with its card.
 
-They are joined as they are: the trunk INT8, as the quantizer made the detector, and the net
-float32, which has a tenth of its weights and learned from the INT8 trunk.
+The trunk stays INT8, as the quantizer made the detector. The net stays float32: it has a tenth of
+the weights, and was trained on the INT8 trunk's output.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ NAME, DETECTOR, TEXT = "mini-house-choice", "mini-house-256x320-int8-cpu", "mini
 DETECTOR_FILE, TEXT_FILE = MODELS / f"{DETECTOR}.onnx", MODELS / f"{TEXT}.onnx"
 NOTE = "Knows only the built-in world. Written by exporters.training.choice."
 MAX_LOGIT_ERROR = 0.05
-"""What the joined file may differ from the net on kept features, where scores have 8 bits."""
+"""Largest allowed difference of the joined file from the net on stored features (8-bit scores)."""
 _PREFIX, _INPUTS = "net/", ("txt_feats", "marks", "others")
 
 
 class Head(nn.Module):
-    """What follows the trunk: the detector's scores in each cell, and the net."""
+    """The part after the trunk: the detector's scores in each cell, and the net."""
 
     def __init__(self, net: ChoiceNet, trunk: Trunk) -> None:
         super().__init__()
@@ -97,7 +97,7 @@ def export(net: ChoiceNet, trunk: Trunk, out: Path) -> None:
 
 
 def _at_version(model: onnx.ModelProto, like: onnx.ModelProto) -> onnx.ModelProto:
-    """A copy with another's versions, which are the same but for the file format's."""
+    """Return a copy with another model's versions; only the file format's version differs."""
     copy = onnx.ModelProto()
     copy.CopyFrom(model)
     copy.ir_version = like.ir_version
@@ -116,7 +116,7 @@ def _rename(model: onnx.ModelProto, names: dict[str, str]) -> None:
 
 
 def make_card(path: Path, measured: dict[str, dict]) -> dict[str, Any]:
-    """The card of a file."""
+    """Return the card of a file."""
     return {
         "name": NAME, "task": "marks", "family": "mini-house", "sources": [],
         "license": "Apache-2.0", "derived_from": None, "parity": None,
@@ -128,17 +128,17 @@ def make_card(path: Path, measured: dict[str, dict]) -> dict[str, Any]:
 
 
 def held_out(net: ChoiceNet, trunk: Trunk, model: Path, paths: list[Path]) -> dict[str, Any]:
-    """What the card says of a file, measured on the views of these files.
+    """Return the card's figures of a file, measured on the views of these files.
 
     Raises:
-        ExportError: it does not say what the net says.
+        ExportError: its answers differ from the net's.
     """
     views = load_views(paths)
     data = Data(views, make_features(paths, trunk), trunk.scales, trunk.words)
     logits = evaluate.logits_of(net, data, views)
     off = evaluate.parity(model, views, trunk.words, logits)
     if off > MAX_LOGIT_ERROR:
-        raise ExportError(f"{model}: logits differ by {off:.3f} from the net's; not put in place")
+        raise ExportError(f"{model}: logits differ by {off:.3f} from the net's; not published")
     return {
         "first_seed": int(views.house.min()), "houses": len(set(views.house.tolist())),
         "views": len(views), **evaluate.top1(views, logits),
@@ -152,7 +152,10 @@ def put_in_place(run: Path, out: Path, command: str, houses: int) -> None:
     """Export the run of a folder, measure it on the views in `held-out`, and publish it.
 
     Args:
-        command: what repeats the training, `houses` how many those were.
+        run: folder of the run.
+        out: folder for the model and its card.
+        command: command that repeats the training.
+        houses: number of training houses.
     """
     net = ChoiceNet(len(looks.CATEGORIES))
     kept = checkpoints.averaged(run / "checkpoint.pt", net)

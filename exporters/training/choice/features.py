@@ -1,7 +1,7 @@
-"""What the trunk of the small detector makes of views: all that the net gets to see of an image.
+"""Image features of views: the output of the small detector's trunk, the net's only image input.
 
-The trunk is the detector's, INT8 as the project's quantizer made it, without its boxes. It is not
-trained further, so that every image is read once and the net learns from what the INT8 trunk says.
+The trunk is the detector's without its boxes, INT8 as our quantizer made it. It is not trained
+further. So every image is read once, and the net learns from the INT8 trunk's output.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ NECK = tuple(
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """Of n views, as seen and mirrored (the second axis).
+    """Features of n views, as seen and mirrored (the second axis).
 
     Attributes:
         evidence: (n, 2, c, 8, 10) uint8, 255 times the detector's score of each of
             `looks.CATEGORIES`, the highest in a cell.
-        near: (n, 2, 96, 8, 10) uint16, the first of `NECK` as it is quantized, each four added up.
-        far: (n, 2, 128, 8, 10) uint8, the other.
+        near: (n, 2, 96, 8, 10) uint16, the first of `NECK` as quantized, summed over 2x2 cells.
+        far: (n, 2, 128, 8, 10) uint8, the second of `NECK`.
     """
 
     evidence: np.ndarray
@@ -52,8 +52,10 @@ class Trunk:
 
     Attributes:
         model: `images` → `HEADS` and `NECK`.
-        scale, bias: of the detector's scores: sigmoid(scale · embedding · text + bias).
-        scales: by which `near` and `far` become what `NECK` holds, of four the mean.
+        scale: of the detector's scores: sigmoid(scale · embedding · text + bias).
+        bias: of the detector's scores.
+        scales: factors from `near` and `far` to the values of `NECK` (for `near`, to the mean of
+            four).
         words: (c, 64) float32, unit rows of `looks.CATEGORIES`.
     """
 
@@ -81,7 +83,7 @@ class Trunk:
         self._session = cpu_session(self.model.SerializeToString(), 1)
 
     def read(self, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """One image's `Features`, without the first two axes."""
+        """Return one image's `Features`, without the first two axes."""
         *heads, near, far = self._session.run([*HEADS, *NECK], {"images": as_input(rgb)})
         logits = (self.scale * np.einsum("kd,dhw->khw", self.words, e[0]) for e in heads)
         best = np.max([_fold(x, np.max) for x in logits], axis=0) + self.bias
@@ -91,14 +93,14 @@ class Trunk:
 
 
 def _fold(x: np.ndarray, how: Callable) -> np.ndarray:
-    """(c, h, w) with the cells of each 8th of the height and 10th of the width made one."""
+    """Reduce (c, h, w) to a grid of 8 rows and 10 columns of cells."""
     c, h, w = x.shape
     rows, columns = GRID_HW
     return how(x.reshape(c, rows, h // rows, columns, w // columns), axis=(2, 4))
 
 
 def make_features(paths: Sequence[Path], trunk: Trunk) -> Features:
-    """Of the views of files of `collect.make_views`; kept beside them."""
+    """Return the features of the views in these files; they are stored next to them."""
     parts = [_of_file(path, trunk) for path in paths]
     return Features(
         *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Features))

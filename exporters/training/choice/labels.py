@@ -1,4 +1,4 @@
-"""What is right in a view: which directions lead to a target, and whether any does."""
+"""Labels of a view: the directions that lead to a target, and if any does."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from edge.perception.scoring.choice.question import MAX_MARKS
 from exporters.training.choice.collect import BEFORE, HW, Views
 
 SOFT_M = 1.5
-"""A direction so much longer than the best is right by 1/e of it."""
+"""The label of a direction falls by a factor of e for each such length above the best one."""
 DETOUR_M, DETOUR_SHARE = 1.5, 0.25
-"""A way is near the shortest that is longer by at most so much, and this share of it."""
+"""A path is near the shortest if it is longer by at most this, or by this share of it."""
 RIGHT_M = 0.5
-"""Directions that differ by less are as good as each other."""
+"""Directions that differ by less are equally good."""
 
 
 def marks_of(views: Views) -> np.ndarray:
-    """(n, MAX_MARKS, MARK_FIELDS) float32, as `MarksCard` has them."""
+    """Return (n, MAX_MARKS, MARK_FIELDS) float32, in the form of `MarksCard`."""
     out = np.zeros((len(views), MAX_MARKS, MARK_FIELDS), np.float32)
     out[..., 0] = (views.marks[..., 0] + 0.5) / HW[1]
     out[..., 1] = (views.marks[..., 1] + 0.5) / HW[0]
@@ -29,25 +29,26 @@ def marks_of(views: Views) -> np.ndarray:
 
 
 def shown(views: Views) -> np.ndarray:
-    """(n, MAX_MARKS) bool, where there is a mark."""
+    """Return (n, MAX_MARKS) bool, True for an existing mark."""
     return np.arange(MAX_MARKS) < views.count[:, None]
 
 
 def asked(views: Views) -> np.ndarray:
-    """(n, t) bool: worth asking, since the robot does not know of the target from elsewhere."""
+    """Return (n, t) bool: True if the target is reachable and was not seen before."""
     reaches = np.isfinite(np.minimum(views.left_m.min(axis=1), views.else_m))
     return (views.seen != BEFORE) & reaches
 
 
 def directions(left_m: np.ndarray, else_m: np.ndarray) -> np.ndarray:
-    """Soft labels by what is left to drive.
+    """Return soft labels from the remaining distances.
 
     Args:
-        left_m: (…, m) from each mark, inf where there is none; else_m: (…) from the best
-            frontier without a mark.
+        left_m: (…, m) from each mark, inf if there is none.
+        else_m: (…) from the best frontier without a mark.
 
     Returns:
-        (…, m + 1) float32, sums to 1, or to 0 where nothing leads there; "elsewhere" is the last.
+        (…, m + 1) float32 with a sum of 1, or 0 if nothing leads to the target; the last is
+        "elsewhere".
     """
     each = np.concatenate([left_m, else_m[..., None]], -1)
     least = each.min(axis=-1, keepdims=True)
@@ -56,7 +57,7 @@ def directions(left_m: np.ndarray, else_m: np.ndarray) -> np.ndarray:
 
 
 def scene(views: Views) -> np.ndarray:
-    """(n, t) bool: whether the best mark lies near a shortest way from the robot."""
+    """Return (n, t) bool: True if the best mark lies near a shortest path from the robot."""
     by_mark_m = (views.path_m[..., None] + views.left_m).min(axis=1)
     shortest_m = np.minimum(views.here_m, np.minimum(by_mark_m, views.else_path_m))
     return by_mark_m <= shortest_m + np.maximum(DETOUR_M, DETOUR_SHARE * shortest_m)

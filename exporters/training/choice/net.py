@@ -1,9 +1,9 @@
-"""The net over the trunk's features: which marked frontier leads to the target, if any.
+"""Network over the trunk's features: which marked frontier leads to the target, if any.
 
-A few convolutions make of an image a map of keys and values, whatever the target. Each mark, and
-one token more for "elsewhere" and the scene, asks it with the target's text: attention over the
-map's cells by what they show and by how they lie to the mark (arXiv:1706.03762), then over the
-other marks. All is so small that it stays in float32.
+A few convolutions make a map of keys and values from an image, for all targets. Each mark, and one
+more token for "elsewhere" and the scene, queries it with the target's text. Attention
+(arXiv:1706.03762) goes over the map's cells, by their content and their position relative to the
+mark, then over the other marks. The network is so small that it stays in float32.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _BIG = 1e4
 
 
 class ChoiceNet(nn.Module):
-    """Map, text and marks → logits of the directions, "elsewhere" last, and of the scene."""
+    """Map, text and marks → logits of the directions ("elsewhere" last) and of the scene."""
 
     def __init__(self, kinds: int, width: int = 64, heads: int = 4, layers: int = 2) -> None:
         super().__init__()
@@ -40,10 +40,11 @@ class ChoiceNet(nn.Module):
         self.drop, self.fade = nn.Dropout(0.2), nn.Dropout2d(0.2)
 
     def read(self, near: Tensor, far: Tensor, evidence: Tensor) -> Tensor:
-        """The map of images, (v, width, 8, 10).
+        """Return the maps of images, (v, width, 8, 10).
 
         Args:
-            near, far: (v, 96, 8, 10) and (v, 128, 8, 10), see `features.NECK`.
+            near: (v, 96, 8, 10), see `features.NECK`.
+            far: (v, 128, 8, 10), see `features.NECK`.
             evidence: (v, kinds, 8, 10) scores in [0, 1].
         """
         x = torch.cat([self.near(near), self.far(far), self.kinds(evidence)], 1)
@@ -52,15 +53,17 @@ class ChoiceNet(nn.Module):
     def forward(
         self, seen: Tensor, target: Tensor, text: Tensor, marks: Tensor, others: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """
+        """Return the logits of directions and scene.
+
         Args:
             seen: (v, width, 8, 10), the map of v images.
             target: (v, t, 80) scores of t targets in the cells.
             text: (v, t, 64) their embeddings.
-            marks: (v, m, MARK_FIELDS); others: (v, OTHERS_FIELDS); see `MarksCard`.
+            marks: (v, m, MARK_FIELDS), see `MarksCard`.
+            others: (v, OTHERS_FIELDS), see `MarksCard`.
 
         Returns:
-            (v, t, m + 1) logits, very low where there is no mark; (v, t) logits of the scene.
+            (v, t, m + 1) logits, very low for a missing mark; (v, t) logits of the scene.
         """
         v, t, m = text.shape[0], text.shape[1], marks.shape[1]
         cells = seen.flatten(2).transpose(1, 2)  # (v, 80, width)
@@ -80,7 +83,7 @@ class ChoiceNet(nn.Module):
 
 
 class _Layer(nn.Module):
-    """Attention over cells, over tokens, and a step for each token by itself."""
+    """Attention over cells, attention over tokens, and a feed-forward step for each token."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -104,8 +107,8 @@ class _Layer(nn.Module):
         key, value = self.key_value(cells).chunk(2, -1)
         key, value = (y.reshape(v, -1, h, d).transpose(1, 2) for y in (key, value))
         score = (ask @ key.transpose(2, 3)).reshape(v, h, t, n, -1) * d**-0.5
-        lie = torch.cat([away, away.abs()], -1)
-        score = score + self.bias(lie).permute(0, 3, 1, 2)[:, :, None]
+        offset = torch.cat([away, away.abs()], -1)
+        score = score + self.bias(offset).permute(0, 3, 1, 2)[:, :, None]
         score = score + self.on_target.reshape(1, -1, 1, 1, 1) * target[:, None, :, None]
         p = score.softmax(-1)
         found = (p.reshape(v, h, t * n, -1) @ value).transpose(1, 2).reshape(v, t, n, width)
@@ -122,34 +125,34 @@ _GEOMETRY, _REST = 17, 6
 
 
 def geometry(marks: Tensor) -> Tensor:
-    """What a mark's place says, (…, _GEOMETRY)."""
+    """Return features of a mark's position, (…, _GEOMETRY)."""
     u, v, bearing, distance, path, gain, there = marks.unbind(-1)
     waves = [wave(k * torch.pi * u) for k in (1, 2) for wave in (torch.sin, torch.cos)]
-    lie = [u, v, bearing, bearing.abs(), distance / _FAR_M, torch.log1p(distance), *waves]
-    return torch.stack([*lie, (path - distance) / _FAR_M, *_worth(path, gain), there], -1)
+    offset = [u, v, bearing, bearing.abs(), distance / _FAR_M, torch.log1p(distance), *waves]
+    return torch.stack([*offset, (path - distance) / _FAR_M, *_worth(path, gain), there], -1)
 
 
 def of_others(others: Tensor) -> Tensor:
-    """What the frontiers without a mark say together, (…, _REST)."""
+    """Return features of all frontiers without a mark, (…, _REST)."""
     count, path, gain = others.unbind(-1)
     return torch.stack([torch.log1p(count), *_worth(path, gain)], -1)
 
 
 def _worth(path: Tensor, gain: Tensor) -> list[Tensor]:
-    """A way's length, what is at its end, and the two in one as `edge.policies.search` has them."""
+    """Return features of a path's length and gain, and the score of `edge.policies.search`."""
     wide = torch.sqrt(gain.clamp(min=0.0) + 1e-6)
     return [path / _FAR_M, torch.log1p(path), gain / _WIDE_M2, wide, wide / (1.0 + path)]
 
 
 def cell_centres() -> Tensor:
-    """(80, 2), u and v as shares of the image, row by row."""
+    """Return (80, 2), u and v as shares of the image, row by row."""
     h, w = GRID_HW
     v, u = torch.meshgrid((torch.arange(h) + 0.5) / h, (torch.arange(w) + 0.5) / w, indexing="ij")
     return torch.stack([u, v], -1).reshape(-1, 2)
 
 
 def tents(at: Tensor) -> Tensor:
-    """Weights of bilinear reading at places (…, 2), as shares of the image: (…, 80)."""
+    """Return bilinear weights, (…, 80), at positions (…, 2), which are shares of the image."""
     h, w = GRID_HW
     columns = torch.arange(w, dtype=at.dtype, device=at.device) + 0.5
     rows = torch.arange(h, dtype=at.dtype, device=at.device) + 0.5

@@ -1,4 +1,4 @@
-"""The training loop: views, each with several targets at once."""
+"""Training loop of the direction-choice model: views with several targets each."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from exporters.training.learning import Learner
 log = logging.getLogger(__name__)
 
 DROP = 0.25
-"""Chance of a mark to be left out, so that there are more ways to ask about a view."""
+"""Probability that a mark is left out, for more variety in the questions."""
 CLIP = 5.0
-"""Norm that gradients have at most."""
+"""Largest norm of the gradients."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How long and how fast to learn; a step takes `views` views with `targets` targets each."""
+    """Length and learning rates of a run; a step has `views` views of `targets` targets each."""
 
     steps: int = 1800
     views: int = 24
@@ -44,7 +44,7 @@ class Plan:
 
 
 class Batch(NamedTuple):
-    """Tensors as `ChoiceNet` takes them, and what is right: see `labels`."""
+    """Inputs of `ChoiceNet`, and labels: see `labels`."""
 
     near: Tensor
     far: Tensor
@@ -59,10 +59,13 @@ class Batch(NamedTuple):
 
 
 class Data:
-    """Views with their features and labels, of which batches are made.
+    """Views with their features and labels, from which batches are made.
 
     Args:
-        scales, words: of the trunk (`features.Trunk`).
+        views: images and marks.
+        features: of the views.
+        scales: of the trunk (`features.Trunk`).
+        words: of the trunk (`features.Trunk`).
     """
 
     def __init__(
@@ -74,18 +77,21 @@ class Data:
         self.rows = np.flatnonzero(self._asked.any(axis=1))
 
     def batch(self, rows: np.ndarray, targets: np.ndarray, sides: np.ndarray | int = 0) -> Batch:
-        """Views with targets, as they are.
+        """Return views with targets, without augmentation.
 
         Args:
-            rows: (v,) views; targets: (v, t) indices of `looks.CATEGORIES`.
-            sides: (v,) 1 for the mirrored ones.
+            rows: (v,) views.
+            targets: (v, t) indices of `looks.CATEGORIES`.
+            sides: (v,) 1 for mirrored views.
         """
         sides = np.broadcast_to(sides, rows.shape)
         return self._batch(rows, targets, sides, self._marks[rows, :, -1] > 0.0)
 
     def disturbed(self, plan: Plan, first: int) -> Iterator[Batch]:
-        """A batch for each step from `first` on: random views and targets, mirrored by half, some
-        marks left out."""
+        """Yield an augmented batch for each step from `first` on.
+
+        Views and targets are random, half of the views are mirrored, and some marks are left out.
+        """
         for step in range(first, plan.steps):
             rng = np.random.default_rng([plan.seed, step])
             rows = rng.choice(self.rows, plan.views)
@@ -125,7 +131,7 @@ class Data:
 
 
 def _with_hidden(others: np.ndarray, marks: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """(v, OTHERS_FIELDS) float32: marks that are left out count as frontiers without one."""
+    """Return (v, OTHERS_FIELDS) float32: dropped marks count as frontiers without a mark."""
     hidden = hidden & (marks[..., -1] > 0.0)
     count, least_m, most_m2 = others.T
     least_m = np.where(count > 0.0, least_m, np.inf)
@@ -137,15 +143,15 @@ def _with_hidden(others: np.ndarray, marks: np.ndarray, hidden: np.ndarray) -> n
 
 
 def answers(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Logits; see `ChoiceNet.forward`."""
+    """Return the logits; see `ChoiceNet.forward`."""
     seen = net.read(batch.near, batch.far, batch.evidence)
     return net(seen, batch.target, batch.text, batch.marks, batch.others)
 
 
 def losses(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
-    """Cross-entropies of directions, of the marks among themselves, and of the scene.
+    """Return the cross-entropies of directions, of the marks only, and of the scene.
 
-    The second is there since views teach little of their marks where "elsewhere" is far better.
+    The second is needed because a view teaches little about its marks if "elsewhere" is far better.
     """
     direction, scene = answers(net, batch)
     of_direction = _cross_entropy(direction, batch.direction)
@@ -159,20 +165,26 @@ def _cross_entropy(logits: Tensor, right: Tensor) -> Tensor:
 
 
 def train(data: Data, plan: Plan, kinds: int, checkpoint: Path) -> ChoiceNet:
-    """Train, or go on from `checkpoint`; returns the averaged weights.
+    """Train, or continue from `checkpoint`; return the averaged weights.
+
+    Args:
+        data: views to train on.
+        plan: length and learning rates.
+        kinds: number of categories.
+        checkpoint: file to continue from and to write.
 
     Raises:
         ExportError: there is nothing to learn from, or `checkpoint` is of another run, or none.
     """
     if not len(data.rows):
-        raise ExportError("no view has a frontier in it; collect from more houses")
+        raise ExportError("no view has a frontier in it; use more --houses")
     run = checkpoints.describe(plan, len(data.rows), 1, "cpu")
     torch.manual_seed(plan.seed)
     net = ChoiceNet(kinds)
     learner = Learner(net, plan, plan.steps, checkpoint, run)
     sums = torch.zeros(3)
     for step, batch in enumerate(data.disturbed(plan, learner.done), learner.done + 1):
-        torch.manual_seed(plan.seed * 1_000_003 + step)  # of the dropout, also when it goes on
+        torch.manual_seed(plan.seed * 1_000_003 + step)  # same dropout if the run continues
         parts = losses(net, batch)
         learner.step(sum(parts), CLIP)
         sums += torch.stack(parts).detach()

@@ -1,11 +1,11 @@
-"""Train the small detector of our own, from nothing but code and a seed, and put it in place.
+"""Command that trains our small detector from code and a seed, and publishes it.
 
     python -m exporters.training.mini --out RUN
 
-Renders houses (minutes; 8.1 GB, kept in RUN/data) and trains (84 minutes on two cores of an AMD
-EPYC; a GPU is used where there is one); goes on from RUN/checkpoint.pt when stopped. The files are
-made of the averaged weights in RUN and measured there, on houses that training never saw. What
-passes the gate is put into `--models`, with cards that have the hashes and the figures.
+It renders houses (minutes; 8.1 GB, stored in RUN/data) and trains (84 minutes on two cores of an
+AMD EPYC; a GPU is used if there is one). A stopped run continues from RUN/checkpoint.pt. The files
+are made from the averaged weights and measured in RUN on held-out houses. If they pass the gate,
+they are put into `--models`, with cards that have the hashes and the figures.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ SEED, HOUSES, CORES = 0, 3000, 2
 def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m exporters.training.mini",
-        description="train the small detector on pictures of random houses",
+        description="train the small detector on images of random houses",
     )
     parser.add_argument(
         "--out", type=Path, required=True,
-        help="folder of data and weights; the usual houses' pictures take 8.1 GB",
+        help="folder of data and weights; the default number of houses takes 8.1 GB",
     )  # fmt: skip
     parser.add_argument("--models", type=Path, default=Path("models"), help="for files and cards")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument(
         "--houses", type=int, default=HOUSES,
-        help="how many to train on; 2.7 MB of pictures each (default: %(default)s)",
+        help="number of houses to train on; 2.7 MB of images each (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--cores", type=int, default=CORES,
-        help="processes that render, and that train where there is no GPU (default: %(default)s)",
+        help="processes that render, and that train without a GPU (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument("--device", help="cpu, cuda, … (default: cuda when there is one)")
     parser.add_argument(
-        "--no-gate", action="store_true", help="put a model in place that is worse than it may be"
+        "--no-gate", action="store_true", help="publish a model that is below the required figures"
     )
     args = parser.parse_args(argv)
     at_least_one(args, "houses", "cores")
@@ -61,7 +61,7 @@ def _train(args: argparse.Namespace) -> None:
     plan, checkpoint = training.Plan(seed=args.seed), args.out / "checkpoint.pt"
     ranks = args.cores if device == "cpu" else 1
     training.check_cores(plan, ranks)
-    # Before minutes of rendering.
+    # Check this before minutes of rendering.
     checkpoints.resume(
         checkpoint, checkpoints.describe(plan, args.houses * views.PER_HOUSE, ranks, device)
     )

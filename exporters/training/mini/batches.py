@@ -1,4 +1,4 @@
-"""Batches: a random cut of a picture, and phrases that are true or nearly true of what is in it."""
+"""Training batches: a random crop of an image, and phrases that are true or nearly true of it."""
 
 from __future__ import annotations
 
@@ -19,23 +19,24 @@ from exporters.training.mini.views import HEIGHT_PX, WIDTH_PX, Frames, whole
 PAD = 114
 PHRASES = 24
 NAMED = 9
-"""So many things of a picture get a true phrase of their own at most; the other phrases are
-thought up at random, and most are wrong."""
+"""Most objects of an image that get a true phrase each; the other phrases are random, and most are
+wrong."""
 HARD_SHARE = 0.6
-"""Share of those other phrases that name something in the picture, with a random colour or size."""
+"""Share of the random phrases that name an object in the image, with a random colour or size."""
 MIN_SIDE_PX, MIN_VISIBLE = 8.0, 0.25
-"""Things smaller (in a picture of 320 columns) or hidden more than this are not taught."""
+"""Smaller objects (in an image of 320 columns) and objects with a smaller visible share are not
+taught."""
 WHOLE = 0.9
-"""The size of a thing of which less is left cannot be told, and is not taught."""
+"""The size of an object with a smaller part in the crop is unknown, and is not taught."""
 THINGS = 32
 ZOOM = (0.8, 1.6)
 AHEAD = 6
-"""Batches that are made before they are wanted."""
+"""Batches that are made in advance."""
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Pictures (b, 3, h, w) uint8, phrases (b, k, 3) int64, and their labels."""
+    """Images (b, 3, h, w) uint8, phrases (b, k, 3) int64, and their labels."""
 
     images: Tensor
     phrases: Tensor
@@ -45,14 +46,16 @@ class Batch:
 def cut(
     rgb: np.ndarray, boxes: np.ndarray, hw: tuple[int, int], rng: np.random.Generator | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A picture at another size; with `rng`, a random window of it, maybe mirrored.
+    """Resize an image; with `rng`, take a random crop of it, sometimes mirrored.
 
     Args:
         rgb: (256, 320, 3) uint8.
         boxes: (o, 4).
+        hw: new height and width.
+        rng: None for no augmentation.
 
     Returns:
-        picture (h, w, 3) uint8, boxes (o, 4) in it, and the share of each that is left.
+        The image (h, w, 3) uint8, boxes (o, 4) in it, and the share of each box that is left.
     """
     h, w = hw
     zoom = 1.0 if rng is None else float(np.exp(rng.uniform(*np.log(ZOOM))))
@@ -82,7 +85,7 @@ def cut(
 
 
 def _span(start: float, length: float, full: int, size: int) -> tuple[int, int, int, int]:
-    """Of a view along one side: its ends in the picture, and where they come in a cut of `size`."""
+    """Return the ends of a view along one axis: in the image, and in a crop of `size`."""
     if length <= full:
         return round(start), min(full, round(start + length)), 0, size
     scale = size / length
@@ -90,8 +93,10 @@ def _span(start: float, length: float, full: int, size: int) -> tuple[int, int, 
 
 
 def sample_phrases(objects: np.ndarray, rng: np.random.Generator, plain: int = 0) -> np.ndarray:
-    """(PHRASES + plain, 3) int64 for a picture with these things: true ones, hard ones, random
-    ones, and `plain` different categories."""
+    """Return (PHRASES + plain, 3) int64 phrases for an image with these objects.
+
+    These are true phrases, hard ones, random ones, and `plain` different categories.
+    """
     rows = []
     for k in rng.permutation(len(objects))[:NAMED]:
         o = objects[k]
@@ -122,7 +127,7 @@ def make_batch(
     rng: np.random.Generator,
     plain: int = 0,
 ) -> Batch:
-    """Pictures at this size; see `sample_phrases` for `plain`."""
+    """Return images of this size; see `sample_phrases` for `plain`."""
     n, k = len(indices), PHRASES + plain
     images = np.empty((n, *hw, 3), np.uint8)
     phrases = np.empty((n, k, 3), np.int64)
@@ -156,12 +161,10 @@ def make_batch(
 def batches(
     frames: Frames, batch: int, steps: list[tuple[tuple[int, int], int]], seed: int, first: int = 0
 ) -> Iterator[Batch]:
-    """Batch `first` and those after it, made ahead in a thread.
+    """Yield the batches from `first` on, made in advance in a thread.
 
-    `steps` has an entry (size, plain phrases) for each.
-
-    Each has a generator of its own, so that training goes on from a checkpoint as if it had
-    never stopped.
+    `steps` has an entry (size, plain phrases) for each batch. Each batch has its own random
+    generator, so a run that continues from a checkpoint gets the same batches.
     """
 
     def make(step: int) -> Batch:
@@ -183,14 +186,14 @@ def batches(
 
 
 def tint(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Another exposure, gamma and white balance of a uint8 picture."""
+    """Change exposure, gamma and white balance of a uint8 image."""
     gain = rng.uniform(0.75, 1.2) * rng.uniform(0.95, 1.05, 3)
     ramp = (np.arange(256.0)[:, None] / 255.0) ** rng.uniform(0.85, 1.18) * gain * 255.0
     return cv2.LUT(picture, ramp.clip(0, 255).astype(np.uint8)[None])
 
 
 def disturb(images: Tensor, generator: torch.Generator) -> Tensor:
-    """Uneven light, blur and noise: uint8 (b, 3, h, w) → float32 in 0..1 on the same device."""
+    """Add uneven light, blur and noise: uint8 (b, 3, h, w) → float32 in 0..1 on the same device."""
     b, _, h, w = images.shape
 
     def uniform(low: float, high: float, *shape: int) -> Tensor:

@@ -1,9 +1,10 @@
-"""How good a small detector is on houses that training never saw.
+"""Evaluation of a small detector on held-out houses.
 
     python -m exporters.training.mini.evaluate MODEL.onnx [--text TEXT.onnx]
 
-Average precision at IoU 0.5 per category, over things of at least 12 px and half visible; whether
-an attribute phrase scores higher on the right one of two things of a kind in one view; latency.
+Measures average precision at IoU 0.5 per category, for objects of at least 12 px that are half
+visible; how often an attribute phrase scores higher on the right one of two objects of a kind in
+one view; and latency.
 """
 
 from __future__ import annotations
@@ -35,25 +36,25 @@ MIN_SIDE_PX, MIN_VISIBLE = 12, 0.5
 IOU = 0.5
 MIN_SCORE = 0.01
 DEPLOYED: float = Perception.model_fields["tau_det"].default
-"""The score from which on the service, unless it is told otherwise, takes a detection."""
+"""The service's default score threshold for a detection."""
 TOLD_APART = ("color", "size")
-"""Kinds of questions that a model is judged by; the size of what is cut off is a guess."""
+"""Kinds of questions that a model is judged by; the size of a cut-off object is a guess."""
 
 
 FLOORS = {"ap50": 0.7, "pairs_told_apart": 0.8}
-"""Least value of a card's figures on held-out houses."""
+"""Least values of a card's figures on held-out houses."""
 MAX_BYTES = 2_900_000
 
 
 @dataclass(frozen=True)
 class Report:
-    """What was measured.
+    """Figures on the test set.
 
     Attributes:
         ap50: by category.
-        things: how many count, by category.
-        pairs: (right, asked) by kind of question: "color", "size" (of two things that are wholly
-            in view) and "cut_off_size" (at least one is not, so that its size is a guess).
+        things: number of objects that count, by category.
+        pairs: (right, asked) by kind of question: "color", "size" (both objects are wholly in view)
+            and "cut_off_size" (at least one is not, so its size is a guess).
         phrases: (n, 2) scores (right one, wrong one) of each question of the kinds `TOLD_APART`.
         latency_ms: median and 95th percentile on 2 threads, 8 phrases.
     """
@@ -69,15 +70,17 @@ class Report:
         return float(np.mean(list(self.ap50.values())))
 
     def pair_share(self, kind: str | None = None) -> float:
-        """Share of attribute questions that the right one of two won, of the kinds `TOLD_APART`
-        unless `kind` says otherwise."""
+        """Return the share of right answers, to questions of one kind or of `TOLD_APART`."""
         kinds = [kind] if kind else TOLD_APART
         right, asked = np.sum([self.pairs[k] for k in kinds], axis=0)
         return float(right / max(1, asked))
 
     def summary(self) -> dict[str, float | int]:
-        """The figures of the card; `KIND_questions` is how many there were, `KIND_pairs` the share
-        that was right, and the last two count the questions of the kinds `TOLD_APART`."""
+        """Return the figures of the card.
+
+        `KIND_questions` is the number of questions, `KIND_pairs` the share of right answers. The
+        last two figures count the questions of the kinds `TOLD_APART`.
+        """
         right, wrong = (self.phrases.T > DEPLOYED).mean(1) if len(self.phrases) else (0.0, 0.0)
         return {
             "ap50": round(self.map50, 3),
@@ -99,7 +102,7 @@ class Report:
 
 
 def held_out_frames(folder: Path) -> Frames:
-    """The test set; rendered the first time."""
+    """Return the test set; it is rendered the first time."""
     return make_frames(SEEDS, PER_HOUSE, folder)
 
 
@@ -144,7 +147,7 @@ def measure(model: Path, text: Path, frames: Frames) -> Report:
 
 @dataclass(frozen=True)
 class _Question:
-    """A phrase that fits one (`right`) and not the other (`wrong`) of two things of a kind."""
+    """A phrase that fits one (`right`) and not the other (`wrong`) of two objects of a kind."""
 
     kind: str
     phrase: np.ndarray
@@ -153,7 +156,7 @@ class _Question:
 
 
 def _counts(objects: np.ndarray) -> np.ndarray:
-    """(o,) bool: large and visible enough to be measured."""
+    """Return (o,) bool: large and visible enough to be measured."""
     box = objects["box"]
     side = np.minimum(box[:, 2] - box[:, 0], box[:, 3] - box[:, 1])
     return (side >= MIN_SIDE_PX) & (objects["visible"] >= MIN_VISIBLE)
@@ -177,7 +180,7 @@ def _questions(objects: np.ndarray) -> list[_Question]:
 
 
 def _score_at(boxes: np.ndarray, scores: np.ndarray, box: np.ndarray) -> float:
-    """The best score of any anchor whose box is this one."""
+    """Return the best score of any anchor whose box matches this one."""
     on = overlaps(boxes, box[None])[0][:, 0] >= IOU
     return float(scores[on].max()) if on.any() else 0.0
 
@@ -185,8 +188,11 @@ def _score_at(boxes: np.ndarray, scores: np.ndarray, box: np.ndarray) -> float:
 def _match(
     boxes: np.ndarray, scores: np.ndarray, objects: np.ndarray, counts: np.ndarray, category: int
 ) -> list[tuple[float, int]]:
-    """(score, 1 right / 0 wrong) of each detection; those on things that do not count are left
-    out, and so are those on kinds of the category or its broader name."""
+    """Return (score, 1 right / 0 wrong) of each detection.
+
+    Detections on objects that do not count are left out, and so are those on kinds of the category
+    or on its broader name.
+    """
     keep = np.flatnonzero(scores > MIN_SCORE)
     keep = keep[np.argsort(-scores[keep], kind="stable")][:300]
     kept: list[int] = []
@@ -213,7 +219,7 @@ def _match(
 
 
 def _average_precision(found: list[tuple[float, int]], count: int) -> float:
-    """Area under the precision envelope over recall (COCO's, without the 101 points)."""
+    """Return the area under the precision envelope over recall (COCO's, without the 101 points)."""
     if not found:
         return 0.0
     right = np.array([hit for _, hit in sorted(found, key=lambda f: -f[0])])
@@ -232,11 +238,12 @@ def _latency(
 
 
 def check_gate(held_out: Mapping[str, float], step: int, steps: int) -> None:
-    """Raise ExportError that says all that keeps a model from the shipped one's place.
+    """Raise ExportError, with all faults, if a model may not replace the shipped one.
 
     Args:
         held_out: the card's figures on held-out houses.
-        step, steps: how many training steps are done, and how many its plan has.
+        step: training steps done.
+        steps: training steps of the plan.
     """
     faults = [] if step >= steps else [f"step {step} of {steps}"]
     faults += [f"{key} {held_out[key]} < {floor}" for key, floor in FLOORS.items()
@@ -245,7 +252,7 @@ def check_gate(held_out: Mapping[str, float], step: int, steps: int) -> None:
         faults.append(f"{held_out['bytes']} bytes > {MAX_BYTES}")
     if faults:
         raise ExportError(
-            f"{'; '.join(faults)}: not put in place; run the command again, or give --no-gate"
+            f"{'; '.join(faults)}: not published; run the command again, or give --no-gate"
         )
 
 
@@ -253,8 +260,8 @@ def check_gate(held_out: Mapping[str, float], step: int, steps: int) -> None:
 def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(prog="python -m exporters.training.mini.evaluate")
     parser.add_argument("model", type=Path)
-    parser.add_argument("--text", type=Path, help="default: mini-house-text.onnx beside the model")
-    parser.add_argument("--data", type=Path, help="folder that keeps the rendered test set")
+    parser.add_argument("--text", type=Path, help="default: mini-house-text.onnx next to the model")
+    parser.add_argument("--data", type=Path, help="folder to store the rendered test set in")
     args = parser.parse_args(argv)
     text = args.text or args.model.with_name("mini-house-text.onnx")
     with tempfile.TemporaryDirectory() as scratch:

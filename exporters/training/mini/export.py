@@ -1,4 +1,4 @@
-"""The trained detector and its phrase encoder as ONNX files, with their cards."""
+"""Export of the trained detector and its phrase encoder as ONNX files, with their cards."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ DETECTOR, TEXT, SIMILARITY = (
 LICENSE = "Apache-2.0"
 NOTE = "Knows only the built-in world. Written by exporters.training.mini."
 CALIBRATION_SEEDS, CALIBRATION_FRAMES = range(90_000, 90_032), 2
-"""Houses that are neither trained on nor measured on."""
+"""Houses used neither for training nor for evaluation."""
 
 
 def load_model(checkpoint: Path) -> tuple[Model, dict[str, Any]]:
-    """Return the averaged weights of a training run, and all that its checkpoint says."""
+    """Return the averaged weights of a training run, and its checkpoint."""
     model = Model()
     return model, checkpoints.averaged(checkpoint, model)
 
 
 def export_detector(detector: nn.Module, out: Path) -> None:
-    """FP32, with a static image size and a free number of phrases."""
+    """Write FP32 ONNX with a static image size and a free number of phrases."""
     images = torch.zeros(1, 3, *FULL_HW)
     text = nn.functional.normalize(torch.ones(1, 3, EMBED_DIM), dim=-1)
     free = {"txt_feats": {1: "prompts"}, "scores": {2: "prompts"}}
@@ -50,7 +50,7 @@ def export_detector(detector: nn.Module, out: Path) -> None:
 
 
 def export_encoder(encoder: nn.Module, out: Path) -> None:
-    """With the vocabulary in the file's metadata; see `edge.perception.embedding.attributes`."""
+    """Write ONNX with the vocabulary in its metadata (`edge.perception.embedding.attributes`)."""
     tokens = torch.zeros(2, 3, dtype=torch.int64)
     free = {"tokens": {0: "prompts"}, "embeddings": {0: "prompts"}}
     export_module(encoder, out, {"tokens": tokens}, ("embeddings",), free)
@@ -62,7 +62,7 @@ def export_encoder(encoder: nn.Module, out: Path) -> None:
 
 
 def calibration_feeds(frames: Frames, encoder: nn.Module, seed: int = 0) -> list[Feed]:
-    """One feed per frame, each with a few phrases of the vocabulary."""
+    """Return one feed per frame, each with a few phrases of the vocabulary."""
     rng = np.random.default_rng(seed)
     highs = [1 + len(words) for words in (looks.CATEGORIES, looks.COLORS, looks.SIZES)]
     feeds = []
@@ -73,7 +73,7 @@ def calibration_feeds(frames: Frames, encoder: nn.Module, seed: int = 0) -> list
 
 
 def make_cards(folder: Path, measured: dict[str, dict]) -> list[dict]:
-    """The three cards, with the hashes of the ONNX files in `folder`."""
+    """Return the three cards, with the hashes of the ONNX files in `folder`."""
     common = {
         "family": FAMILY, "sources": [], "license": LICENSE, "derived_from": None, "parity": None,
     }  # fmt: skip
@@ -97,7 +97,7 @@ def make_cards(folder: Path, measured: dict[str, dict]) -> list[dict]:
 
 
 def training_figures(kept: dict[str, Any], command: str) -> dict[str, float | int | str]:
-    """Return what the detector's card says of its training, `command` being what repeats it."""
+    """Return the training entry of the detector's card; `command` repeats the training."""
     return {
         "command": command, "seed": kept["plan"]["seed"], "houses": kept["frames"] // PER_HOUSE,
         "frames": kept["frames"], "processes": kept["ranks"], "device": kept["device"],
@@ -108,7 +108,7 @@ def training_figures(kept: dict[str, Any], command: str) -> dict[str, float | in
 def held_out_figures(
     before: evaluate.Report, after: evaluate.Report, bytes_: int
 ) -> dict[str, float | int]:
-    """What the detector's card says of it; `before` is the FP32 model's report."""
+    """Return the evaluation entry of the detector's card; `before` is the FP32 model's report."""
     return {
         "first_seed": evaluate.SEEDS[0], "houses": len(evaluate.SEEDS),
         "frames": len(evaluate.SEEDS) * evaluate.PER_HOUSE, **after.summary(),
@@ -117,7 +117,7 @@ def held_out_figures(
 
 
 def make_files(run: Path, model: Model) -> dict[str, float | int]:
-    """Write the ONNX files into `run`, print what they can do, and return the INT8's figures."""
+    """Write the ONNX files into `run`, print their figures, and return those of the INT8 file."""
     fp32, text = run / f"{FAMILY}-256x320-fp32.onnx", run / f"{TEXT}.onnx"
     int8, data = run / f"{DETECTOR}.onnx", run / "data"
     export_detector(model.detector, fp32)
@@ -134,7 +134,7 @@ def put_in_place(run: Path, out: Path, command: str, gate: bool) -> None:
     """Export the run of a folder, measure it, and put files and cards into `out`.
 
     Raises:
-        ExportError: `gate`, and the model is worse than one that ships may be.
+        ExportError: the model misses the required figures, and `gate` is True.
     """
     model, kept = load_model(run / "checkpoint.pt")
     held_out = make_files(run, model)

@@ -1,12 +1,12 @@
-"""Random houses for training and for evaluation: layouts, furniture, colours and sizes.
+"""Random houses for training and evaluation: layouts, furniture, colours and sizes.
 
     house, appearances = random_house(seed)
 
 The same seed gives the same house. Seeds from `HELD_OUT` on are for evaluation only.
 
-They are drawn wilder than homes are (`edge.lab.sim.generator` makes those): a detector should know
-a thing by its looks, wherever it stands, at any angle and in any colour. The weights that this
-project has made depend on these draws.
+The houses vary more than real homes (for those see `edge.lab.sim.generator`). A detector must know
+an object by its looks, at any place and angle and in any colour. The project's published weights
+depend on these draws.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from edge.lab.sim.house import FLOORS, House, Opening, Room, Thing, Wall
 from exporters.training.mini import looks
 
 HELD_OUT = 100_000
-"""Training uses seeds below, evaluation this one and those after it."""
+"""Smaller seeds are for training, the others for evaluation."""
 
 ROOMS: dict[str, tuple[str, ...]] = {
     "living room": (
@@ -37,32 +37,32 @@ ROOMS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 FREE = {"coffee table", "table", "chair", "stool", "ball", "box", "suitcase", "backpack",
         "trash can", "plant", "pillar", "rug", "armchair", "lamp"}  # fmt: skip
-"""What may also stand away from the walls, at any angle."""
+"""Furniture that may also stand away from the walls, at any angle."""
 EXTRA = (
     *assemblies.CATEGORIES,
     *("sofa", "bed", "bathtub", "wardrobe", "tv stand", "backpack", "pillar", "microwave") * 4,
     *("table", "suitcase", "box", "television", "refrigerator", "dresser", "vase", "coffee table",
       "washing machine", "toilet", "oven", "ball") * 2,
 )  # fmt: skip
-"""Where random things are drawn from: more often those that rooms seldom have or have room for."""
+"""Categories for random objects; those that rooms seldom have come more often."""
 SQUARE = 0.6
-"""From this ratio of depth and width on, "wide" and "narrow" change both: nobody can tell which is
-which of a thing that may stand at any angle."""
+"""If depth and width have at least this ratio, "wide" and "narrow" change both. Depth and width of
+such an object look alike at any angle."""
 
 _GAP_M = 0.05
 _FACING_DEG = (0.0, 90.0, 180.0, -90.0)
 _SPLIT_FROM_M = 4.8
-"""A room whose longer side is shorter than this is not halved."""
+"""A room with a shorter longer side is not halved."""
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What there is to say about one thing of a house.
+    """Words that apply to one object of a house.
 
     Attributes:
         category: index into `looks.CATEGORIES`, from 1.
-        color: (1 + colours,) int8, whether each of `looks.COLORS` names it: `looks.YES` (1), `NO`
-            (0) or `UNSURE` (-1). Entry 0, no colour said, is YES.
+        color: (1 + colours,) int8, answer for each of `looks.COLORS`: `looks.YES` (1), `NO` (0) or
+            `UNSURE` (-1). Entry 0, no colour word, is YES.
         size: (1 + sizes,) int8, the same for `looks.SIZES`.
     """
 
@@ -72,7 +72,7 @@ class Look:
 
 
 class _Builder:
-    """Puts things into rooms where they do not overlap."""
+    """Places objects in rooms without overlap."""
 
     def __init__(self, rng: np.random.Generator, height_m: float) -> None:
         self.rng, self.height_m = rng, height_m
@@ -88,7 +88,7 @@ class _Builder:
         return choices[int(self.rng.integers(len(choices)))]
 
     def look(self, category: str, z_m: float = 0.0):
-        """(size, colour, style) of a new thing that fits under the ceiling."""
+        """Return (size, colour, style) of a new object that fits under the ceiling."""
         rng, kind = self.rng, assemblies.CATEGORIES[category]
         size = np.array(kind.size_m) * rng.uniform(0.94, 1.06, 3)
         style = None
@@ -128,7 +128,7 @@ class _Builder:
         self._taken.append((x, y, reach))
 
     def by_wall(self, category: str, room: Rect, load: str | None = None) -> bool:
-        """Against a random wall, facing into the room; see `_place` for `load`."""
+        """Place an object at a random wall, facing into the room; see `_place` for `load`."""
         look = self.look(category)
         depth, width = look[0][0], look[0][1]
         for _ in range(12):
@@ -158,9 +158,12 @@ class _Builder:
     def _place(
         self, category: str, x: float, y: float, yaw_deg: float, look, load: str | None = None
     ) -> bool:
-        """Whether there was room; `load` is what stands on top, something or nothing if None."""
+        """Place an object; return False if there is no room.
+
+        `load` is the object on top of it; None for a random one or none.
+        """
         size = look[0]
-        if category == "rug":  # things stand on rugs, but rugs not on each other
+        if category == "rug":  # objects may stand on rugs, but rugs do not overlap
             reach = 0.5 * max(size[:2])
             if any(math.hypot(x - a, y - b) < reach + r for a, b, r in self._rugs):
                 return False
@@ -190,7 +193,7 @@ class _Builder:
         return usual if usual and self.chance(0.6) else self.pick(ON_TOP)
 
     def on_top(self, category: str, x: float, y: float, yaw_deg: float, size) -> None:
-        """Put a thing on one of this size, if it fits."""
+        """Put an object on one of this size, if it fits."""
         look = self.look(category, size[2])
         need = look[0]
         if need[0] > size[0] * 1.3 or need[1] > size[1] * 1.1 or need[2] > 1.2:
@@ -202,7 +205,7 @@ class _Builder:
         self.add(category, at, yaw_deg + turn, look, z_m=size[2])
 
     def hang(self, room: Rect) -> None:
-        """A picture on a wall."""
+        """Hang a picture on a wall."""
         look = self.look("picture", 1.6)
         side = int(self.rng.integers(4))
         span = wall_span_m(room, side)
@@ -214,7 +217,7 @@ class _Builder:
         self.add("picture", (x, y), _FACING_DEG[side], look, z_m=float(self.rng.uniform(1.0, 1.55)))
 
     def put(self, category: str, room: Rect) -> None:
-        """Wherever a thing of this kind belongs."""
+        """Place an object where its kind usually stands."""
         if category == "picture":
             self.hang(room)
         elif category in ("rug", "pillar") or (category in FREE and self.chance(0.6)):
@@ -225,7 +228,7 @@ class _Builder:
             self.by_wall(category, room)
 
     def leaf(self, x: float, y: float, along_deg: float, width_m: float) -> None:
-        """A door in its frame: shut, or open about one edge."""
+        """Place a door in its frame: shut, or open about one edge."""
         size, color, style = self.look("door")
         fits = style in (None, "tall", "short")
         size = (size[0], width_m if fits else size[1], size[2])
@@ -239,7 +242,7 @@ class _Builder:
 
 
 def random_house(seed: int) -> tuple[House, list[Look]]:
-    """A house with a corner at 0, 0 and what its objects look like, in their order."""
+    """Return a house with a corner at 0, 0, and the looks of its objects, in their order."""
     rng = np.random.default_rng([7, seed])
     height = float(rng.uniform(2.45, 3.0))
     b = _Builder(rng, height)
@@ -269,7 +272,7 @@ def random_house(seed: int) -> tuple[House, list[Look]]:
 
 
 def extent_m(house: House) -> tuple[float, float]:
-    """Width (x) and depth (y) of a random house."""
+    """Return width (x) and depth (y) of a random house."""
     return max(room.rect[2] for room in house.rooms), max(room.rect[3] for room in house.rooms)
 
 
@@ -283,7 +286,7 @@ def _fill(b: _Builder, rect: Rect, kind: str) -> None:
     for category in wanted:
         b.put(category, rect)
         if b.chance(0.4) and category != "picture":
-            b.put(category, rect)  # of the same kind, with looks of its own
+            b.put(category, rect)  # another of the same kind, with other looks
 
 
 def _paint(b: _Builder) -> tuple[float, float, float]:

@@ -1,8 +1,8 @@
-"""How things look and what one may call them: colours, sizes, and what a phrase says of a thing.
+"""Words for the looks of objects: colours, sizes, and whether a phrase is true of an object.
 
-A phrase is three numbers (category, colour, size), 0 where it does not say. What it says of a
-thing is YES, NO or UNSURE; unsure is neither taught nor measured (is a teal thing blue? is a
-tall one large?).
+A phrase is three numbers (category, colour, size), 0 for no word. It is YES, NO or UNSURE for an
+object. Unsure answers are neither taught nor measured (is a teal object blue? is a tall one
+large?).
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ VOCABULARY = Vocabulary(CATEGORIES, COLORS, SIZES)
 NO, YES, UNSURE = 0, 1, -1
 
 NEARLY_AS_NEAR = (1.35, 3.0)
-"""A second colour at most 1.35 d + 3 away [CIE76] is as good a name as the nearest at d."""
+"""A second colour at a distance of at most 1.35 d + 3 [CIE76] is as good a name as the nearest, at
+d."""
 
 _NOT_SAID: dict[str, tuple[str, ...]] = {
     "rug": ("tall", "short", "wide", "narrow"),
@@ -62,11 +63,11 @@ _NOT_SAID: dict[str, tuple[str, ...]] = {
     "table": ("short", "small"),
     "coffee table": ("tall", "large"),
 }
-"""Sizes that nobody asks for, or that make another kind of a thing: a wide armchair is a sofa."""
+"""Sizes that are not asked for, or that make another kind of object: a wide armchair is a sofa."""
 
 
 def _lab(rgb: np.ndarray) -> np.ndarray:
-    """(n, 3) CIELAB of (n, 3) sRGB in 0..255."""
+    """Convert (n, 3) sRGB in 0..255 to (n, 3) CIELAB."""
     return cv2.cvtColor(np.float32(rgb)[None] / 255.0, cv2.COLOR_RGB2LAB)[0]
 
 
@@ -74,17 +75,17 @@ _PALETTE_LAB = _lab(np.array(list(PALETTE.values())))
 
 
 def has_color(category: str) -> bool:
-    """Whether a thing of the simulator's `category` takes a colour at all."""
+    """Return True if an object of the simulator's `category` has a variable colour."""
     return any("main" in row for row in assemblies.CATEGORIES[category].rows)
 
 
 def styles_of(category: str) -> tuple[str, ...]:
-    """Size words that apply to a category."""
+    """Return the size words that apply to a category."""
     return tuple(s for s in SIZES if s not in _NOT_SAID.get(category, ()))
 
 
 def color_answers(rgb: np.ndarray) -> np.ndarray:
-    """(1 + colours,) int8: is a thing of this colour red, orange, …? Entry 0 (no word) is YES."""
+    """Return (1 + colours,) int8: is an object of this colour red, orange, …? Entry 0 is YES."""
     distance = np.linalg.norm(_PALETTE_LAB - _lab(np.asarray(rgb)[None]), axis=1)
     near = NEARLY_AS_NEAR[0] * distance.min() + NEARLY_AS_NEAR[1]
     answers = np.where(distance <= near, UNSURE, NO).astype(np.int8)
@@ -94,14 +95,14 @@ def color_answers(rgb: np.ndarray) -> np.ndarray:
 
 
 def unsure_color() -> np.ndarray:
-    """Answers of a thing that has no one colour."""
+    """Return the answers of an object without a single colour."""
     answers = np.full(1 + len(COLORS), UNSURE, np.int8)
     answers[0] = YES
     return answers
 
 
 def size_answers(style: str | None, category: str) -> np.ndarray:
-    """(1 + sizes,) int8: is a thing of this style tall, short, …? None is the usual size."""
+    """Return (1 + sizes,) int8: is an object of this style tall, short, …? None: usual size."""
     answers = np.zeros(1 + len(SIZES), np.int8)
     answers[0] = YES
     for index, word in enumerate(SIZES, 1):
@@ -113,10 +114,11 @@ def size_answers(style: str | None, category: str) -> np.ndarray:
 
 
 def kinds() -> np.ndarray:
-    """(1 + categories, 1 + categories) int8: may a thing (row) be called by a word (column)?
+    """Return the answers of objects (rows) to category words (columns).
 
-    UNSURE both ways between a kind and its broader name: an armchair is a chair to some. Row and
-    column 0 stand for no category.
+    The shape is (1 + categories, 1 + categories), int8.
+    UNSURE both ways between a kind and its broader name: an armchair is a chair to some people. Row
+    and column 0 stand for no category.
     """
     n = len(CATEGORIES)
     answers = np.zeros((1 + n, 1 + n), np.int8)
@@ -135,7 +137,7 @@ KINDS = kinds()
 def answers(
     category: np.ndarray, color: np.ndarray, size: np.ndarray, phrases: np.ndarray
 ) -> np.ndarray:
-    """(things, phrases) int8 YES, NO or UNSURE.
+    """Return (objects, phrases) int8 YES, NO or UNSURE.
 
     Args:
         category: (o,) int, from 1.

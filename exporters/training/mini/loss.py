@@ -1,4 +1,4 @@
-"""What the detector is taught: which anchors answer for which thing, and how wrong they are.
+"""Loss of the detector: the assignment of anchors to objects, and the error of their outputs.
 
 Task-aligned assignment (TOOD, arXiv:2108.07755, section 3.2), distribution focal loss
 (arXiv:2006.04388, eq. 6) and complete IoU (arXiv:1911.08287, eq. 10).
@@ -20,16 +20,16 @@ TOP_K = 10
 SCORE_POWER, IOU_POWER = 0.5, 4.0
 BOX_WEIGHT, EDGE_WEIGHT = 7.5, 1.5
 HARD_WEIGHT = 2.0
-"""How much more it counts to call a thing by its category with the wrong colour or size."""
+"""Weight of calling an object by its category with the wrong colour or size."""
 
 
 @dataclass(frozen=True, slots=True)
 class Labels:
-    """A batch of what is in the pictures; o things per picture, padded.
+    """Objects in a batch of images; o objects per image, padded.
 
     Attributes:
         boxes: (b, o, 4) float32 x0 y0 x1 y1 in input pixels.
-        taught: (b, o) bool; things too small or hidden, and padding, are not.
+        taught: (b, o) bool; False for padding, and for objects that are too small or hidden.
         answers: (b, o, k) int8 YES, NO, UNSURE per phrase; NO for padding.
         hard: (b, o, k) bool, the phrase names its category but not its colour or size.
     """
@@ -41,7 +41,7 @@ class Labels:
 
 
 def iou(a: Tensor, b: Tensor, complete: bool = False) -> Tensor:
-    """(Complete) intersection over union of boxes (…, 4)."""
+    """Return the (complete) intersection over union of boxes (…, 4)."""
     wh = (torch.minimum(a[..., 2:], b[..., 2:]) - torch.maximum(a[..., :2], b[..., :2])).clamp(0)
     inter = wh[..., 0] * wh[..., 1]
     a_wh, b_wh = a[..., 2:] - a[..., :2], b[..., 2:] - b[..., :2]
@@ -62,12 +62,13 @@ def iou(a: Tensor, b: Tensor, complete: bool = False) -> Tensor:
 
 @torch.no_grad()
 def assign(scores: Tensor, boxes: Tensor, anchors: Tensor, labels: Labels) -> tuple[Tensor, Tensor]:
-    """The thing each anchor answers for, and how well.
+    """Return the object that each anchor is assigned to, and the quality of the assignment.
 
     Args:
         scores: (b, a, k) in 0..1.
         boxes: (b, a, 4).
         anchors: (a, 2).
+        labels: the objects.
 
     Returns:
         owner (b, a) int64, -1 for none, and quality (b, a) in 0..1.
@@ -79,7 +80,7 @@ def assign(scores: Tensor, boxes: Tensor, anchors: Tensor, labels: Labels) -> tu
     score = torch.bmm(scores, named.transpose(1, 2)) / count.clamp(1)
     score = torch.where(count > 0, score, torch.ones_like(score))
     metric = score.clamp(1e-6) ** SCORE_POWER * overlap**IOU_POWER
-    # A thing that no box overlaps yet gets some of the anchors inside it, whichever.
+    # An object that no box overlaps yet gets some of the anchors inside it.
     metric = metric + 1e-9 * inside
     top = metric.topk(min(TOP_K, metric.shape[1]), dim=1)
     chosen = torch.zeros_like(metric).scatter_(1, top.indices, 1.0) * (metric > 0)
@@ -93,7 +94,7 @@ def assign(scores: Tensor, boxes: Tensor, anchors: Tensor, labels: Labels) -> tu
 
 
 def _inside(anchors: Tensor, boxes: Tensor) -> Tensor:
-    """(b, a, o) bool: the anchor lies in the box."""
+    """Return (b, a, o) bool: True if the anchor lies in the box."""
     low = (anchors[None, :, None] > boxes[:, None, :, :2]).all(-1)
     return low & (anchors[None, :, None] < boxes[:, None, :, 2:]).all(-1)
 
@@ -101,13 +102,15 @@ def _inside(anchors: Tensor, boxes: Tensor) -> Tensor:
 def detection_loss(
     box: Tensor, decoded: Tensor, logits: Tensor, anchors: Tensor, stride: Tensor, labels: Labels
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """The loss of a batch and its parts.
+    """Return the loss of a batch and its parts.
 
     Args:
         box: (b, a, 4, BINS) edge distributions as logits.
         decoded: (b, a, 4) their boxes.
         logits: (b, a, k) scores before the sigmoid.
-        anchors, stride: (a, 2), (a, 1).
+        anchors: (a, 2).
+        stride: (a, 1).
+        labels: the objects.
     """
     owner, quality = assign(logits.sigmoid(), decoded, anchors, labels)
     at = owner.clamp(0)[..., None]

@@ -1,9 +1,9 @@
-"""The small detector's network, and the encoder that turns phrases into its text features.
+"""Network of the small detector, and the encoder of phrases to its text features.
 
-A YOLO in miniature: a CSP trunk, a PAN neck, and per stride a head with a box (distribution
+A small YOLO: a CSP trunk, a PAN neck, and a head for each stride. A head has a box (distribution
 focal loss, arXiv:2006.04388) and an embedding that is compared with the text, as in YOLO-World
-(arXiv:2401.17270, section 3.2; without its text-guided fusion). Convolutions end in a ReLU, so
-that the INT8 model runs in integer kernels throughout.
+(arXiv:2401.17270, section 3.2; without its text-guided fusion). Convolutions end in a ReLU, so that
+the INT8 model runs in integer kernels throughout.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Residual(nn.Module):
 
 
 class CSP(nn.Module):
-    """Half of the channels through the blocks, every stage kept (YOLOv8's C2f)."""
+    """Half of the channels pass through the blocks, and every stage is kept (YOLOv8's C2f)."""
 
     def __init__(self, c_in: int, c_out: int, n: int, add: bool) -> None:
         super().__init__()
@@ -98,7 +98,7 @@ class Trunk(nn.Module):
 
 
 class Neck(nn.Module):
-    """Features mixed over scales, down and up again (PAN)."""
+    """Features mixed over scales, downwards and upwards (PAN)."""
 
     def __init__(self, w: Widths) -> None:
         super().__init__()
@@ -148,7 +148,7 @@ class MiniDetector(nn.Module):
         self.register_buffer("bins", torch.arange(BINS, dtype=torch.float32), persistent=False)
 
     def features(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Box distributions (b, a, 4, BINS) as logits, embeddings (b, a, EMBED_DIM)."""
+        """Return box distributions (b, a, 4, BINS) as logits, and embeddings (b, a, EMBED_DIM)."""
         levels = self.neck(*self.trunk(images))
         boxes, embeddings = [], []
         for head, level in zip(self.heads, levels, strict=True):
@@ -163,11 +163,11 @@ class MiniDetector(nn.Module):
         )
 
     def logits(self, embeddings: Tensor, text: Tensor) -> Tensor:
-        """Scores before the sigmoid, (b, a, n)."""
+        """Return scores before the sigmoid, (b, a, n)."""
         return embeddings @ (text * self.scale.exp()).transpose(1, 2) + self.bias
 
     def decode(self, box: Tensor, anchors: Tensor, stride: Tensor) -> Tensor:
-        """x0 y0 x1 y1 in input pixels, (b, a, 4), from the distributions' means."""
+        """Return x0 y0 x1 y1 in input pixels, (b, a, 4), from the distributions' means."""
         edges = box.softmax(-1) @ self.bins
         low = anchors - edges[..., :2] * stride
         return torch.cat([low, anchors + edges[..., 2:] * stride], -1)
@@ -179,7 +179,7 @@ class MiniDetector(nn.Module):
 
 
 def anchor_points(height: int, width: int, device=None) -> tuple[Tensor, Tensor]:
-    """Cell centres (a, 2) in input pixels and their strides (a, 1), stride after stride."""
+    """Return cell centres (a, 2) in input pixels and their strides (a, 1), stride after stride."""
     points, strides = [], []
     for s in STRIDES:
         y, x = torch.meshgrid(
@@ -192,7 +192,7 @@ def anchor_points(height: int, width: int, device=None) -> tuple[Tensor, Tensor]
 
 
 class PhraseEncoder(nn.Module):
-    """Phrases (…, 3) int64 (category, colour, size; 0 = not said) → unit rows (…, EMBED_DIM)."""
+    """Phrases (…, 3) int64 (category, colour, size; 0 = no word) → unit rows (…, EMBED_DIM)."""
 
     def __init__(self, categories: int, colors: int, sizes: int, width: int = 128) -> None:
         super().__init__()

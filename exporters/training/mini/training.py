@@ -1,4 +1,4 @@
-"""The training loop: one learning-rate curve over pictures that grow on the way."""
+"""Training loop of the detector: one learning-rate curve, with images that grow in stages."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ log = logging.getLogger(__name__)
 
 FULL_HW = (256, 320)
 CLIP = 10.0
-"""Norm that gradients have at most."""
+"""Largest norm of the gradients."""
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How long and how fast to learn.
+    """Length and learning rates of a run.
 
     Attributes:
         stages: (steps, (height, width), plain phrases) one after another; see
             `batches.sample_phrases`.
-        rate: what the learning rate rises to in the `warm_up`, to fall as half a cosine from there.
+        rate: peak of the learning rate after `warm_up` steps; then it falls as half a cosine.
     """
 
     stages: tuple[tuple[int, tuple[int, int], int], ...] = (
@@ -62,7 +62,7 @@ class Plan:
 
 
 class Model(nn.Module):
-    """Detector and phrase encoder, trained as one."""
+    """Detector and phrase encoder, trained together."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -74,11 +74,11 @@ class Model(nn.Module):
 def train_on_cores(frames: Callable[[], Frames], plan: Plan, checkpoint: Path, cores: int) -> None:
     """Train with one process per core; the weights are in `checkpoint` afterwards.
 
-    Each takes its share of every batch, and they add up their gradients once a step: threads
-    would meet after every layer, and wait wherever a core has something else to do.
+    Each process takes its share of every batch, and the gradients are averaged once a step. Threads
+    would synchronise after every layer, and wait for the slowest core each time.
 
     Raises:
-        ExportError: a batch cannot be shared among so many.
+        ExportError: a batch cannot be divided by the number of processes.
     """
     check_cores(plan, cores)
     with tempfile.TemporaryDirectory() as folder:
@@ -87,7 +87,7 @@ def train_on_cores(frames: Callable[[], Frames], plan: Plan, checkpoint: Path, c
 
 
 def check_cores(plan: Plan, cores: int) -> None:
-    """Raise ExportError unless that many processes can share a batch evenly."""
+    """Raise ExportError unless `cores` processes can share a batch evenly."""
     if cores < 1 or plan.batch % cores:
         raise ExportError(f"--cores {cores}: give a number that divides the batch of {plan.batch}")
 
@@ -98,7 +98,7 @@ def _train_rank(
     logging.basicConfig(
         level=logging.INFO if rank == 0 else logging.WARNING, format="%(asctime)s %(message)s"
     )
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # else it trains on by itself
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # end together with the parent
     torch.set_num_threads(1)
     distributed.init_process_group("gloo", init_method=meet, rank=rank, world_size=cores)
     train(frames(), plan, checkpoint, share=(rank, cores))
@@ -112,13 +112,17 @@ def train(
     device: str = "cpu",
     share: tuple[int, int] = (0, 1),
 ) -> Model:
-    """Train, or go on from `checkpoint`; returns the averaged weights.
+    """Train, or continue from `checkpoint`; return the averaged weights.
 
     Args:
-        share: which of how many processes this is; see `train_on_cores`.
+        frames: images to train on.
+        plan: length and learning rates.
+        checkpoint: file to continue from and to write.
+        device: as PyTorch names it.
+        share: (index of this process, number of processes); see `train_on_cores`.
 
     Raises:
-        ExportError: `checkpoint` is of another run, or none.
+        ExportError: `checkpoint` is of another run, or is no checkpoint.
     """
     rank, ranks = share
     run = checkpoints.describe(plan, len(frames), ranks, device)
@@ -146,7 +150,7 @@ def train(
 
 
 def _share_gradients(model: nn.Module, ranks: int) -> None:
-    """Every process's mean gradient, in all of them."""
+    """Average the gradients over all processes."""
     gradients = [p.grad for p in model.parameters() if p.grad is not None]
     flat = torch.cat([g.reshape(-1) for g in gradients]).div_(ranks)
     distributed.all_reduce(flat)

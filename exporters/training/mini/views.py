@@ -1,8 +1,8 @@
-"""Pictures of random houses with what is in them.
+"""Images of random houses with their contents.
 
     frames = make_frames(range(1200), per_house=12, folder=Path("..."), workers=2)
 
-Frames are kept as one array on disk, as they take 246 kB each.
+Frames take 246 kB each, so they are stored as one array on disk.
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ from exporters.training.mini.houses import Look, extent_m, random_house
 
 HEIGHT_PX, WIDTH_PX = 256, 320
 PER_HOUSE = 11
-"""Pictures of each house to train on."""
+"""Images of each house to train on."""
 MIN_PIXELS = 40
-"""Things with fewer visible pixels are not listed."""
+"""Objects with fewer visible pixels are not listed."""
 CLEARANCE_M = 0.28
 COLORED = 0.15
-"""Whoever sees less of a thing in its colour cannot name it: a plant whose pot is hidden."""
+"""Least visible share of an object in its colour for the colour to count: a plant's pot may be
+hidden."""
 _PREVIEW = 4
 _CANDIDATES = 3
 _SOURCES = (
@@ -45,7 +46,7 @@ _SOURCES = (
     *sorted(Path(assemblies.__file__).parent.glob("*.py")),
     *sorted(Path(contents.__file__).parent.glob("*.py")),
 )
-"""Code that the pictures depend on."""
+"""Code that the images depend on."""
 
 OBJECT = np.dtype(
     [
@@ -57,13 +58,13 @@ OBJECT = np.dtype(
         ("visible", np.float32),
     ]
 )
-"""One thing in a frame: answers as in `looks`, box x0 y0 x1 y1 of the visible pixels (x1, y1 one
-past the end), how many there are, and their share of those it would have if nothing hid it."""
+"""One object in a frame: answers as in `looks`, box x0 y0 x1 y1 of the visible pixels (x1, y1
+exclusive), number of visible pixels, and their share of the pixels without occlusion."""
 
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Pictures and their contents.
+    """Images and their contents.
 
     Attributes:
         rgb: (n, 256, 320, 3) uint8.
@@ -79,7 +80,7 @@ class Frames:
         return len(self.rgb)
 
     def of(self, frame: int) -> np.ndarray:
-        """The objects of one frame."""
+        """Return the objects of one frame."""
         return self.objects[self.start[frame] : self.start[frame + 1]]
 
 
@@ -90,18 +91,24 @@ class _Camera:
 
 
 def whole(objects: np.ndarray) -> np.ndarray:
-    """(o,) bool: ends before the picture's edges, so that its size can be told."""
+    """Return (o,) bool: True if the object touches no edge of the image, so its size is known."""
     box = objects["box"]
     return (box[:, :2] > 0).all(1) & (box[:, 2:] < (WIDTH_PX, HEIGHT_PX)).all(1)
 
 
 def make_frames(seeds: Sequence[int], per_house: int, folder: Path, workers: int = 1) -> Frames:
-    """Pictures of the houses of these seeds; made once, found in `folder` the next time.
+    """Return images of the houses of these seeds; they are stored in `folder` and reused.
 
-    Any number of processes may do so in one folder: each renders to a file of its own.
+    Several processes may do this in one folder: each renders to its own file.
+
+    Args:
+        seeds: of the houses.
+        per_house: images of each house.
+        folder: folder of the images.
+        workers: processes that render.
 
     Raises:
-        ExportError: the pictures do not fit on the disk.
+        ExportError: the images do not fit on the disk.
     """
     name = f"{seeds[0]}-{seeds[-1]}x{per_house}-{_digest(seeds, per_house)}"
     pictures, contents = folder / f"{name}.u8", folder / f"{name}.npz"
@@ -111,7 +118,7 @@ def make_frames(seeds: Sequence[int], per_house: int, folder: Path, workers: int
             _reserve(part, math.prod(shape))
             rows = _render(seeds, per_house, part, shape, workers)
         start = np.concatenate([[0], np.cumsum([len(objects) for objects in rows])])
-        with replace_atomically(contents) as part:  # last: where it is, the pictures are whole
+        with replace_atomically(contents) as part:  # written last: then the images are complete
             np.savez(part, objects=np.concatenate(rows), start=start.astype(np.int64))
     with np.load(contents) as data:
         return Frames(np.memmap(pictures, np.uint8, "r", shape=shape), data["objects"],
@@ -119,7 +126,7 @@ def make_frames(seeds: Sequence[int], per_house: int, folder: Path, workers: int
 
 
 def _digest(seeds: Sequence[int], per_house: int) -> str:
-    """Eight hex digits of all that decides what the pictures are."""
+    """Return eight hex digits of everything that the images depend on."""
     digest = hashlib.sha256(repr((list(seeds), per_house)).encode())
     for path in _SOURCES:
         digest.update(path.read_bytes())
@@ -127,21 +134,21 @@ def _digest(seeds: Sequence[int], per_house: int) -> str:
 
 
 def _reserve(path: Path, size: int) -> None:
-    """Grow an empty file to `size` bytes that the disk surely has."""
+    """Grow an empty file to `size` bytes, and allocate them on the disk."""
     try:
         with path.open("r+b") as file:
             os.posix_fallocate(file.fileno(), 0, size)
     except OSError as error:
         raise ExportError(
-            f"{path.parent}: no room for {size / 1e9:.1f} GB of pictures ({error.strerror}); "
-            "free some, or name a folder on another disk"
+            f"{path.parent}: no room for {size / 1e9:.1f} GB of images ({error.strerror}); "
+            "free some space, or name a folder on another disk"
         ) from None
 
 
 def _render(
     seeds: Sequence[int], per_house: int, pictures: Path, shape: tuple[int, ...], workers: int
 ) -> list[np.ndarray]:
-    """Fill the file with all houses' views; returns the objects of each."""
+    """Fill the file with all houses' views; return the objects of each."""
     jobs = [(pictures, shape, k * per_house, seed, per_house) for k, seed in enumerate(seeds)]
     if workers > 1:
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
@@ -158,7 +165,7 @@ def _write_house(job: tuple[Path, tuple[int, ...], int, int, int]) -> list[np.nd
 
 
 def render_house(seed: int, count: int, out_rgb: np.ndarray) -> list[np.ndarray]:
-    """Fill `out_rgb` (count, 256, 320, 3) with views of one house; returns their objects."""
+    """Fill `out_rgb` (count, 256, 320, 3) with views of one house; return their objects."""
     house, appearances = random_house(seed)
     world = build_house(house, parse({"perception": {"detector": {"kind": "sim"}}}))
     rng = np.random.default_rng([8, seed])
@@ -173,7 +180,7 @@ def render_house(seed: int, count: int, out_rgb: np.ndarray) -> list[np.ndarray]
 
 
 def _tinted(house: House, world: BoxWorld) -> np.ndarray:
-    """(primitives,) bool: has the colour that its thing is called by, or one made from it."""
+    """Return (primitives,) bool: True for its object's colour, or one derived from it."""
     tinted = np.zeros(len(world.owner), bool)
     for k, thing in enumerate(house.objects, 1):
         rows = assemblies.CATEGORIES[thing.category].rows
@@ -205,10 +212,10 @@ def _choose_view(
     appearances: list[Look],
     rng: np.random.Generator,
 ) -> _Camera:
-    """Mostly the best of a few: one that sees many things, and several of a kind."""
+    """Return mostly the best of a few views: with many objects, and several of a kind."""
     cameras = [_random_camera(world, extent, rng) for _ in range(_CANDIDATES)]
     worth = [_worth(world, appearances, camera) for camera in cameras]
-    if rng.random() < 0.25:  # some as they come, but for those that see a wall only
+    if rng.random() < 0.25:  # sometimes any view that shows more than a wall
         return next((c for c, w in zip(cameras, worth, strict=True) if w > 0), cameras[0])
     return cameras[int(np.argmax(worth))]
 

@@ -1,1 +1,1 @@
-"""Learns the prior (`edge.perception.prior`) from searches of furnished houses on a plan."""
+"""Training of the prior (`edge.perception.prior`) from searches of furnished houses on a plan."""

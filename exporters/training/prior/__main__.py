@@ -1,4 +1,4 @@
-"""Learn the robot's prior, where things stand by what stands around, from furnished houses.
+"""Command that learns the prior (which objects stand near each other) from furnished houses.
 
 python -m exporters.training.prior HOUSES.jsonl.gz --out edge/perception/prior/table.json
 """
@@ -27,10 +27,10 @@ _BLANK = {"evidence": 1.0, "power": [1.0, 1.0]}
 
 
 def read(path: Path) -> tuple[list[dict[str, Any]], list[Plan]]:
-    """The houses of a file, and their plans.
+    """Return the houses of a file, and their plans.
 
     Raises:
-        ExportError: they are not houses.
+        ExportError: the file's content is no list of houses.
         WorldError: the file cannot be read.
     """
     try:
@@ -41,14 +41,14 @@ def read(path: Path) -> tuple[list[dict[str, Any]], list[Plan]]:
 
 
 def counted(houses: list[dict[str, Any]], plans: list[Plan]) -> dict[str, Any]:
-    """What a table holds that is counted, not fitted."""
+    """Return the part of a table that is counted, not fitted."""
     table = count(houses)
     kinds = sorted({kind for plan in plans for kind in plan.kinds})
     return {**table, "kinds": {**count_kinds(plans, table["things"], kinds), **_BLANK}}
 
 
 def learned(data: dict[str, Any], samples: Samples) -> tuple[dict[str, Any], dict[int, learn.Fit]]:
-    """The whole table, counts with what is fitted, and the fit of each target."""
+    """Return the whole table, counted and fitted parts, and the fit of each target."""
     things = tuple(data["things"])
     each = ((target, learn.cross_fit(samples, target)) for target in range(len(things)))
     fits = {target: fit for target, fit in each if fit is not None}
@@ -62,16 +62,18 @@ def learned(data: dict[str, Any], samples: Samples) -> tuple[dict[str, Any], dic
 
 
 def tell(fits: dict[int, learn.Fit], samples: Samples, things: list[str]) -> None:
-    """Print how well held-out houses were foretold."""
+    """Print how well the held-out houses were predicted."""
     print("target               houses  share   base   loss  gained     auc  opinion")
     for target, fit in sorted(fits.items(), key=lambda item: item[1].score.loss):
         s = fit.score
         gained = f"{s.base - s.loss:+.4f} ±{s.error:.4f}"
         print(f"{things[target]:20} {s.houses:6} {s.share:6.3f} {s.base:6.3f} {s.loss:6.3f} "
               f"{gained} {s.auc:6.3f}  {'yes' if fit.opinion else 'no'}")  # fmt: skip
-    print("lift said → lift that came true (places)")
-    for said, true, n in learn.reliability(samples, fits, np.array([0.5, 0.7, 0.9, 1.1, 1.5, 2])):
-        print(f"  {said:5.2f} → {true:5.2f} ({n})")
+    print("predicted → observed likelihood ratio (places)")
+    for predicted, observed, n in learn.reliability(
+        samples, fits, np.array([0.5, 0.7, 0.9, 1.1, 1.5, 2])
+    ):
+        print(f"  {predicted:5.2f} → {observed:5.2f} ({n})")
 
 
 @tells_errors

@@ -1,5 +1,4 @@
-"""Which things stand in the same room of furnished houses, in which kind of room, and which kinds
-of room share a door."""
+"""Counts in furnished houses: objects in the same room, objects by kind of room, doors by kind."""
 
 from __future__ import annotations
 
@@ -14,19 +13,19 @@ from edge import names
 from exporters.training.prior.house import Plan
 
 _RARE = 5
-"""Things in fewer rooms than this are left out: their counts say nothing."""
+"""Objects in fewer rooms are left out: such counts mean nothing."""
 
 
 def count(houses: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """What stands in the same room.
+    """Count the objects that stand in the same room.
 
     Args:
-        houses: dicts with `rooms` (`polygon`: corners x, y) and `objects` (`category`,
-            `center`). Objects outside all rooms do not count.
+        houses: dicts with `rooms` (`polygon`: corners x, y) and `objects` (`category`, `center`).
+            Objects outside all rooms do not count.
 
     Returns:
-        `rooms`, `things` in alphabetical order, and `rooms_with_both`, of which row i has
-        entries for things 0 … i; the last one is the number of rooms with thing i.
+        `rooms`, `things` in alphabetical order, and `rooms_with_both`, whose row i has entries for
+        objects 0 … i; the last one is the number of rooms with object i.
     """
     n_rooms, single, pairs = 0, Counter(), Counter()
     for house in houses:
@@ -50,10 +49,10 @@ def count(houses: Iterable[dict[str, Any]]) -> dict[str, Any]:
 
 
 def count_kinds(plans: Sequence[Plan], things: Sequence[str], kinds: Sequence[str]) -> dict:
-    """What the kinds of room hold in view, and which of them share a door.
+    """Count the visible objects by kind of room, and the doors between kinds.
 
     Returns:
-        `names`; `rooms` of each kind; `rooms_with` each thing, by kind; `doors` between two kinds
+        `names`; `rooms` of each kind; `rooms_with` each object, by kind; `doors` between two kinds
         and `pairs` of two kinds in a house, symmetric.
     """
     k, m = len(kinds), len(things)
@@ -79,7 +78,7 @@ def count_kinds(plans: Sequence[Plan], things: Sequence[str], kinds: Sequence[st
 
 
 def inside(polygon: Sequence[Sequence[float]], x: float, y: float) -> bool:
-    """Whether a point lies in a polygon, by the even-odd rule.
+    """Return True if a point lies in a polygon, by the even-odd rule.
 
     >>> inside([(0, 0), (2, 0), (2, 2), (0, 2)], 1, 1)
     True

@@ -1,8 +1,8 @@
-"""A searcher on a plan: looks, frontiers, and steps; perfect pose and map, no false detections.
+"""A robot that searches on a plan, with perfect pose and map and no false detections.
 
-Rough on purpose: it makes the partial views that a prior is learned from. A camera of 75 degrees
-sees 5 m of map; a thing is made out from as far as its size allows, nine times in ten near by and
-six times in ten at the end of its range.
+It is rough on purpose: it makes the partial views that a prior is learned from. A camera of 75
+degrees maps up to 5 m. An object's detection range depends on its size. The probability of
+detection falls from 0.9 nearby to 0.6 at the end of the range.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ _MIN_CELLS, _BLOCK_CELLS = 3, 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frontiers:
-    """Where known floor ends, as far as one can get there.
+    """Reachable ends of the known floor.
 
     Attributes:
         cell: (n, 2) int64, row and column.
         xy_m: (n, 2) float32, in the plan's grid frame.
-        path_m: (n,) float64, to drive.
-        area_m2: (n,) float64, what is unknown and in sight from there.
+        path_m: (n,) float64, driving distance.
+        area_m2: (n,) float64, visible unknown area.
     """
 
     cell: np.ndarray
@@ -46,13 +46,13 @@ class Frontiers:
 
 
 class Explorer:
-    """A robot in a house that it begins to know.
+    """A robot in an unknown house.
 
     Attributes:
         known: (h, w) bool.
-        thing_m: (n, 2) float32, the plan's things, in the grid's frame: metres from its corner.
-        seen: (n,) bool, things that were made out.
-        seen_m: (n, 2) float32, the surface that was seen of each, in the grid's frame.
+        thing_m: (n, 2) float32, the plan's objects, in metres from the grid's corner.
+        seen: (n,) bool, detected objects.
+        seen_m: (n, 2) float32, the visible surface of each, in the grid's frame.
     """
 
     def __init__(self, plan: Plan, cell: tuple[int, int], random: np.random.Generator) -> None:
@@ -74,7 +74,7 @@ class Explorer:
         self.look(None)
 
     def look(self, yaw_rad: float | None) -> None:
-        """See what is in view; None: all around."""
+        """Map and detect everything in view; None for all around."""
         y, x = self._cell
         half = math.pi if yaw_rad is None else 0.5 * HFOV_RAD
         reveal(self.plan.wall, y, x, yaw_rad or 0.0, half, MAP_RANGE_M / CELL_M, self.known)
@@ -86,7 +86,7 @@ class Explorer:
         )  # fmt: skip
 
     def frontiers(self) -> Frontiers:
-        """Those that there are now."""
+        """Return the current frontiers."""
         walkable = self.known & self._standable
         self._spread(walkable)
         reached = self._distance < dist.UNREACHED
@@ -103,7 +103,7 @@ class Explorer:
         return Frontiers(cells[worth], xy[worth], path[worth], area_m2[worth])
 
     def drive(self, goal: np.ndarray, most_m: float) -> None:
-        """Go towards a frontier of this moment, looking ahead, and around now and then."""
+        """Drive up to `most_m` towards a frontier, looking ahead, and around now and then."""
         way = descend(self._distance, goal[0], goal[1])
         gone, due = 0.0, LOOK_EVERY_M
         for y, x in way[1:]:
@@ -123,7 +123,7 @@ class Explorer:
         self.look(None)
 
     def survey(self) -> Grid:
-        """What the robot's map would show of the walls: see `regions.survey`."""
+        """Return the walls as the robot's map would show them: see `regions.survey`."""
         cells = np.where(self.plan.wall, regions.WALL, regions.OPEN).astype(np.uint8)
         cells[~self.known] = regions.UNKNOWN
         return Grid(cells, (0.0, 0.0), CELL_M)
@@ -138,7 +138,7 @@ class Explorer:
 
 
 def paths_m(plan: Plan, cell: tuple[int, int]) -> np.ndarray:
-    """Metres to drive from a cell to each other, all being known: (h, w) float64."""
+    """Return the driving distance from a cell to all others in a known house: (h, w) float64."""
     explorer = Explorer(plan, cell, np.random.default_rng(0))
     explorer._spread(explorer._standable)
     out = explorer._distance / dist.STRAIGHT * CELL_M
@@ -147,7 +147,7 @@ def paths_m(plan: Plan, cell: tuple[int, int]) -> np.ndarray:
 
 
 def _targets(edge: np.ndarray) -> np.ndarray:
-    """One cell for each block of each cluster of frontier cells: (n, 2) int64."""
+    """Return one cell for each block of each cluster of frontier cells: (n, 2) int64."""
     _, label = cv2.connectedComponents(edge.astype(np.uint8), connectivity=8)
     y, x = np.nonzero(edge)
     key = (label[y, x] * 64 + y // _BLOCK_CELLS) * 64 + x // _BLOCK_CELLS
@@ -179,7 +179,7 @@ def reveal(wall, y, x, yaw, half, reach, known):
 
 @njit(nogil=True, cache=True)
 def clear(wall, x, y, to_x, to_y, short, cell_m):
-    """Whether no wall stands between two points, in metres, up to `short` before the second."""
+    """Return True if no wall stands between two points [m], up to `short` before the second."""
     length = math.hypot(to_x - x, to_y - y)
     steps = int((length - short) / (0.5 * cell_m))
     for k in range(1, steps):
@@ -194,7 +194,7 @@ def clear(wall, x, y, to_x, to_y, short, cell_m):
 def make_out(
     wall, x, y, yaw, half, cell_m, thing_m, half_m, range_m, luck, near, far, seen, seen_m
 ):  # fmt: skip
-    """Mark the things that are detected from here, and note the side of them that was seen."""
+    """Mark the objects that are detected from here, and store their visible side."""
     for i in range(len(seen)):
         dx, dy = thing_m[i, 0] - x, thing_m[i, 1] - y
         d = math.hypot(dx, dy)
@@ -212,7 +212,7 @@ def make_out(
 
 @njit(nogil=True, cache=True)
 def gains(known, wall, cells, reach, out):
-    """Unknown cells in sight of each cell; what stops a look is known walls."""
+    """Count the unknown cells in sight of each cell; known walls block the view."""
     h, w = known.shape
     stamp = np.full((h, w), -1, np.int32)
     for i in range(len(cells)):
@@ -231,7 +231,7 @@ def gains(known, wall, cells, reach, out):
 
 @njit(nogil=True, cache=True)
 def descend(distance, y, x):
-    """The cells from where the distance is 0 to a cell: (m, 2) int64."""
+    """Return the cells from the one with distance 0 to a cell: (m, 2) int64."""
     h, w = distance.shape
     way = [(y, x)]
     while distance[y, x] > 0:

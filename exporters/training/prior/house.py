@@ -1,4 +1,4 @@
-"""A furnished house as a plan: what stops a robot, what stops a look, and what stands where."""
+"""A furnished house as a plan: obstacles for the robot, obstacles for the view, and objects."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from edge import names
 CELL_M = 0.1
 _MARGIN_M = 0.5
 _EYE_M = 0.85
-"""What is higher than this hides what is behind it."""
+"""Higher objects hide what is behind them."""
 _KNEE_M = 0.1
-"""What is lower is floor."""
+"""Lower objects count as floor."""
 _DETAIL = 25.0
-"""A thing is made out from so many times its own size."""
+"""Detection range of an object, as a multiple of its size."""
 _FARTHEST_M = 6.0
 
 
@@ -29,16 +29,16 @@ class Plan:
 
     Attributes:
         origin_xy_m: (2,) float64, the lower-left corner of cell (0, 0) in the house's frame.
-        wall: (h, w) bool, tall: walls, and furniture that hides what is behind it.
-        closed: (h, w) bool, where nobody can stand.
+        wall: (h, w) bool, walls, and furniture that is high enough to hide what is behind it.
+        closed: (h, w) bool, cells where the robot cannot stand.
         room: (h, w) int16, index of the room, -1 outside.
-        kinds: of each room.
-        doors: pairs of rooms that one can look from one into the other.
-        word: (n,) int32 of each visible thing, index into `words`.
+        kinds: kind of each room.
+        doors: pairs of rooms with a line of sight between them.
+        word: (n,) int32 of each visible object, index into `words`.
         xy_m: (n, 2) float64, its centre.
-        half_m: (n,) float64, half its smaller side, as seen from above.
-        range_m: (n,) float64, from how far it is made out.
-        thing_room: (n,) int16.
+        half_m: (n,) float64, half its smaller side, seen from above.
+        range_m: (n,) float64, its detection range.
+        thing_room: (n,) int16, its room.
         words: canonical names.
     """
 
@@ -57,11 +57,11 @@ class Plan:
 
 
 def read_plan(house: dict[str, Any]) -> Plan:
-    """The plan of one parsed line of a file of houses.
+    """Return the plan of one parsed line of a file of houses.
 
     Args:
-        house: dict with `rooms` (`category`, `polygon`: corners x, y), `walls` (x0, y0, x1, y1,
-            z0, z1) and `objects` (`category`, `center`, `size`, `yaw`).
+        house: dict with `rooms` (`category`, `polygon`: corners x, y), `walls` (x0, y0, x1, y1, z0,
+            z1) and `objects` (`category`, `center`, `size`, `yaw`).
 
     Raises:
         KeyError, TypeError, ValueError: a field is missing or is something else.
@@ -99,7 +99,7 @@ def read_plan(house: dict[str, Any]) -> Plan:
 
 
 def _things(objects: Sequence[dict[str, Any]], origin: np.ndarray, room: np.ndarray) -> tuple:
-    """The fields of `Plan` that tell of things; those that lie inside others are hidden."""
+    """Return the fields of `Plan` for objects; objects inside others are hidden."""
     shown = [item for item in objects if not any(_inside(item, other) for other in objects)]
     name = [names.canonical(item["category"]) for item in shown]
     words = tuple(sorted(set(name)))
@@ -119,7 +119,7 @@ def _things(objects: Sequence[dict[str, Any]], origin: np.ndarray, room: np.ndar
 
 
 def _inside(item: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Whether a thing's centre lies within another, larger one."""
+    """Return True if an object's centre lies within another, larger one."""
     if other is item or np.prod(other["size"]) <= np.prod(item["size"]):
         return False
     dx, dy, dz = np.subtract(item["center"], other["center"])
@@ -140,7 +140,7 @@ def _footprint(item: dict[str, Any]) -> np.ndarray:
 
 
 def _doors(room: np.ndarray, wall: np.ndarray) -> frozenset[tuple[int, int]]:
-    """Rooms whose floors touch where no wall is."""
+    """Return the pairs of rooms whose floors touch without a wall."""
     open_room = np.where(wall == 0, room, -1)
     pairs = set()
     for a, b in ((open_room[1:], open_room[:-1]), (open_room[:, 1:], open_room[:, :-1])):
@@ -157,7 +157,7 @@ def _pixel(point: Sequence[float], origin: np.ndarray) -> tuple[int, int]:
 
 
 def _fill(grid: np.ndarray, polygon: Sequence[Sequence[float]], origin: np.ndarray, v: int) -> None:
-    """Write a value where a cell's centre lies in a polygon."""
+    """Write a value into the cells whose centre lies in a polygon."""
     shift = 10
     points = ((np.asarray(polygon) - origin) / CELL_M - 0.5) * (1 << shift)
     cv2.fillPoly(grid, [np.rint(points).astype(np.int32)], v, shift=shift)

@@ -1,4 +1,4 @@
-"""Fits the prior's weights to samples, and holds them to houses that they were not fitted on."""
+"""Fit of the prior's weights to samples, with validation on other houses."""
 
 from __future__ import annotations
 
@@ -15,24 +15,26 @@ from exporters.training.results import auc
 
 FOLDS = 4
 _LOOKS = 8.0
-"""A house's samples are many views of one thing: together they count as so many."""
+"""Total weight of a house's samples, since they are many views of the same objects."""
 _RIDGE = 10.0
 _DROPOUT = 0.4
 _MOST_STEPS, _SMALL_STEP = 15, 0.02
 _SLIGHT = 5
-"""Weights below are left out, in hundredths."""
+"""Smaller weights, in hundredths, are left out."""
 _LEAST_HOUSES = 40
 _GRID = np.round(np.arange(0.0, 1.01, 0.1), 2)
 
 
 class Score(NamedTuple):
-    """How well a target was foretold in held-out houses, each house counting alike.
+    """Quality of a target's prediction in held-out houses; each house has the same weight.
 
     Attributes:
-        houses, share: in how many it was looked for, and where of all places it was near.
-        base, loss: log loss, by that share of the other houses, and by the model, in nats.
+        houses: number of houses in which the target was searched.
+        share: share of places near the target.
+        base: log loss in nats, by that share in the other houses.
+        loss: log loss in nats, by the model.
         error: standard error of their difference, by house.
-        auc: probability that a place with it is put before one without.
+        auc: probability that a place near the target ranks above one that is not.
     """
 
     houses: int
@@ -48,8 +50,10 @@ class Fit(NamedTuple):
 
     Attributes:
         beta: (m + 1,) weights, and the bias.
+        score: quality in held-out houses.
         rows: samples that count for the target.
-        log_lift: for each of them, by a model of other houses; 0 for a place nothing is known of.
+        log_lift: log likelihood ratio of each of these, by a model of other houses; 0 for a place
+            without information.
     """
 
     beta: np.ndarray
@@ -59,20 +63,22 @@ class Fit(NamedTuple):
 
     @property
     def opinion(self) -> bool:
-        """Whether it foretells other houses better than the target's share does."""
+        """True if the model predicts other houses better than the target's share does."""
         return self.score.base - self.score.loss > self.score.error
 
 
 def folds(n_houses: int) -> np.ndarray:
-    """Which fold each house is in."""
+    """Return the fold of each house."""
     return np.random.default_rng(5).permutation(n_houses) % FOLDS
 
 
 def fit_near(samples: Samples, target: int, begin: np.ndarray | None = None) -> np.ndarray:
-    """Weights of one target's logistic model, (m,), and its bias: see `Table.near_weight`.
+    """Return weights of one target's logistic model, (m,), and its bias: see `Table.near_weight`.
 
     Args:
-        begin: what to begin with, a fit to about the same samples; spares most of the steps.
+        samples: to fit to.
+        target: index of the target.
+        begin: start value, such as a fit to similar samples; saves most of the steps.
     """
     mine = samples.wanted[:, target]
     near = samples.near[mine].astype(np.float32)
@@ -85,7 +91,7 @@ def fit_near(samples: Samples, target: int, begin: np.ndarray | None = None) -> 
 
 
 def cross_fit(samples: Samples, target: int) -> Fit | None:
-    """A target's model, and how it does in houses that it did not see; None: too few have it."""
+    """Return a target's model, validated on held-out houses; None if too few houses have it."""
     mine = np.flatnonzero(samples.wanted[:, target])
     house = samples.house[mine]
     if len(np.unique(house)) < _LEAST_HOUSES:
@@ -114,10 +120,10 @@ def cross_fit(samples: Samples, target: int) -> Fit | None:
 
 
 def near_part(fits: dict[int, Fit], things: tuple[str, ...]) -> dict[str, Any]:
-    """The `near` part of a table's file.
+    """Return the `near` part of a table's file.
 
-    A target whose model foretells held-out houses no better than its share, by a standard error,
-    has no weights: no opinion.
+    A target has no weights (no opinion) unless its model predicts held-out houses better than its
+    share, by a standard error.
     """
     bias, weights = [0] * len(things), {}
     for target, fit in fits.items():
@@ -131,11 +137,11 @@ def near_part(fits: dict[int, Fit], things: tuple[str, ...]) -> dict[str, Any]:
 
 
 def fit_evidence(samples: Samples, table: Table) -> float:
-    """`Table.evidence` that foretells best which kind the regions with something in them are."""
+    """Return the `Table.evidence` that best predicts the kind of regions with objects in them."""
     chance = rooms.chances(table)
-    told = (samples.kind >= 0) & samples.held.any(1)
-    held, kind = samples.held[told].astype(np.float32), samples.kind[told]
-    weight = _weights(samples.house[told])
+    informative = (samples.kind >= 0) & samples.held.any(1)
+    held, kind = samples.held[informative].astype(np.float32), samples.kind[informative]
+    weight = _weights(samples.house[informative])
 
     def loss(evidence: float) -> float:
         p = rooms.beliefs(replace(table, evidence=evidence), chance, held)
@@ -145,7 +151,7 @@ def fit_evidence(samples: Samples, table: Table) -> float:
 
 
 def room_log_lift(samples: Samples, table: Table, target: int) -> np.ndarray:
-    """What the rooms alone say of each sample: (n,) float64."""
+    """Return the log likelihood ratio of each sample from the rooms only: (n,) float64."""
     chance, prior = rooms.chances(table), rooms.average(table)
     held, beside = (part.astype(np.float32) for part in (samples.held, samples.beside))
     kind = rooms.at_places(table, chance, held, beside)
@@ -155,10 +161,10 @@ def room_log_lift(samples: Samples, table: Table, target: int) -> np.ndarray:
 def fit_powers(
     samples: Samples, table: Table, fits: dict[int, Fit]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """`Table.room_power` that foretells best, and what it gains in log loss (share of the base's).
+    """Return the best `Table.room_power`, and its gain in log loss (share of the base's).
 
-    The lift by what is near comes from models of other houses, that by rooms from the table: its
-    counts are few and coarse.
+    The likelihood ratio of near objects comes from models of other houses. That of the rooms comes
+    from the table, whose counts are few and coarse.
     """
     gain = np.zeros((2, len(_GRID)))
     for target, fit in fits.items():
@@ -175,10 +181,12 @@ def fit_powers(
 
 
 def reliability(samples: Samples, fits: dict[int, Fit], edges: np.ndarray) -> Iterator[tuple]:
-    """Held-out models by what they said: lift said, lift that came true, and how many places.
+    """Yield predicted likelihood ratio, observed ratio and number of places, by bin.
 
     Args:
-        edges: of the bins of lift said.
+        samples: all samples.
+        fits: fit of each target.
+        edges: bin edges of the predicted ratio.
     """
     said, true, weights = [], [], []
     for target, fit in fits.items():
@@ -203,12 +211,12 @@ def _only(samples: Samples, rows: np.ndarray) -> Samples:
 
 
 def _weights(house: np.ndarray) -> np.ndarray:
-    """So that each house counts alike, whatever the number of its samples."""
+    """Return sample weights that give each house the same total weight."""
     return _LOOKS / np.bincount(house)[house]
 
 
 def _truth(samples: Samples, rows: np.ndarray, target: int) -> tuple[np.ndarray, np.ndarray]:
-    """Whether the target is near, (n,) float64, and the weight of each sample."""
+    """Return (n,) float64, 1 if the target is near, and the weight of each sample."""
     return samples.found[rows, target].astype(float), _weights(samples.house[rows])
 
 
@@ -222,7 +230,7 @@ def _loss(p: np.ndarray, found: np.ndarray) -> np.ndarray:
 
 
 def _offset_loss(offset: np.ndarray, found: np.ndarray, weight: np.ndarray) -> float:
-    """Log loss of an intercept, fitted, on top of log-odds that are given."""
+    """Return the log loss of a fitted intercept on top of given log-odds."""
     bias = 0.0
     for _ in range(20):
         p = _sigmoid(offset + bias)
@@ -233,7 +241,7 @@ def _offset_loss(offset: np.ndarray, found: np.ndarray, weight: np.ndarray) -> f
 def _logistic(
     near: np.ndarray, found: np.ndarray, weight: np.ndarray, begin: np.ndarray | None
 ) -> np.ndarray:
-    """Newton's method on a logistic model with a ridge on all but the intercept, which is last."""
+    """Fit a logistic model by Newton's method, with a ridge on all but the intercept (last)."""
     x = np.hstack((near, np.ones((len(near), 1), np.float32)))
     share = np.average(found, weights=weight)
     beta = np.zeros(x.shape[1])

@@ -1,8 +1,8 @@
-"""Partial views of houses, with what was to be found: what a prior is learned from.
+"""Partial views of houses with the objects still to be found: the training data of a prior.
 
-In each house a searcher explores from a few places by √area/(path + 1 m), the best geometric
-choice there is, whatever the target. At every other decision each frontier is a sample: what was
-seen near it, and whether a thing that was not seen yet stands near.
+In each house a robot explores from a few places by √area/(path + 1 m), the best geometric choice,
+for all targets. At every other decision each frontier is a sample: the objects seen near it, and
+whether an unseen object stands near it.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from exporters.training.prior.house import CELL_M, Plan
 RUNS = 2
 _STEP_M, _MAX_DECISIONS, _EVERY = 1.0, 100, 2
 REGION_M = 0.7
-"""How far from a region's cells a thing may be that is in it: it may be part of a wall."""
+"""Largest distance of an object from the cells of its region, since it may be part of a wall."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """One for each frontier of a decision; n samples of m things and k kinds of room.
+    """One sample for each frontier of a decision; n samples of m objects and k kinds of room.
 
     Attributes:
         house: (n,) int32.
-        near: (n, m) bool, what was seen near the place, in sight.
-        held: (n, m) bool, what was seen in the region that the place is in.
-        beside: the same, of the neighbouring region (see `rooms.neighbours`).
-        kind: (n,) int8, of the room that most of the region is of; -1: it has none.
-        wanted: (n, m) bool, things that are in the house and were not seen yet.
-        found: (n, m) bool, of these one is near the place, in sight.
+        near: (n, m) bool, objects seen near the place, in line of sight.
+        held: (n, m) bool, objects seen in the place's region.
+        beside: (n, m) bool, objects seen in the neighbouring region (see `rooms.neighbours`).
+        kind: (n,) int8, kind of the room that most of the region belongs to; -1 for none.
+        wanted: (n, m) bool, objects of the house that were not seen yet.
+        found: (n, m) bool, wanted objects near the place, in line of sight.
     """
 
     house: np.ndarray
@@ -50,14 +50,20 @@ class Samples:
 
 
 class Views:
-    """What a searcher has seen, as a prior takes it.
+    """The robot's knowledge in the form of a prior's inputs.
 
     Args:
-        row: of each thing of the plan, in the prior's table; -1: it is in none.
+        explorer: the robot.
+        frontiers: its current frontiers.
+        row: index of each of the plan's objects in the prior's table; -1 for none.
+        m: number of objects in the table.
 
     Attributes:
-        near, held, beside: see `Samples`, for the frontiers of this moment.
-        region: (n,) int16, of each; 0: of none. `label` is the grid of regions.
+        near: see `Samples`, for the current frontiers.
+        held: see `Samples`.
+        beside: see `Samples`.
+        region: (n,) int16, region of each frontier; 0 for none.
+        label: grid of regions.
     """
 
     def __init__(self, explorer: Explorer, frontiers: Frontiers, row: np.ndarray, m: int) -> None:
@@ -84,7 +90,7 @@ class Views:
 def gather(
     plans: Sequence[Plan], things: Sequence[str], kinds: Sequence[str], seed: int = 0
 ) -> Samples:
-    """Explore every house `RUNS` times."""
+    """Explore every house `RUNS` times; return the samples."""
     row_of = {name: i for i, name in enumerate(things)}
     columns: list[tuple[np.ndarray, ...]] = []
     for number, plan in enumerate(plans):
@@ -107,7 +113,7 @@ def gather(
 
 
 def standing(plan: Plan) -> np.ndarray:
-    """Where a robot may be that can get to most of the house: (n, 2) int64 cells."""
+    """Return the cells from which a robot can reach most of the house: (n, 2) int64."""
     best = np.zeros((0, 2), np.int64)
     free = np.argwhere(~plan.closed)
     for start in free[:: max(len(free) // 8, 1)]:
@@ -119,7 +125,7 @@ def standing(plan: Plan) -> np.ndarray:
 def _sample(
     number: int, explorer: Explorer, frontiers: Frontiers, row: np.ndarray, m: int, kind: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """One decision's rows, in the order of the fields of `Samples`."""
+    """Return one decision's rows, in the order of the fields of `Samples`."""
     plan, n = explorer.plan, len(frontiers.cell)
     views = Views(explorer, frontiers, row, m)
     room = _rooms(views.label, plan.room, len(kind))[views.region]
@@ -143,7 +149,7 @@ def _sample(
 
 
 def _rooms(label: np.ndarray, room: np.ndarray, n_rooms: int) -> np.ndarray:
-    """The room that most of each region is of, by region; -1 for region 0 and those of none."""
+    """Return the room that most of each region belongs to; -1 for region 0 and for none."""
     inside = (label > 0) & (room >= 0)
     count = np.zeros((int(label.max(initial=0)) + 1, n_rooms), np.int64)
     np.add.at(count, (label[inside], room[inside]), 1)
@@ -152,7 +158,7 @@ def _rooms(label: np.ndarray, room: np.ndarray, n_rooms: int) -> np.ndarray:
 
 @njit(nogil=True, cache=True)
 def stands_near(wall, cell_m, xy_m, thing_m, half_m, row, radius_m, out):
-    """Mark the kinds of things of which one is near a place, with no wall between."""
+    """Mark the kinds of objects that stand near a place, with no wall between."""
     for i in range(len(xy_m)):
         for j in range(len(row)):
             x, y, tx, ty = xy_m[i, 0], xy_m[i, 1], thing_m[j, 0], thing_m[j, 1]

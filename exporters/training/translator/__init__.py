@@ -1,1 +1,1 @@
-"""The small translator: its sentences, its network, its training, and the files it becomes."""
+"""Training of the small translator: sentences, network, training loop, and export."""

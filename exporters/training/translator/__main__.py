@@ -1,10 +1,10 @@
-"""Train the small translator: from sentences made by code, and from what people wrote.
+"""Command that trains the small translator on composed sentences and on human ones.
 
     python -m exporters.training.translator --out RUN --lang2ltl TABLE --clean-up TABLE
 
-Learns composed sentences first. From there it learns the sentences of all corpora but one, for each
-of them, and is measured on that one; then those of all, which becomes `models/mini-translator.onnx`
-and its card. Goes on where it was stopped.
+It learns composed sentences first. Then, for each corpus, it learns the sentences of all others and
+is measured on the one left out. At last it learns all corpora; this becomes
+`models/mini-translator.onnx` and its card. A stopped run continues from its checkpoint.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from exporters.training.results import MODELS, publish
 
 NAME = "mini-translator"
 MANY = 7000
-"""Sentences of people's that could be all that is drawn; of fewer, fewer are."""
+"""Number of human sentences for the full share in training; fewer sentences get a smaller share."""
 NOTE = "Written by exporters.training.translator."
 
 
@@ -37,9 +37,9 @@ def main(argv: list[str] | None) -> None:
     parser.add_argument("--clean-up", type=Path, help="table of commands for a robot in rooms")
     parser.add_argument("--models", type=Path, default=MODELS, help="default: %(default)s")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--steps", type=int, default=COMPOSED.steps, help="of composed sentences")
+    parser.add_argument("--steps", type=int, default=COMPOSED.steps, help="on composed sentences")
     parser.add_argument(
-        "--people-steps", type=int, default=PEOPLE.steps, help="then, with what people wrote"
+        "--people-steps", type=int, default=PEOPLE.steps, help="then, with human sentences"
     )
     args = parser.parse_args(argv)
     at_least_one(args, "steps", "people_steps")
@@ -57,7 +57,7 @@ def _train(args: argparse.Namespace) -> None:
     from exporters.training.translator.export import export
     from exporters.training.translator.training import COMPOSED, PEOPLE, train
 
-    torch.set_num_threads(1)  # tensors this small gain nothing by more
+    torch.set_num_threads(1)  # more threads do not help with such small tensors
     args.out.mkdir(parents=True, exist_ok=True)
     phrases, cases = load(), corpora(args.lang2ltl, args.clean_up)
     pairs = {name: human_pairs(some, phrases) for name, some in cases.items()}
@@ -66,7 +66,7 @@ def _train(args: argparse.Namespace) -> None:
     base = train(phrases, [], words, plan, args.out / "composed.pt")
 
     def learned(seen: list[str], name: str) -> tuple[Path, float]:
-        """The file of a network that also learned these corpora."""
+        """Return the file of a network that also learned these corpora, and its logit error."""
         human = [pair for corpus in seen for pair in pairs[corpus]]
         vocabulary, plan = extended(words, human), replace(PEOPLE, steps=args.people_steps)
         plan = replace(plan, seed=args.seed, human=min(PEOPLE.human, len(human) / MANY))
@@ -78,9 +78,9 @@ def _train(args: argparse.Namespace) -> None:
     for corpus in cases:
         path, _ = learned([other for other in cases if other != corpus], f"without-{corpus}")
         for kind, translator in evaluate.translators(path).items():
-            told = evaluate.outcomes(cases[corpus], translator)
-            measured[f"{corpus}, not seen, {kind}"] = told
-            logging.info("%s, not seen, %s: %s", corpus, kind, told)
+            counts = evaluate.outcomes(cases[corpus], translator)
+            measured[f"{corpus}, not seen, {kind}"] = counts
+            logging.info("%s, not seen, %s: %s", corpus, kind, counts)
     path, off = learned(list(cases), NAME)
     everything = [case for some in cases.values() for case in some]
     figures: dict[str, Any] = {"logit_error": round(off, 4), "bytes": path.stat().st_size}
@@ -100,10 +100,10 @@ def _train(args: argparse.Namespace) -> None:
 def _how(args: argparse.Namespace, pairs: dict[str, list]) -> dict[str, Any]:
     import torch
 
-    told = " ".join(f"--{name} TABLE" for name in pairs)
+    tables = " ".join(f"--{name} TABLE" for name in pairs)
     return {
         "command": f"python -m exporters.training.translator --out RUN --seed {args.seed} "
-        f"--steps {args.steps} --people-steps {args.people_steps} {told}".rstrip(),
+        f"--steps {args.steps} --people-steps {args.people_steps} {tables}".rstrip(),
         "torch": str(torch.__version__),
         **{f"{name}_sentences": len(some) for name, some in pairs.items()},
     }

@@ -1,7 +1,7 @@
-"""Sentences made by code, each from a formula: what the small translator mostly learns from.
+"""Composed sentences with their formulas: most of the small translator's training data.
 
-`phrases.yaml` says how people put each kind of formula; here its templates are filled, joined to
-longer instructions, and worn down as speech and haste do.
+`phrases.yaml` has templates for each kind of formula. This module fills them, joins them to longer
+instructions, and adds the noise of speech and haste.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ PHRASES = Path(__file__).with_name("phrases.yaml")
 LETTERS, _AFTER = "abcde", "fghij"
 REFUSED_SHARE = 0.12
 JOINED_SHARE = 0.18
-"""Of the sentences, those that say two things one after the other."""
+"""Share of sentences that join two instructions."""
 _SLOT = re.compile(r"\{(\w+)\}")
 _CHOICE = re.compile(r"\(([^()]*)\)")
 _HOLE = re.compile(r"\$([a-e])")
 
 
 class Pair(NamedTuple):
-    """Words of an instruction whose names are lifted out, and the formula in compact tokens."""
+    """Words of a delexicalised instruction (names replaced), and the formula in compact tokens."""
 
     words: tuple[str, ...]
     tokens: tuple[str, ...]
@@ -37,7 +37,7 @@ class Pair(NamedTuple):
 
 @dataclass(slots=True)
 class Family:
-    """A kind of formula, over letters, and how it is said."""
+    """A kind of formula over letters, and its templates."""
 
     tokens: tuple[str, ...]
     weight: float
@@ -50,7 +50,7 @@ class Family:
 
 @dataclass(slots=True)
 class Phrases:
-    """The tables of `phrases.yaml`."""
+    """Tables of `phrases.yaml`."""
 
     slots: dict[str, list[str]]
     families: list[Family]
@@ -64,26 +64,26 @@ class Phrases:
 
 
 def load(path: Path = PHRASES) -> Phrases:
-    """The tables of a file."""
-    told = yaml.safe_load(path.read_text(encoding="utf-8"))
-    slots = {name: " ".join(text.split()).split("|") for name, text in told["slots"].items()}
-    for name, table in told["verbs"].items():
+    """Return the tables of a file."""
+    tables = yaml.safe_load(path.read_text(encoding="utf-8"))
+    slots = {name: " ".join(text.split()).split("|") for name, text in tables["slots"].items()}
+    for name, table in tables["verbs"].items():
         rows = [row.strip().partition("|") for row in table.replace("\n", ";").split(";")]
         rows = [row for row in rows if row[0]]
         for form, slot in enumerate(_FORMS[name]):
             slots[slot] = [f"{verbs.split()[form]} {rest}".strip() for verbs, _, rest in rows]
     families = [
         Family(tuple(row["formula"].split()), row["weight"], tuple(row["say"].splitlines()))
-        for row in told["families"]
+        for row in tables["families"]
     ]
-    return Phrases(slots, families, told["refused"].splitlines())
+    return Phrases(slots, families, tables["refused"].splitlines())
 
 
 _FORMS = {"go": ("go", "goes", "going", "gone"), "pass": ("pass", "passes", "passing", "passed")}
 
 
 class Composer:
-    """Draws pairs, the same ones for the same seed."""
+    """Draws pairs, repeatably for a seed."""
 
     def __init__(self, phrases: Phrases, rng: Random) -> None:
         self._phrases, self._rng = phrases, rng
@@ -92,7 +92,7 @@ class Composer:
         self._ban_weights = [family.weight for family in phrases.bans]
 
     def pair(self) -> Pair:
-        """One sentence and its formula."""
+        """Return one sentence and its formula."""
         rng, phrases = self._rng, self._phrases
         drawn = rng.random()
         if drawn < REFUSED_SHARE:
@@ -100,13 +100,13 @@ class Composer:
         if drawn < REFUSED_SHARE + JOINED_SHARE:
             return self._joined()
         family = rng.choices(phrases.families, self._weights)[0]
-        return lifted(self._worn(self._said(family)), family.tokens)
+        return lifted(self._noisy(self._said(family)), family.tokens)
 
     def _said(self, family: Family) -> str:
         return self.filled(self._rng.choice(family.templates))
 
     def filled(self, template: str) -> str:
-        """The template with a phrase for each slot and one of each choice."""
+        """Fill a template: a phrase for each slot, and one option of each choice."""
         rng = self._rng
         for pattern, options in ((_SLOT, self._phrases.slots.__getitem__), (_CHOICE, _split)):
             while found := pattern.search(template):
@@ -117,7 +117,7 @@ class Composer:
         return template
 
     def _joined(self) -> Pair:
-        """Two things said one after the other, in sentences of their own or not."""
+        """Return two instructions in one or two sentences."""
         rng = self._rng
         goal = rng.choices(self._phrases.goals, self._goal_weights)[0]
         other, weights = (
@@ -134,7 +134,7 @@ class Composer:
         joint = rng.choice((" . ", " . ", " , ", " , and ", " and ", " . also , ", " but "))
         if len(set(tokens) & set(LETTERS + _AFTER)) > MOST_NAMES:
             return self.pair()
-        return lifted(self._worn(f"{first}{joint}{second}"), tokens)
+        return lifted(self._noisy(f"{first}{joint}{second}"), tokens)
 
     def _refused(self) -> Pair:
         said = self.filled(self._rng.choice(self._phrases.refused))
@@ -142,10 +142,10 @@ class Composer:
             goal = self._rng.choices(self._phrases.goals, self._goal_weights)[0]
             other = _shifted(self._said(goal), Family(tuple("abc"), 0, ()), goal, False)
             said = self._rng.choice((f"{said} . {other}", f"{other} , then {said}"))
-        return lifted(self._worn(said), (REFUSED,))
+        return lifted(self._noisy(said), (REFUSED,))
 
-    def _worn(self, said: str) -> str:
-        """As it is spoken: marks left out, a word said twice, a sound of hesitation."""
+    def _noisy(self, said: str) -> str:
+        """Add the noise of speech: missing punctuation, hesitation, thanks."""
         rng = self._rng
         words = said.split()
         if rng.random() < 0.45:
@@ -161,7 +161,7 @@ class Composer:
 
 
 def lifted(said: str, tokens: Sequence[str]) -> Pair:
-    """Names numbered in the order in which they are first named, as `lift` does."""
+    """Replace names by numbered ones, in the order of their first use, as `lift` does."""
     order: dict[str, str] = {}
     words: list[str] = []
     for word in said.split():
@@ -180,7 +180,7 @@ def _split(options: str) -> list[str]:
 
 
 def _shift(tokens: Sequence[str], goal: Family, rule: Family, shared: bool) -> tuple[str, ...]:
-    """The rule's formula over other letters than the goal's, but for one they share."""
+    """Return the rule's formula over other letters than the goal's; one letter may be shared."""
     moved = dict(zip(LETTERS, _AFTER, strict=True))
     if shared:
         moved[rule.letters[0]] = goal.letters[-1]

@@ -1,4 +1,4 @@
-"""What the small translator learns: composed sentences, and what people wrote, as token ids."""
+"""Training data of the small translator: composed and human sentences as token ids."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from edge.mission.logic.ltl import Formula, propositions, renamed
 from exporters.training.translator.compose import Composer, Pair, Phrases, lifted
 
 RARE = 4
-"""Words that stand in fewer composed or human sentences are unknown."""
+"""Words in fewer sentences are unknown to the network."""
 COUNTED = 60_000
 
 
@@ -46,14 +46,14 @@ class Vocabulary:
 
 
 def vocabulary_of(phrases: Phrases, seed: int) -> Vocabulary:
-    """The words of composed sentences that are not rare."""
+    """Return the vocabulary of composed sentences, without rare words."""
     composer = Composer(phrases, Random(f"{seed} words"))
     counts = Counter(word for _ in range(COUNTED) for word in composer.pair().words)
     return _with_words(Vocabulary((*SPECIAL, *NAMES, REFUSED, *OPERATORS)), counts)
 
 
 def extended(vocabulary: Vocabulary, human: Sequence[Pair]) -> Vocabulary:
-    """With the words that people used, but for rare ones."""
+    """Return the vocabulary with the words of human sentences, without rare ones."""
     return _with_words(vocabulary, Counter(word for pair in human for word in pair.words))
 
 
@@ -64,9 +64,10 @@ def _with_words(vocabulary: Vocabulary, counts: Counter[str]) -> Vocabulary:
 
 
 def human_pairs(cases: Sequence[Case], phrases: Phrases) -> list[Pair]:
-    """What people wrote, its formulas in compact tokens; others are left out.
+    """Return human sentences with their formulas in compact tokens.
 
-    Sentences whose names are not those of their formulas are left out too.
+    A sentence is left out if its formula has no compact form, or if its names differ from its
+    formula's.
     """
     skeletons = _Skeletons(phrases)
     pairs = []
@@ -85,7 +86,7 @@ def human_pairs(cases: Sequence[Case], phrases: Phrases) -> list[Pair]:
 
 
 class _Skeletons:
-    """Finds the family whose formula means the same as another one."""
+    """Finds the family whose formula is equivalent to another formula."""
 
     def __init__(self, phrases: Phrases) -> None:
         unique = {family.tokens: family for family in phrases.families}
@@ -121,7 +122,7 @@ def _over(formula: Formula, names: Sequence[str]) -> Formula:
 
 
 def corpora(lang2ltl: Path | None, clean_up: Path | None) -> dict[str, list[Case]]:
-    """The human sentences that are there, by corpus."""
+    """Return the available human sentences, by corpus."""
     cases = {}
     if lang2ltl is not None:
         cases[LANG2LTL.lower()] = lang2ltl_cases(lang2ltl)[0]
@@ -132,7 +133,7 @@ def corpora(lang2ltl: Path | None, clean_up: Path | None) -> dict[str, list[Case
 
 @dataclass(slots=True)
 class Source:
-    """An endless row of pairs: composed ones, and a share of human ones."""
+    """Endless source of pairs: composed ones, and a share of human ones."""
 
     composer: Composer
     human: Sequence[Pair]
@@ -148,7 +149,7 @@ class Source:
                 return pair
 
     def _disturbed(self, pair: Pair) -> Pair:
-        """With a mark at its end, or without those it has."""
+        """Return the pair with a full stop added, or without its punctuation."""
         words = (
             tuple(w for w in pair.words if w not in ",.") if self.rng.random() < 0.3 else pair.words
         )
@@ -156,14 +157,14 @@ class Source:
 
 
 class Batcher:
-    """Pairs as padded tensors, of like lengths together."""
+    """Makes padded tensors of pairs with similar lengths."""
 
     def __init__(self, vocabulary: Vocabulary, unknown_share: float = 0.01) -> None:
         self._ids = vocabulary.ids()
         self._unknown_share = unknown_share
 
     def batches(self, source: Source, size: int, ahead: int = 24) -> Iterator[list[Pair]]:
-        """Endless; `ahead` batches are drawn at once and cut by length."""
+        """Yield batches endlessly; `ahead` batches are drawn at once and sorted by length."""
         while True:
             drawn = sorted((source.draw() for _ in range(size * ahead)), key=lambda p: len(p.words))
             cut = [drawn[i : i + size] for i in range(0, len(drawn), size)]
@@ -171,7 +172,7 @@ class Batcher:
             yield from cut
 
     def tensors(self, pairs: Sequence[Pair], rng: Random) -> list[tuple[Tensor, Tensor]]:
-        """Sources and targets, each (b, n) int64: to formulas, then to words."""
+        """Return sources and targets, each (b, n) int64: to formulas, then to words."""
         words = [[self._word(word, rng) for word in pair.words] for pair in pairs]
         tokens = [[self._ids[token] for token in pair.tokens] for pair in pairs]
         begin, back, end = (self._ids[token] for token in (TO_FORMULA, TO_WORDS, END))

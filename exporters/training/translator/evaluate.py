@@ -1,4 +1,4 @@
-"""How well a file translates what people wrote, by itself and after the grammar."""
+"""Evaluation of a translator file on human sentences, alone and after the grammar."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from edge.mission.translate import Translator, by_all, by_model
 from exporters.training.results import took_ms
 
 TIMED = 300
-"""Sentences that latency is measured on."""
+"""Sentences for the latency measurement."""
 
 
 def translators(path: Path) -> dict[str, Translator]:
-    """Those that use the file, by kind."""
+    """Return the translators that use the file, by kind."""
     small = by_model(SmallModel(Network.of_file(path)))
     return {"model": Translator("model", small), "auto": Translator("auto", by_all(small, None))}
 
 
 def outcomes(cases: Sequence[Case], translator: Translator) -> dict[str, int]:
-    """How many cases had each of `edge.lab.eval.translate.OUTCOMES`."""
+    """Count the cases by each of `edge.lab.eval.translate.OUTCOMES`."""
     counts = Counter(score(case, translator).outcome for case in cases)
     return {outcome: counts[outcome] for outcome in OUTCOMES}
 
 
 def latency_ms(cases: Sequence[Case], translator: Translator) -> dict[str, float]:
-    """Time a sentence, with all that is done to trust its translation."""
+    """Time one sentence, with all checks of its translation."""
     some = cases[:: max(1, len(cases) // TIMED)]
     return took_ms(lambda index: score(some[index], translator), len(some))

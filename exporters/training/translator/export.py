@@ -1,4 +1,4 @@
-"""The network as one ONNX file of INT8 weights, whose metadata has its vocabulary."""
+"""Export of the network as one ONNX file of INT8 weights, with the vocabulary in its metadata."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from exporters.training.translator.net import Decoder, Encoder, Translator
 from exporters.weight_only import quantize_weights
 
 MAX_LOGIT_ERROR = 0.5
-"""What the INT8 file's logits may differ from the network's."""
+"""Largest allowed difference of the INT8 file's logits from the network's."""
 
 
 class Halves(nn.Module):
-    """Encoder and decoder side by side, which share the table."""
+    """Encoder and decoder in one module, which share the embedding table."""
 
     def __init__(self, net: Translator) -> None:
         super().__init__()
@@ -36,7 +36,7 @@ class Halves(nn.Module):
 
 
 def inputs_of(net: Translator, words: int, tokens: int, past: int) -> dict[str, Tensor]:
-    """Random inputs of such lengths."""
+    """Return random inputs of these lengths."""
     size, rows = net.size, 2
     parts, width = 2 * size.decoder_layers, size.width // size.heads
     most = net.table.num_embeddings
@@ -55,7 +55,7 @@ def export(net: Translator, vocabulary: Vocabulary, out: Path) -> float:
         The largest difference of a logit from the network's.
 
     Raises:
-        ExportError: it differs by more than `MAX_LOGIT_ERROR`.
+        ExportError: the difference is above `MAX_LOGIT_ERROR`.
     """
     halves = Halves(net.eval())
     free = {
@@ -82,7 +82,7 @@ def export(net: Translator, vocabulary: Vocabulary, out: Path) -> float:
 
 @torch.no_grad()
 def parity(net: Translator, path: Path) -> float:
-    """The largest difference between the file's logits and the network's."""
+    """Return the largest difference between the file's logits and the network's."""
     session, halves = cpu_session(path, 1), Halves(net.eval())
     off = 0.0
     for words, tokens, past in ((3, 1, 0), (24, 1, 12), (MOST_WORDS - 1, 5, 40)):

@@ -1,9 +1,8 @@
-"""The small translator's network: a transformer that reads words and writes a formula, or reverse.
+"""Network of the small translator: a transformer from words to a formula, or the reverse.
 
 Encoder and decoder share one table of words and formula tokens (Vaswani et al., "Attention is all
-you need", 2017; with norms before the sublayers). One network does both directions, told which by
-the first token that the decoder is given: the words of a formula are how a translation is held
-against the sentence that it came from.
+you need", 2017; with norms before the sublayers). One network does both directions; the decoder's
+first token selects one. The reverse direction is used to check a translation against its sentence.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ MASKED = -1e4
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Of the network: width, heads, layers, and the most tokens on either side."""
+    """Size of the network: width, heads, layers, and the most tokens on either side."""
 
     width: int = 128
     heads: int = 4
@@ -30,7 +29,7 @@ class Size:
 
 
 class Attention(nn.Module):
-    """Attention of several heads; keys and values (b, heads, n, d) may come from elsewhere."""
+    """Multi-head attention; keys and values (b, heads, n, d) may come from another sequence."""
 
     def __init__(self, size: Size) -> None:
         super().__init__()
@@ -41,11 +40,11 @@ class Attention(nn.Module):
         self.out = nn.Linear(size.width, size.width)
 
     def keys_and_values(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """(b, n, width) → two (b, heads, n, width / heads)."""
+        """Map (b, n, width) to two (b, heads, n, width / heads)."""
         return self._split(self.key(x)), self._split(self.value(x))
 
     def forward(self, x: Tensor, keys: Tensor, values: Tensor, mask: Tensor | None) -> Tensor:
-        """`mask` is added to the scores (b or 1, 1, n or 1, m)."""
+        """Attend to keys and values; `mask` is added to the scores (b or 1, 1, n or 1, m)."""
         query = self._split(self.query(x))
         scores = query @ keys.transpose(-1, -2) / math.sqrt(query.shape[-1])
         if mask is not None:
@@ -88,7 +87,7 @@ class DecoderLayer(nn.Module):
         self, x: Tensor, past: tuple[Tensor, Tensor] | None, causal: Tensor,
         across: tuple[Tensor, Tensor], mask: Tensor | None,
     ) -> tuple[Tensor, tuple[Tensor, Tensor]]:  # fmt: skip
-        """What becomes of `x`, and keys and values with those of the past before them."""
+        """Return the new `x`, and its keys and values appended to those of the past."""
         y = self.norms[0](x)
         own = self.attention.keys_and_values(y)
         if past is not None:
@@ -99,7 +98,7 @@ class DecoderLayer(nn.Module):
 
 
 class Translator(nn.Module):
-    """Both directions; see `Encoder` and `Decoder` for the two files it becomes."""
+    """Both directions; see `Encoder` and `Decoder` for the two exported parts."""
 
     def __init__(self, tokens: int, size: Size) -> None:
         super().__init__()
@@ -119,7 +118,7 @@ class Translator(nn.Module):
         return self.drop(self.table(tokens) * scale + self.places(places))
 
     def encode(self, source: Tensor, mask: Tensor | None = None) -> list[tuple[Tensor, Tensor]]:
-        """`source` (b, n) → keys and values of every decoder layer's attention across."""
+        """Map `source` (b, n) to keys and values of every decoder layer's cross-attention."""
         x = self.embedded(source)
         for layer in self.encoder:
             x = layer(x, mask)
@@ -127,7 +126,7 @@ class Translator(nn.Module):
         return [layer.across.keys_and_values(x) for layer in self.decoder]
 
     def forward(self, source: Tensor, target: Tensor, padding: int) -> Tensor:
-        """Logits (b, m, tokens) of what follows each token of `target` (b, m)."""
+        """Return logits (b, m, tokens) of the token after each token of `target` (b, m)."""
         mask = torch.where(source == padding, MASKED, 0.0)[:, None, None, :]
         across = self.encode(source, mask)
         n = target.shape[1]
@@ -139,7 +138,7 @@ class Translator(nn.Module):
 
 
 class Encoder(nn.Module):
-    """`source` (1, n) int64 → `across` (2 x layers, 1, heads, n, d): what the decoder looks at."""
+    """`source` (1, n) int64 → `across` (2 x layers, 1, heads, n, d), for the cross-attention."""
 
     def __init__(self, net: Translator) -> None:
         super().__init__()
@@ -150,8 +149,11 @@ class Encoder(nn.Module):
 
 
 class Decoder(nn.Module):
-    """`target` (b, m) int64, `past` (2 x layers, b, heads, p, d) and `across` → `logits`
-    (b, m, tokens), and `present`, the past with this before the next call."""
+    """Decoder step with a cache.
+
+    Inputs: `target` (b, m) int64, `past` (2 x layers, b, heads, p, d) and `across`. Outputs:
+    `logits` (b, m, tokens), and `present`, the `past` of the next call.
+    """
 
     def __init__(self, net: Translator) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The training loop: composed sentences first, what people wrote beside them towards the end."""
+"""Training loop of the translator: composed sentences first, then also human ones."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from exporters.training.translator.net import Size, Translator
 log = logging.getLogger(__name__)
 
 CLIP = 1.0
-"""Norm that gradients have at most."""
+"""Largest norm of the gradients."""
 SMOOTHING = 0.05
-"""Of the right tokens: what is ambiguous is to stay so."""
+"""Label smoothing, so that ambiguous sentences keep a low confidence."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How long and how fast to learn; a step takes `pairs` sentences in both directions.
+    """Length and learning rates of a run; a step takes `pairs` sentences in both directions.
 
     Attributes:
-        human: share of sentences that people wrote.
+        human: share of human sentences.
     """
 
     steps: int
@@ -52,13 +52,18 @@ def train(
     phrases: Phrases, human: Sequence[Pair], vocabulary: Vocabulary, plan: Plan, checkpoint: Path,
     start: Translator | None = None,
 ) -> Translator:  # fmt: skip
-    """Train, or go on from `checkpoint`; returns the averaged weights.
+    """Train, or continue from `checkpoint`; return the averaged weights.
 
     Args:
-        start: what is learned on from, in place of a network that knows nothing.
+        phrases: tables of composed sentences.
+        human: human sentences.
+        vocabulary: tokens of the network.
+        plan: length and learning rates.
+        checkpoint: file to continue from and to write.
+        start: network to start from; None for a random one.
 
     Raises:
-        ExportError: `checkpoint` is of another run, or none.
+        ExportError: `checkpoint` is of another run, or is no checkpoint.
     """
     torch.manual_seed(plan.seed)
     net = Translator(len(vocabulary.tokens), Size())
@@ -89,7 +94,7 @@ def train(
 
 
 def has_bfloat16() -> bool:
-    """Whether the processor multiplies in bfloat16, which takes half the time here."""
+    """Return True if the processor multiplies in bfloat16, which halves the time here."""
     capabilities = getattr(torch.cpu, "get_capabilities", dict)  # not in older PyTorch
     return bool(capabilities().get("avx512_bf16", False))
 

@@ -208,7 +208,7 @@ def test_frames_of_a_folder(tmp_path):
     assert (len(got.rgb), got.truth) == (1, None)
     assert got.rgb[0][0, 0].tolist() == pytest.approx([254, 0, 0], abs=2)
     (tmp_path / "0.png").write_bytes(b"no picture")
-    with pytest.raises(UserError, match=r"0\.png: not an image"):
+    with pytest.raises(UserError, match=r"0\.png: not a readable image"):
         frames.from_folder(tmp_path, 5)
 
 
@@ -307,7 +307,7 @@ def test_without_cards_it_says_which_families_there_are(place, capsys, tmp_path)
     assert cli.main(words) == os.EX_DATAERR  # its detector is no model
     assert "name a family (choices: tiny)" in capsys.readouterr().err
     assert bench("tiny", "--providers", "cpu,tpu") == os.EX_DATAERR
-    assert "'tpu' is not here (choices: cpu" in capsys.readouterr().err
+    assert "no 'tpu' here (choices: cpu" in capsys.readouterr().err
 
 
 def test_where_nothing_can_run_every_row_says_why_and_the_exit_code_is_1(place, capsys):
@@ -351,7 +351,7 @@ def test_every_variant_is_a_row_of_its_own_kept_and_written_to_its_card(place, t
     assert int8["agreement"]["score_error"] == pytest.approx(1 - less_sure / sure, abs=1e-3)
 
     out = capsys.readouterr().out
-    assert max(map(len, out.split("kept in")[0].splitlines()[:8])) <= 120
+    assert max(map(len, out.split("saved to")[0].splitlines()[:8])) <= 120
     assert "crash" in out
     (own,) = (resources.cache_dir() / "bench").iterdir()
     assert own.name.startswith("tiny-20")

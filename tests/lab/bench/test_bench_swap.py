@@ -50,7 +50,7 @@ def bench(monkeypatch):
 def test_nothing_is_asked_before_anything_is_seen(bench):
     bench.beat()
     assert bench.swapper.asked == []
-    with pytest.raises(UserError, match="the swap to new is idle at the end: give it more"):
+    with pytest.raises(UserError, match="the swap to new is still idle at the end: use more"):
         bench.figures()
 
 

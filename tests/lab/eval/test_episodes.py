@@ -50,7 +50,7 @@ def test_of_several_worlds_one_with_a_blocked_start_is_left_out_and_told(tmp_pat
     worlds = [blocked(tmp_path).sim.world.model_dump(), {"kind": "house", "house": "demo"}]
     planned = plan(HOUSE, worlds, ["bed"], 1, 0, 2.0)
     assert [e.world["house"] for e in planned] == ["demo"]
-    assert "left out: blocked: no free space" in caplog.text
+    assert "world skipped: blocked: no free space" in caplog.text
 
 
 def test_of_several_worlds_each_gives_what_it_has(tmp_path):
@@ -61,7 +61,7 @@ def test_of_several_worlds_each_gives_what_it_has(tmp_path):
     assert by_world["d"] == ["bed", "television", "sofa"]
     assert by_world["s"] == ["bed", "sofa"]  # it has no television
     assert {e.world["house"] for e in planned} == {"demo", small["house"]}
-    with pytest.raises(UserError, match="none of the worlds"):
+    with pytest.raises(UserError, match="no world has any"):
         plan(HOUSE, worlds, ["bathtub", "bed"], 1, 0, 90.0)
 
 
@@ -86,7 +86,7 @@ def test_missions_are_planned_in_each_world():
         assert episode.target is None
         assert episode.instruction.startswith("Reach")
         assert episode.shortest_m >= 4.0
-    with pytest.raises(UserError, match="none of the worlds has two"):
+    with pytest.raises(UserError, match="no world has two"):
         episodes.plan_missions(config, [], ["unicorn"], 3, 0, 4.0)
 
 
@@ -147,7 +147,7 @@ def test_files_that_are_none_are_refused(tmp_path):
         read(tmp_path / "nowhere.jsonl")
     path = tmp_path / "twice.jsonl"
     path.write_text(2 * (json.dumps(EPISODE) + "\n"))
-    with pytest.raises(UserError, match="line 2: a second a"):
+    with pytest.raises(UserError, match="line 2: duplicate id a"):
         read(path)
     path.write_text("{")
     with pytest.raises(UserError, match="line 1: not an episode: not JSON"):

@@ -78,8 +78,8 @@ def cut(path, n):
 
 BROKEN = {
     "no calibration": (lambda f: (f / "calib.txt").unlink(), r"calib\.txt: cannot be read"),
-    "no P2": (lambda f: (f / "calib.txt").write_text(f"Tr: {TR}\n"), r"calib\.txt: no P2"),
-    "no Tr": (lambda f: (f / "calib.txt").write_text(f"P2: {IDENTITY}\n"), r"calib\.txt: no Tr"),
+    "no P2": (lambda f: (f / "calib.txt").write_text(f"Tr: {TR}\n"), "a line `P2:`"),
+    "no Tr": (lambda f: (f / "calib.txt").write_text(f"P2: {IDENTITY}\n"), "a line `Tr:`"),
     "words for numbers": (lambda f: (f / "calib.txt").write_text("P2: a b\n"), "P2: not 12"),
     "short poses": (lambda f: (f / "poses.txt").write_text("1 0 0\n"), r"poses\.txt: not a table"),
     "no poses": (lambda f: (f / "poses.txt").write_text(""), r"poses\.txt: not a table"),
@@ -91,7 +91,7 @@ BROKEN = {
         lambda f: (f / "image_2/000000.png").write_bytes(b""), r"000000\.png: not an image",
     ),
     "a scan cut off": (
-        lambda f: cut(f / "velodyne/000000.bin", 30), r"\.bin: 30 bytes are no rows",
+        lambda f: cut(f / "velodyne/000000.bin", 30), r"\.bin: 30 bytes are not rows",
     ),
     "labels of another": (
         lambda f: cut(f / "labels/000000.label", 40), "230 points, but 10 labels",
@@ -110,7 +110,7 @@ BROKEN = {
     ),
     "a pose out of this world": (
         lambda f: (f / "poses.txt").write_text(f"{IDENTITY}\n".replace("0 0 1 0", "0 0 1 1e30")),
-        r"poses\.txt: line 1: not a rotation and a place within 1000 km",
+        r"poses\.txt: line 1: not a rotation and a translation within 1000 km",
     ),
     "binary calibration": (lambda f: (f / "calib.txt").write_bytes(b"\xff"), "not a text file"),
 }  # fmt: skip

@@ -106,7 +106,7 @@ def test_prefix(text: str, infix: str) -> None:
 
 @pytest.mark.parametrize("text", ["", "& a", "a b", "F a F"])
 def test_what_is_no_prefix(text: str) -> None:
-    with pytest.raises(ValueError, match=r"lacks an operand|formulas"):
+    with pytest.raises(ValueError, match=r"lacks an operand|expected one formula"):
         translate.from_prefix(text)
 
 

@@ -102,7 +102,7 @@ def test_a_process_that_falls_over_fails_its_episode_only(tasks, monkeypatch):
     assert [(o.target, o.success) for o in outcomes] == [
         ("bed", True), ("sofa", False), ("sofa", False),
     ]  # fmt: skip
-    assert outcomes[1].reason == "crashed: its process ended (exit code 7)"
+    assert outcomes[1].reason == "crashed: its worker process ended (exit code 7)"
     assert len(started) == 2
 
 
@@ -228,14 +228,14 @@ def test_a_plan_is_written_and_run_in_columns(yaml_path, tmp_path, capsys):
     capsys.readouterr()
     assert main([*run, "--column", "hvl", "policy.w_dist=1.5"]) == 0
     printed = capsys.readouterr().out
-    assert "hvl: its settings have changed; 1 outcomes of before do not count" in printed
+    assert "hvl: settings changed; 1 earlier outcomes are ignored" in printed
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (["--targets", " , "], "--targets: name at least one"),
-        (["--column", "a", "--column", "a"], "--column a: there is a column of that name"),
+        (["--column", "a", "--column", "a"], "--column a: this name is used twice"),
         (["--column", "a", "policy.kind=b"], "unknown 'b'"),
         (["--episodes", "nowhere.jsonl"], "nowhere.jsonl"),
         (["--worlds", "demo"], "--worlds demo: not understood"),

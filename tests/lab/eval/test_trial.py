@@ -84,13 +84,13 @@ def test_the_command_leaves_pictures_page_and_trajectory(tmp_path, capsys):
 def test_what_cannot_be_reached_is_told(tmp_path, capsys):
     code, _ = trajectory(tmp_path, "street:3", "go straight for 300 metres")
     assert code == os.EX_DATAERR
-    assert "the way straight on is blocked" in capsys.readouterr().err
+    assert "the path straight on is blocked" in capsys.readouterr().err
 
 
 def test_the_detector_of_the_configuration_looks_for_what_is_named(tmp_path, capsys):
     code, _ = trajectory(tmp_path, "street:3", "go to the red car", "--objects", "detector")
     assert code == os.EX_OK
-    assert "by the simulated detector" in capsys.readouterr().out
+    assert "from the simulated detector" in capsys.readouterr().out
 
 
 def test_a_detector_needs_an_image_and_a_scan_and_no_labels(tmp_path, capsys, monkeypatch):
@@ -103,7 +103,7 @@ def test_a_detector_needs_an_image_and_a_scan_and_no_labels(tmp_path, capsys, mo
     code, out = trajectory(tmp_path, str(folder), "go straight for 8 metres", *options)
     said = capsys.readouterr()
     assert code == os.EX_OK, said.err
-    assert "0 things by mini-house-256x320-int8-cpu, 1 regions of ground" in said.out
+    assert "0 objects from mini-house-256x320-int8-cpu, 1 regions of ground" in said.out
     poses = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))["poses"]
     np.testing.assert_allclose(poses[-1][:2], (8.0, 0.0), atol=0.3)
 
@@ -117,7 +117,7 @@ def test_a_chain_of_ones_own_sees_in_place_of_the_detector(tmp_path, capsys, mon
     code, out = trajectory(tmp_path, str(folder), "go to the mailbox", *options)
     said = capsys.readouterr()
     assert code == os.EX_OK, said.err
-    assert "1 things by own_chain:make" in said.out
+    assert "1 objects from own_chain:make" in said.out
     assert "a yellow box, " in said.out
     end = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))["poses"][-1]
     assert np.hypot(end[0] - 10.0, end[1]) < 2.5
@@ -149,13 +149,13 @@ def test_a_chain_that_is_none_is_one_line(tmp_path, capsys, monkeypatch, chain, 
 WRONG = {
     "no such place": (["nowhere", "go to the car"], os.EX_DATAERR, "nowhere: no frame with"),
     "no number of a street": (["street:-1", "go to the car"], os.EX_DATAERR,
-                              "street:-1: no street; give it a number, as street:3"),
+                              "street:-1: not a street; give a number, such as street:3"),
     "frames of a street": (["street:3", "go to the car", "--frames", "1"], os.EX_DATAERR,
-                           "street:3: it has no frames"),
+                           "street:3: a street has no frames"),
     "no such configuration": (["street:3", "go to the car", "--config", "x.yaml"], os.EX_CONFIG,
                               "x.yaml"),
     "a robot without a LiDAR": (["street:3", "go to the car", "--config", "demo"], os.EX_DATAERR,
-                                "sensors.lidar: a street is seen with a LiDAR"),
+                                "sensors.lidar: a street needs a LiDAR"),
     "no URL": (["street:3", "go to the car", "--url", "ftp://x"], os.EX_UNAVAILABLE,
                "not the URL of a chat server: 'ftp://x'"),
 }  # fmt: skip
@@ -173,7 +173,7 @@ def test_what_cannot_be_used_is_one_line(tmp_path, capsys, case):
 def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys):
     (tmp_path / "out").write_text("a file")
     assert trajectory(tmp_path, "nowhere", "go to the car")[0] == os.EX_IOERR
-    assert "out: cannot be written: File exists: give another --out" in capsys.readouterr().err
+    assert "out: cannot be written: File exists: choose another --out" in capsys.readouterr().err
 
 
 def test_a_model_leaves_what_it_was_told_and_what_it_said(tmp_path, capsys):

@@ -73,7 +73,7 @@ def unpacked(text: str, dtype: str) -> np.ndarray:
 
 def test_an_empty_scene_is_a_page():
     html = scene_page("nothing", empty(), [], "a machine")
-    assert "Nothing was found." in html
+    assert "No objects were found." in html
     data = data_of(html)
     assert (data["boxes"], data["lines"], data["poses"]) == ([], [], [])
     assert unpacked(data["cloud"]["xyz_cm"], "<i2").size == 0

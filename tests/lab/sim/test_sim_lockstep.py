@@ -44,7 +44,7 @@ class Bus:
 @pytest.mark.parametrize("late", [1, 3])
 def test_in_lockstep_the_clock_stands_still_until_somebody_answers(monkeypatch, caplog, late):
     stop = threading.Event()
-    for limit in ("REPEAT_S", "TOLD_S", "_POLL_S"):
+    for limit in ("REPEAT_S", "WARN_AFTER_S", "_POLL_S"):
         monkeypatch.setattr(process, limit, 0.0)
     monkeypatch.setattr(process, "make_rigs", lambda *_: [])
     drive, bus = Drive(stop, 1), Bus(late)

@@ -188,7 +188,7 @@ def test_rasterise_triangles_covers_a_dense_sampling(seed: int):
     ("mesh", "objects", "message"),
     [
         (None, "[]", "sim.world.mesh: no such file"),
-        (b"not a mesh", "[]", "not a mesh that can be read"),
+        (b"not a mesh", "[]", "not a readable mesh"),
     ],
 )
 def test_bad_files_give_one_clear_line(tmp_path: Path, mesh, objects, message):

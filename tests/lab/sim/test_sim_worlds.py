@@ -183,7 +183,7 @@ BAD_HOUSES = {
             {"category": "box", "at": [0, 0], "size": [1, -1, 1]}]}),
         r"objects\.0\.size\.1",
     ),
-    "nothing in it": (json.dumps({"name": "x", "start": [0, 0, 0]}), "nothing in it"),
+    "nothing in it": (json.dumps({"name": "x", "start": [0, 0, 0]}), "the world is empty"),
     "a list": ("[]", "top"),
 }  # fmt: skip
 

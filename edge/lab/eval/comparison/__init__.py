@@ -1,4 +1,4 @@
-"""What episodes tell of the columns that ran them: figures with intervals, tables, plots, a page.
+"""Comparison of experiment arms: figures with intervals, tables, plots, and a page.
 
-It reads records of outcomes, and the worlds that they name; it runs no episode itself.
+It reads records of outcomes and loads their worlds. It runs no episode.
 """

@@ -1,4 +1,4 @@
-"""Records of outcomes as arrays: a row a column, an entry an episode, the same for all columns."""
+"""Records of outcomes as arrays: one row for each arm, one entry for each episode."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from edge.text import one_line, read_json_object
 OTHER = "other"
 
 Record = dict[str, Any]
-"""What a line of `outcomes.jsonl` says of one episode of one column."""
+"""A line of `outcomes.jsonl`: one episode with one arm."""
 
 
 def _p95(record: Record, key: str) -> float | None:
@@ -27,7 +27,7 @@ def _p95(record: Record, key: str) -> float | None:
     return times.get("p95") if isinstance(times, dict) else times
 
 
-# What is NaN where a record does not have it, or has null.
+# By name, the reader of a record's number. A missing number or null becomes NaN.
 NUMBERS: dict[str, Callable[[Record], Any]] = {
     "success": lambda r: r["success"],
     "path_m": lambda r: r["path_m"],
@@ -47,20 +47,22 @@ NUMBERS: dict[str, Callable[[Record], Any]] = {
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """Outcomes of columns on episodes.
+    """Outcomes of C arms on E episodes.
 
     Attributes:
-        columns, episodes: their names; C columns in the order in which they came, E episodes
-            sorted, so that nothing depends on who ran them or when.
-        world, kind, target: (E,) str; `target` is empty for a mission with several.
-        rooms: (E,) float64, of the world; NaN where that is not known (`with_rooms`).
+        columns: names of the arms, in the order of the records.
+        episodes: ids, sorted, so that the order of the runs does not matter.
+        world: (E,) str.
+        kind: (E,) str, kind of world.
+        target: (E,) str; "" for a mission with several targets.
+        rooms: (E,) float64, number of rooms of the world; NaN if unknown (`with_rooms`).
         shortest_m: (E,) float64.
-        ran: (C, E) bool: whether there is a record.
-        numbers: of `NUMBERS`, each (C, E) float64, NaN where there is none.
-        failure: (C, E) str: one of FAILURES or OTHER, empty for a success or where nothing ran.
-        records: by (column, episode) as indices.
-        passed_over: records that a newer one of the same column and episode replaces, or that are
-            of a column's earlier settings.
+        ran: (C, E) bool, True if there is a record.
+        numbers: by name of `NUMBERS`, (C, E) float64, NaN if there is none.
+        failure: (C, E) str, one of FAILURES or OTHER; "" for a success or without a record.
+        records: by (arm, episode) as indices.
+        passed_over: number of ignored records: a newer one of the same arm and episode exists, or
+            they are of earlier settings of an arm.
     """
 
     columns: tuple[str, ...]
@@ -77,22 +79,21 @@ class Outcomes:
     passed_over: int = 0
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """(C, E) of a number by its name."""
+        """Return (C, E) float64 of a number, by its name."""
         return self.numbers[name]
 
     @property
     def success(self) -> np.ndarray:
-        """(C, E) bool; False where nothing ran."""
+        """(C, E) bool; False without a record."""
         return self.numbers["success"] == 1.0
 
 
 def read(path: Path) -> list[Record]:
-    """The records of a file; a last line without its end, which a broken-off run leaves, is not
-    one.
+    """Read the records of a file. A last line without its end, from an interrupted run, is ignored.
 
     Raises:
-        FileError: it cannot be read.
-        UserError: a line is no record.
+        FileError: the file cannot be read.
+        UserError: a line is not a record.
     """
     try:
         content = read_regular(path, MAX_BYTES)
@@ -112,9 +113,10 @@ def read(path: Path) -> list[Record]:
 
 
 def _checked(record: Record) -> Record:
-    """
+    """Return the record if it is valid.
+
     Raises:
-        KeyError, TypeError, ValueError: something is missing, or is no number.
+        KeyError, TypeError, ValueError: a field is missing or wrong.
     """
     for key in ("episode", "column", "world", "kind"):
         if not isinstance(record[key], str):
@@ -129,11 +131,12 @@ def _checked(record: Record) -> Record:
 
 
 def gather(records: Iterable[Record]) -> Outcomes:
-    """Records as arrays; of several of the same column and episode the last counts, and only the
-    newest settings of a column.
+    """Return records as arrays.
+
+    The last record of an arm and episode counts, and only the newest settings of an arm.
 
     Raises:
-        UserError: an episode has another target or shortest way in another column.
+        UserError: two arms have different targets or shortest paths for one episode.
     """
     records = list(records)
     settings = {r["column"]: r.get("column_id") for r in records}
@@ -145,7 +148,7 @@ def gather(records: Iterable[Record]) -> Outcomes:
     about: list[Record] = [{} for _ in episodes]
     for (_, e), record in at.items():
         _agree(about[e], record)
-        # What crashed may not know the name of its world.
+        # The record of a crash may lack the name of the world.
         about[e] = about[e] if record.get("failure") == "crashed" and about[e] else record
     shape = len(columns), len(episodes)
     numbers = {name: np.full(shape, np.nan) for name in NUMBERS}
@@ -180,14 +183,14 @@ def _agree(one: Record, other: Record) -> None:
 
 
 def with_rooms(outcomes: Outcomes, rooms: Mapping[str, int | None]) -> Outcomes:
-    """The same, told how many rooms worlds have, by name."""
+    """Return the outcomes with the number of rooms of each world, given by name."""
     counts = [rooms.get(name) for name in outcomes.world.tolist()]
     known = np.array([math.nan if n is None else float(n) for n in counts])
     return replace(outcomes, rooms=known)
 
 
 def natural(text: str) -> list[tuple[int, Any]]:
-    """A key that sorts numbers within texts as numbers.
+    """Return a sort key that compares numbers within texts as numbers.
 
     >>> sorted(["val-10", "val-9"], key=natural)
     ['val-9', 'val-10']
@@ -197,12 +200,13 @@ def natural(text: str) -> list[tuple[int, Any]]:
 
 
 def clusters(outcomes: Outcomes, at_least: int = 10) -> tuple[np.ndarray, str]:
-    """What is resampled for intervals: worlds, for episodes of one house are not independent.
+    """Return what the bootstrap resamples: worlds, as episodes of one world are not independent.
 
-    With fewer than `at_least` worlds it is episodes: such intervals say nothing of other worlds.
+    With fewer than `at_least` worlds, episodes are resampled. Such intervals do not generalise to
+    other worlds.
 
     Returns:
-        (E,) int, and what it counts: "world" or "episode".
+        (E,) int, and its unit: "world" or "episode".
     """
     worlds, index = np.unique(outcomes.world, return_inverse=True)
     if len(worlds) >= at_least:
@@ -211,10 +215,10 @@ def clusters(outcomes: Outcomes, at_least: int = 10) -> tuple[np.ndarray, str]:
 
 
 def baseline_of(outcomes: Outcomes, name: str | None) -> int:
-    """The index of the column that others are held against: by default the first.
+    """Return the index of the baseline arm; by default the first.
 
     Raises:
-        UserError: there is no such column.
+        UserError: there is no such arm.
     """
     columns: Sequence[str] = outcomes.columns
     if name is None:

@@ -1,6 +1,6 @@
-"""One self-contained page of a comparison: its tables, its plots, and every trail on its map.
+"""One self-contained page of a comparison: tables, plots, and every trail on its map.
 
-The maps are in the page as they stand; a few lines of script sort and filter them.
+The maps are static. A short script sorts and filters them.
 """
 
 from __future__ import annotations
@@ -23,11 +23,13 @@ from edge.text import one_line
 
 
 def html(comparison: Comparison, drawings: Mapping[str, Drawing], title: str, machine: str) -> str:
-    """The page as text.
+    """Build the page.
 
     Args:
-        drawings: by world; the trails of a world without one are drawn without a floor plan.
+        comparison: the figures.
+        drawings: by world; a world without one gets trails without a floor plan.
         title: plain text.
+        machine: description of the computer.
     """
     outcomes = comparison.outcomes
     n, worlds = len(outcomes.episodes), len(set(outcomes.world.tolist()))
@@ -71,7 +73,7 @@ def _trails(comparison: Comparison, drawings: Mapping[str, Drawing]) -> str:
 
 
 def _episode(comparison: Comparison, e: int, spl: np.ndarray, grounds: Mapping[str, Ground]) -> str:
-    """A row: what was asked for, and a map a column."""
+    """Build the row of an episode: its task, and a map for each arm."""
     outcomes = comparison.outcomes
     columns = range(len(outcomes.columns))
     records = {c: outcomes.records[c, e] for c in columns if outcomes.ran[c, e]}
@@ -97,7 +99,7 @@ def _episode(comparison: Comparison, e: int, spl: np.ndarray, grounds: Mapping[s
 
 
 def _numbers(values: Sequence[float]) -> str:
-    """Joined by commas; nothing for NaN."""
+    """Join numbers with commas; NaN gives an empty text."""
     return ",".join("" if math.isnan(v) else f"{v:.4g}" for v in values)
 
 
@@ -105,12 +107,12 @@ def _legend() -> str:
     ramp = ", ".join(trails.RAMP)
     return (
         '<p class="note legend"><svg viewBox="-8 -8 16 16"><circle class="start" r="5"/></svg>'
-        f'start <i style="background:linear-gradient(90deg,{ramp})"></i> the way, first to last '
+        f'start <i style="background:linear-gradient(90deg,{ramp})"></i> path from start to end '
         '<svg viewBox="-8 -8 16 16"><circle class="seen" r="5"/></svg>target first in view '
         '<svg viewBox="-8 -8 16 16"><path class="g f" d="M0 0h0"/></svg>frontier goal '
         '<svg viewBox="-8 -8 16 16"><path class="g i" d="M0 0h0"/></svg>goal at a thing '
         '<svg viewBox="-8 -8 16 16"><rect class="thing" x="-6" y="-5" width="12" height="10"/>'
-        "</svg>what was asked for. A click makes a map larger.</p>"
+        "</svg>target. Click a map to enlarge it.</p>"
     )
 
 
@@ -120,8 +122,8 @@ def _controls(comparison: Comparison) -> str:
     targets = sorted({t for t in outcomes.target.tolist() if t})
     kinds = [k for k in (*FAILURES, OTHER) if any(f[k] for f in comparison.failures.values())]
     orders = (
-        ("", "as planned"), ("difference", "SPL of A less B"), ("spl", "SPL of A"),
-        ("path", "path of A"), ("shortest", "shortest way"),
+        ("", "as planned"), ("difference", "SPL of A minus B"), ("spl", "SPL of A"),
+        ("path", "path of A"), ("shortest", "shortest path"),
     )  # fmt: skip
     outcome = (
         ("", "any"), ("failed", "A failed"), ("reached", "A succeeded"),

@@ -26,10 +26,11 @@ WIDTH_IN = 7.6
 MAX_NAME = 32
 BINS = 5
 MIN_A_BIN = 8
-BUDGETS = 8.0  # times the shortest way, the end of the axis
+BUDGETS = 8.0  # end of the axis, in lengths of the shortest path
 
 
 def rates(comparison: Comparison) -> Figure:
+    """Plot SPL and success rate of each arm."""
     names = comparison.outcomes.columns
     figure, (left, right) = canvas.plots((WIDTH_IN, 0.9 + 0.34 * len(names)), DPI, 2)
     for axes, key, title, scale in ((left, "spl", "SPL", 1.0), (right, "sr", "SR, %", 100.0)):
@@ -43,6 +44,7 @@ def rates(comparison: Comparison) -> Figure:
 
 
 def differences(comparison: Comparison) -> Figure:
+    """Plot the paired differences of SPL against the baseline."""
     outcomes, pairs = comparison.outcomes, comparison.pairs
     figure, (axes,) = canvas.plots((WIDTH_IN, 1.1 + 0.34 * len(pairs)), DPI, 1)
     rows = [outcomes.columns.index(pair.column) for pair in pairs]
@@ -50,11 +52,12 @@ def differences(comparison: Comparison) -> Figure:
     _forest(axes, [pair.spl for pair in pairs], rows, 1.0, 3, "+")
     _names(axes, [f"{shorten(p.column, MAX_NAME)} (n {p.n})" for p in pairs])
     base = shorten(outcomes.columns[comparison.baseline], MAX_NAME)
-    _title(axes, f"SPL less that of {base}, same episodes")
+    _title(axes, f"SPL minus that of {base}, same episodes")
     return figure
 
 
 def distances(comparison: Comparison) -> Figure:
+    """Plot SPL over the length of the shortest path."""
     outcomes = comparison.outcomes
     figure, (axes,) = canvas.plots((WIDTH_IN, 3.8), DPI, 1)
     bins = _bins(outcomes.shortest_m)
@@ -66,17 +69,19 @@ def distances(comparison: Comparison) -> Figure:
         for inside in bins
     ]
     for c in range(len(outcomes.columns)):
-        shift = 1.0 + 0.012 * (c - (len(outcomes.columns) - 1) / 2)  # whiskers beside each other
+        # Shift each arm, so that whiskers do not overlap.
+        shift = 1.0 + 0.012 * (c - (len(outcomes.columns) - 1) / 2)
         _curve(axes, [shift * m for m in middles], [row[c] for row in found], c, outcomes)
     axes.set_ylim(0.0, 1.0)
-    axes.set_xlabel("shortest way, m (median of each fifth of the episodes)"
-                    if len(bins) == BINS else "shortest way, m (medians)")  # fmt: skip
-    _title(axes, "SPL by the length of the shortest way")
+    axes.set_xlabel("shortest path, m (median of each fifth of the episodes)"
+                    if len(bins) == BINS else "shortest path, m (medians)")  # fmt: skip
+    _title(axes, "SPL by the length of the shortest path")
     _legend(axes)
     return figure
 
 
 def budget(comparison: Comparison) -> Figure:
+    """Plot the share of episodes that succeed within a path budget."""
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
     outcomes = comparison.outcomes
@@ -93,15 +98,17 @@ def budget(comparison: Comparison) -> Figure:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_ylim(0.0, 101.0)
-    axes.set_xlabel("path budget, times the shortest way")
+    axes.set_xlabel("path budget, in lengths of the shortest path")
     _title(axes, "Episodes that succeed within a path budget, %")
     _legend(axes)
     return figure
 
 
 def within_budget(outcomes: Outcomes, column: int, budgets: np.ndarray) -> np.ndarray:
-    """(n,) share of a column's episodes that succeeded with a path of at most so many times the
-    shortest way."""
+    """Return (n,) share of an arm's episodes that succeed within each path budget.
+
+    A budget is a factor on the length of the shortest path.
+    """
     ran = outcomes.ran[column]
     shortest = np.maximum(outcomes.shortest_m[ran], 1e-9)
     needed = np.where(
@@ -112,7 +119,7 @@ def within_budget(outcomes: Outcomes, column: int, budgets: np.ndarray) -> np.nd
 
 
 def _bins(shortest_m: np.ndarray) -> list[np.ndarray]:
-    """(E,) bool each: fifths of the episodes by distance; fewer where they are few."""
+    """Return (E,) bool masks: fifths of the episodes by distance; fewer for few episodes."""
     n = max(1, min(BINS, len(shortest_m) // MIN_A_BIN))
     order = np.argsort(shortest_m, kind="stable")
     bins = []
@@ -125,17 +132,17 @@ def _bins(shortest_m: np.ndarray) -> list[np.ndarray]:
 
 PLOTS: dict[str, tuple[Callable[[Comparison], Figure], str]] = {
     "rates": (rates, "SPL and success rate of each column, with 95 % intervals"),
-    "differences": (differences, "SPL of each column less the baseline's, on the same episodes"),
-    "distances": (distances, "SPL against the length of the shortest way"),
+    "differences": (differences, "SPL of each column minus the baseline's, on the same episodes"),
+    "distances": (distances, "SPL over the length of the shortest path"),
     "budget": (budget, "Share of episodes that succeed within a path budget"),
 }
-"""By name: what draws it from a comparison, and what it shows."""
+"""By name: the function that plots a comparison, and a description."""
 
 
 def images(comparison: Comparison, kind: str) -> dict[str, bytes]:
-    """Return the content of each plot's "svg" or "png" file, by its name.
+    """Return the content of each plot as "svg" or "png", by name.
 
-    There is none where nothing ran, and no difference of a single column.
+    Without any record there is no plot, and without a second arm no plot of differences.
     """
     if not comparison.outcomes.ran.any():
         return {}
@@ -144,7 +151,7 @@ def images(comparison: Comparison, kind: str) -> dict[str, bytes]:
 
 
 def write(comparison: Comparison, directory: Path, kinds: tuple[str, ...]) -> list[Path]:
-    """Write every plot in each kind, "svg" or "png"; returns the files.
+    """Write every plot in each format ("svg", "png") and return the files.
 
     Raises:
         OSError: a file cannot be written.
@@ -157,7 +164,7 @@ def write(comparison: Comparison, directory: Path, kinds: tuple[str, ...]) -> li
     return paths
 
 
-# -- how it looks -------------------------------------------------------------------------------
+# -- drawing ------------------------------------------------------------------------------------
 
 
 def _title(axes: Axes, title: str) -> None:
@@ -167,7 +174,7 @@ def _title(axes: Axes, title: str) -> None:
 def _forest(
     axes: Axes, found: list[Interval], looks: list[int], scale: float, digits: int, sign: str = ""
 ) -> None:
-    """A dot with a whisker a row, its value written above it."""
+    """Draw a dot with a whisker in each row, and write its value above it."""
     for row, (interval, k) in enumerate(zip(found, looks, strict=True)):
         value, low, high = (scale * x for x in interval)
         if math.isnan(value):

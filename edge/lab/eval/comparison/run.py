@@ -1,4 +1,4 @@
-"""`edge eval episodes --compare`: a folder of outcomes as tables, plots and one page."""
+"""`edge eval episodes --compare`: tables, plots and one page of a folder of outcomes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from edge.lab.eval.outcome import Outcome, line
 from edge.lab.report.recorder import machine
 from edge.text import one_line, read_json_object
 
-EPISODES_NAME = "episodes.jsonl"  # beside the outcomes
+EPISODES_NAME = "episodes.jsonl"  # in the folder of the outcomes
 CSV_NAME, JSON_NAME, PAGE_NAME = "results.csv", "results.json", "comparison.html"
 
 
@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     """Handle `edge eval episodes --compare`.
 
     Raises:
-        UserError: there are no outcomes, or no such column; a file cannot be read or written.
+        UserError: there are no outcomes, or no such arm; or a file cannot be read or written.
     """
     comparison, drawings = compare_folder(args.compare, args.baseline)
     print(text(comparison))
@@ -53,46 +53,46 @@ def run(args: argparse.Namespace) -> int:
 def compare_folder(
     folder: Path, baseline: str | None = None
 ) -> tuple[Comparison, dict[str, worlds.Drawing]]:
-    """Compare the outcomes of a folder; the comparison, and drawings of its worlds by world.
+    """Compare the outcomes of a folder; return the comparison, and drawings by world.
 
     Raises:
-        UserError: there are no outcomes, or no such column; a file cannot be read.
+        UserError: there are no outcomes, or no such arm; or a file cannot be read.
     """
     path = folder / OUTCOMES_NAME
     found = records.read(path)
     if not found:
         raise UserError(f"{path}: empty; `edge eval episodes` fills it")
     outcomes = records.gather(found)
-    records.baseline_of(outcomes, baseline)  # a wrong name is told before the worlds are loaded
+    records.baseline_of(outcomes, baseline)  # check the name before the worlds are loaded
     outcomes, left_m, drawings = look(outcomes, configs_of(folder / EPISODES_NAME, outcomes))
     return compare(outcomes, baseline, left_m), drawings
 
 
 def text(comparison: Comparison) -> str:
-    """All tables for a terminal, what the intervals are, and what was passed over."""
+    """Return all tables for a terminal, with notes on intervals and on ignored records."""
     if not comparison.outcomes.columns:
         return "no outcomes"
     parts = [tables.text(table) for table in tables.tables(comparison)]
     parts.append(tables.unit_words(comparison))
     if comparison.outcomes.passed_over:
         parts.append(
-            f"{comparison.outcomes.passed_over} older outcomes are passed over: of a column's "
-            "earlier settings, or run again since"
+            f"{comparison.outcomes.passed_over} older outcomes are ignored: earlier settings of a "
+            "column, or run again since"
         )
     return "\n\n".join(parts)
 
 
 def told(outcomes: Iterable[Outcome]) -> str:
-    """What is said at the end of a run of episodes."""
+    """Return the text that is printed at the end of a run of episodes."""
     found = records.gather(read_json_object(line(outcome)) for outcome in outcomes)
     return text(compare(found))
 
 
 def configs_of(path: Path, outcomes: Outcomes) -> dict[str, Config]:
-    """Read the configurations in which to load the worlds of outcomes, by world, from episodes.
+    """Read, by world, the configuration that loads it, from a file of episodes.
 
     Raises:
-        UserError: the episodes cannot be read, or a world is none.
+        UserError: the episodes cannot be read, or a world's section is invalid.
     """
     configs: dict[str, Config] = {}
     at = {name: e for e, name in enumerate(outcomes.episodes)}
@@ -108,17 +108,18 @@ def configs_of(path: Path, outcomes: Outcomes) -> dict[str, Config]:
 def look(
     outcomes: Outcomes, configs: Mapping[str, Config]
 ) -> tuple[Outcomes, np.ndarray, dict[str, worlds.Drawing]]:
-    """What the worlds themselves tell of outcomes.
+    """Load the worlds of outcomes, and add what they know.
 
     Args:
-        configs: by world, whose `sim.world` it is.
+        outcomes: the outcomes.
+        configs: by world, a configuration with its `sim.world`.
 
     Returns:
-        The outcomes with their worlds' rooms; (C, E) metres left to drive when the target came into
-        view, NaN where unknown; drawings by world.
+        The outcomes with the number of rooms; (C, E) metres left to drive when the target was first
+        seen, NaN if unknown; and drawings by world.
 
     Raises:
-        edge.lab.sim.base.WorldError: one cannot be loaded.
+        edge.lab.sim.base.WorldError: a world cannot be loaded.
     """
     left_m = np.full(outcomes.ran.shape, np.nan)
     drawings, rooms = {}, {}

@@ -1,7 +1,7 @@
 """The figures of a comparison: means with intervals, paired differences, failures, lost SPL.
 
-Every interval is a bootstrap over worlds (`outcomes.clusters`), but for those of shares, which are
-Wilson's: a bootstrap of what never happened says that it never will.
+Every interval is a bootstrap over worlds (`outcomes.clusters`), except those of shares, which are
+Wilson's: the bootstrap interval of a share of 0 has no width.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ NAN = Interval(math.nan, math.nan, math.nan)
 
 
 class Metric(NamedTuple):
-    """A figure of a column.
+    """A metric of an arm.
 
     Attributes:
-        title: the head of its table's column.
-        digits: behind the point.
-        words: what it is.
-        values: (C, E) float64 of outcomes, NaN where an episode does not count.
-        scale: what it is shown times.
-        how: "mean"; "share", of yes and no; or "median", without an interval, of times, which
-            a busy computer spoils now and then.
+        title: head of its column in a table.
+        digits: number of decimals.
+        words: description.
+        values: returns (C, E) float64 of outcomes, NaN if an episode does not count.
+        scale: factor for display.
+        how: "mean"; "share" of yes and no; or "median", without an interval, for times, which have
+            outliers on a busy computer.
     """
 
     title: str
@@ -51,14 +51,17 @@ def _of_successes(name: str) -> Callable[[Outcomes], np.ndarray]:
 
 
 def spl_of(outcomes: Outcomes) -> np.ndarray:
-    """(C, E) SPL of each episode, NaN where it did not run."""
+    """Return (C, E) SPL of each episode, NaN without a record."""
     each = episode_spl(outcomes.success, outcomes.shortest_m, outcomes["path_m"])
     return np.where(outcomes.ran, each, np.nan)
 
 
 def _soft_spl(outcomes: Outcomes) -> np.ndarray:
-    """A mission's progress is not known; one that crashed, or ended where there is no way, made
-    none."""
+    """Return (C, E) soft SPL of each episode.
+
+    It is NaN for a mission with several targets. A crash, or an end without a path to the target,
+    counts as no progress.
+    """
     unknown = np.isnan(outcomes["left_m"]) & outcomes.ran & (outcomes.target != "")
     left_m = np.where(unknown, np.inf, outcomes["left_m"])
     return episode_soft_spl(outcomes.success, outcomes.shortest_m, outcomes["path_m"], left_m)
@@ -80,44 +83,50 @@ METRICS: dict[str, Metric] = {
     "path_m": Metric("path, m", 1, "driven, all episodes", _of("path_m")),
     "success_path_m": Metric("in success", 1, "driven, successes", _of_successes("path_m")),
     "elapsed_s": Metric("time, s", 1, "simulated, all episodes", _of("elapsed_s")),
-    "collisions": Metric("collisions", 2, "an episode", _of("collisions")),
+    "collisions": Metric("collisions", 2, "per episode", _of("collisions")),
     "seen": Metric("seen, %", 1, "target seen at all", _seen, 100.0, "share"),
-    "first_sight_s": Metric("first sight, s", 1, "where it was seen", _of("first_sight_s")),
+    "first_sight_s": Metric("first sight, s", 1, "if it was seen", _of("first_sight_s")),
     "wrong_stops": Metric("wrong stops, %", 1, "episodes", _any("wrong_stops"), 100.0, "share"),
     "false_confirmations": Metric(
-        "false conf.", 2, "things confirmed that are no target, an episode",
+        "false conf.", 2, "confirmed objects that are not the target, per episode",
         _of("false_confirmations"),
     ),
     "revisited_m2": Metric(
-        "seen again, m²", 1, "floor that a search saw though an earlier one of the mission had",
+        "seen again, m²", 1, "floor that a search saw after an earlier search of the mission",
         _of("revisited_m2"),
     ),
     "tick_p95_ms": Metric(
-        "tick p95, ms", 2, "of an episode, the median of all", _of("tick_p95_ms"), how="median"
+        "tick p95, ms", 2, "per episode, the median of all", _of("tick_p95_ms"), how="median"
     ),
     "score_p95_ms": Metric(
-        "score p95, ms", 2, "the stage alone, likewise", _of("score_p95_ms"), how="median"
+        "score p95, ms", 2, "likewise, the stage `score` alone", _of("score_p95_ms"), how="median"
     ),
 }  # fmt: skip
 
 
 class Figure(NamedTuple):
-    """A metric of a column; `n` is how many episodes it counts."""
+    """A metric's value for an arm; `n` is the number of episodes that count."""
 
     n: int
     interval: Interval
 
 
 class Pair(NamedTuple):
-    """A column against the baseline, on the episodes that both ran.
+    """An arm against the baseline, on the episodes that both ran.
 
     Attributes:
-        n: of these episodes.
-        missing: episodes that only one of the two ran, and that are left out.
-        sr, spl, soft_spl: mean differences, column less baseline.
+        column: name of the arm.
+        n: number of these episodes.
+        missing: number of episodes that only one of the two ran; they are left out.
+        sr: mean difference of success, arm minus baseline.
+        spl: mean difference of SPL.
+        soft_spl: mean difference of soft SPL.
         spl_ratio: mean SPL over mean SPL.
-        path_ratio, time_ratio: sums over sums, of the `both` episodes in which both succeeded.
-        won, lost: episodes with higher and with lower SPL.
+        both: number of episodes in which both succeeded.
+        path_ratio: sum of paths over sum of paths, of these.
+        time_ratio: sum of times over sum of times, of these.
+        won: number of episodes with higher SPL.
+        lost: number of episodes with lower SPL.
     """
 
     column: str
@@ -135,12 +144,16 @@ class Pair(NamedTuple):
 
 
 class Loss(NamedTuple):
-    """Where a column's SPL goes: 1 = spl + failures + search + approach, on `n` episodes.
+    """Decomposition of an arm's lost SPL: 1 = spl + failures + search + approach, on `n` episodes.
 
     Attributes:
-        search: lost to the way until the target was first seen, against the shortest.
-        approach: lost to the way from there, against the shortest from there.
-        search_m, approach_m: means of that excess over the successes.
+        n: number of episodes.
+        spl: mean SPL.
+        failures: share of failed episodes.
+        search: lost because the path until the target was first seen was not the shortest.
+        approach: lost because the path from there was not the shortest.
+        search_m: mean excess path of the search, over the successes.
+        approach_m: mean excess path of the approach, over the successes.
     """
 
     n: int
@@ -154,17 +167,18 @@ class Loss(NamedTuple):
 
 @dataclass(frozen=True)
 class Comparison:
-    """All that is said of a set of outcomes.
+    """All figures of a set of outcomes.
 
     Attributes:
-        baseline: index of the column that the others are held against.
-        unit: what was resampled, "world" or "episode".
-        figures: by column, by metric.
-        pairs: of every column but the baseline.
-        groups: by what episodes are grouped (target, kind of world, rooms), by group, by column:
-            SR and SPL. What has one group is left out.
-        failures: by column, by kind of failure, how many.
-        losses: by column; empty where what was left at first sight is not known.
+        outcomes: the outcomes.
+        baseline: index of the arm that the others are compared with.
+        unit: the resampled unit, "world" or "episode".
+        figures: by arm, by metric.
+        pairs: of every arm but the baseline.
+        groups: by criterion (target, kind of world, rooms), by group, by arm: SR and SPL. A
+            criterion with only one group is left out.
+        failures: by arm, by kind of failure, the number of episodes.
+        losses: by arm; empty if the distances at first sight are unknown.
     """
 
     outcomes: Outcomes
@@ -183,15 +197,17 @@ def compare(
     left_m: np.ndarray | None = None,
     resamples: int = RESAMPLES,
 ) -> Comparison:
-    """Work everything out; the same for the same outcomes.
+    """Compute all figures. The same outcomes always give the same figures.
 
     Args:
-        baseline: a column's name; None: the first.
-        left_m: (C, E) metres of driving that were left when the target was first seen, NaN where
-            that is not known or never was (`worlds.left_at_sight_m`).
+        outcomes: the outcomes.
+        baseline: name of an arm; None: the first.
+        left_m: (C, E) metres left to drive when the target was first seen, NaN if unknown or never
+            (`worlds.left_at_sight_m`).
+        resamples: number of bootstrap resamples.
 
     Raises:
-        UserError: there is no such column.
+        UserError: there is no such arm.
     """
     against = baseline_of(outcomes, baseline)
     cluster, unit = clusters(outcomes)
@@ -236,7 +252,7 @@ def _median(values: np.ndarray) -> Interval:
 def mean(
     values: Sequence[np.ndarray], cluster: np.ndarray, resamples: int = RESAMPLES
 ) -> list[list[Interval]]:
-    """Means of (C, E) arrays over the entries that are not NaN: by array, by column."""
+    """Return means of (C, E) arrays over the entries that are not NaN: by array, by arm."""
     if not values:
         return []
     stacked = np.concatenate(values)
@@ -247,7 +263,7 @@ def mean(
 
 
 def pair(outcomes: Outcomes, column: int, baseline: int, resamples: int = RESAMPLES) -> Pair:
-    """A column against the baseline; episodes are paired, so what is hard for both cancels out."""
+    """Compare an arm with the baseline on the same episodes: their difficulty cancels out."""
     both_ran = outcomes.ran[column] & outcomes.ran[baseline]
     missing = int((outcomes.ran[column] ^ outcomes.ran[baseline]).sum())
     cluster, _ = clusters(outcomes)
@@ -337,15 +353,15 @@ def _losses(
 
 
 def excess_m(outcomes: Outcomes, left_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What a success drove beyond the shortest way: until it first saw its target, and after.
+    """Return how far a success drove beyond the shortest path: before and after first sight.
 
-    What was driven until first sight and what was then left, less the shortest way from the start,
-    is the search's; the rest is the approach's. A success that never saw its target (by ground
-    truth) is all search.
+    The search's excess is the path until first sight, plus the distance that was left then, minus
+    the shortest path from the start. The approach's excess is the rest. If a success never saw its
+    target (by ground truth), all is the search's.
 
     Returns:
-        (C, E) float64 each, at least 0, NaN for what failed or has no single target; together the
-        path less the shortest way (0 where that is negative, which the raster of it may make it).
+        (C, E) float64 each, at least 0, NaN for a failure or a mission with several targets. Their
+        sum is the path minus the shortest path, or 0 if that is negative because of the raster.
     """
     counted = outcomes.success & (outcomes.target != "")
     over = np.maximum(outcomes["path_m"] - outcomes.shortest_m, 0.0)

@@ -1,4 +1,4 @@
-"""A comparison in tables: text for a terminal, HTML, CSV and JSON."""
+"""Tables of a comparison: text for a terminal, HTML, CSV and JSON."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from edge.lab.eval.outcome import FAILURES
 from edge.text import aligned, one_line
 
 DASH = "–"
-# With their intervals in the tables; those of the others are in the CSV.
+# Metrics whose intervals are in the tables. All intervals are in the CSV.
 BOUNDED = ("sr", "spl", "soft_spl", "wrong_stops")
 SUMMARIES = {
     "summary": ("Columns", ("sr", "spl", "soft_spl", "path_m", "success_path_m", "elapsed_s")),
@@ -33,7 +33,7 @@ SUMMARIES = {
 
 
 class Table(NamedTuple):
-    """Rows of texts; the first cell of each is its name."""
+    """A table of texts; the first cell of each row is its name."""
 
     name: str
     title: str
@@ -43,7 +43,7 @@ class Table(NamedTuple):
 
 
 def tables(comparison: Comparison) -> list[Table]:
-    """Every table that has something to say, in the order in which a reader wants them."""
+    """Return every table that has rows, in reading order."""
     found = [
         summary(comparison, "summary"),
         paired(comparison),
@@ -57,7 +57,7 @@ def tables(comparison: Comparison) -> list[Table]:
 
 
 def summary(comparison: Comparison, name: str) -> Table:
-    """A column a row: the metrics of one of SUMMARIES."""
+    """Return a table of the metrics of one of SUMMARIES, one row for each arm."""
     title, wanted = SUMMARIES[name]
     keys = [key for key in wanted if _measured(comparison, key)]
     head = ["column", "n", *(METRICS[key].title for key in keys)]
@@ -72,36 +72,36 @@ def _words(comparison: Comparison, keys: Sequence[str]) -> str:
     words = "; ".join(f"{METRICS[key].title}: {METRICS[key].words}" for key in keys)
     words = f"{words[:1].upper()}{words[1:]}."
     if len(set(comparison.outcomes.ran.sum(axis=1).tolist())) > 1:
-        words += " Columns of different n drove different episodes: compare them by pairs."
+        words += " Columns with different n ran different episodes: compare them by pairs."
     return f"{words} {unit_words(comparison)}" if "spl" in keys else words
 
 
 def unit_words(comparison: Comparison) -> str:
-    """What the intervals are."""
+    """Return a sentence that explains the intervals."""
     worlds = len(set(comparison.outcomes.world.tolist()))
     how = (
         f"by bootstrap over {worlds} worlds"
         if comparison.unit == "world"
-        else f"by bootstrap over episodes; of {worlds} world{'s' * (worlds != 1)}, so they say "
-        "nothing of others"
+        else f"by bootstrap over episodes of {worlds} world{'s' * (worlds != 1)}; they do not "
+        "generalise to other worlds"
     )
-    return f"In brackets: 95 % intervals, of shares Wilson's, else {how}."
+    return f"In brackets: 95 % intervals, Wilson's for shares, else {how}."
 
 
 def paired(comparison: Comparison) -> Table:
-    """A column a row, against the baseline on the same episodes."""
+    """Return a table of each arm against the baseline, on the same episodes."""
     head = ("column", "n", "SR, % points", "SPL", "SPL ratio", "soft SPL", "better",
             "worse", "both", "path ratio", "time ratio")  # fmt: skip
     rows = [_pair_row(pair) for pair in comparison.pairs]
     left_out = [f"{p.column} {p.missing}" for p in comparison.pairs if p.missing]
     base = _column(comparison, comparison.baseline)
     note = (
-        "Differences of means (column less baseline), and ratios of means, on the n episodes that "
-        "both ran. Better, worse: episodes with higher and lower SPL. Both: in which both "
-        "succeeded; path and time are of these."
+        "Differences of means (column minus baseline), and ratios of means, on the n episodes that "
+        "both ran. Better, worse: episodes with higher and lower SPL. Both: episodes in which both "
+        "succeeded, used for path and time."
     )
     if left_out:
-        note += f" Left out, for only one of the two ran them: {one_line(', '.join(left_out))}."
+        note += f" Left out, as only one of the two ran them: {one_line(', '.join(left_out))}."
     return Table("paired", f"Against {base}, paired", head, rows, note)
 
 
@@ -116,7 +116,7 @@ def _pair_row(pair: Pair) -> list[str]:
 
 
 def failures(comparison: Comparison) -> Table:
-    """A column a row: how many episodes failed, by why."""
+    """Return a table of failed episodes by kind of failure, one row for each arm."""
     kinds = [k for k in (*FAILURES, OTHER) if any(f[k] for f in comparison.failures.values())]
     rows = []
     for c, (name, counts) in enumerate(comparison.failures.items()):
@@ -127,7 +127,7 @@ def failures(comparison: Comparison) -> Table:
 
 
 def losses(comparison: Comparison) -> Table:
-    """A column a row: where the SPL that it lacks went."""
+    """Return a table that decomposes the lost SPL, one row for each arm."""
     head = ("column", "n", "SPL", "failures", "search", "approach", "search excess, m",
             "approach excess, m")  # fmt: skip
     rows = [
@@ -137,15 +137,15 @@ def losses(comparison: Comparison) -> Table:
         for name, loss in comparison.losses.items()
     ]  # fmt: skip
     note = (
-        "SPL + failures + search + approach = 1. Search: what was driven until the target was "
-        "first in view, and what was then left, beyond the shortest way; approach: what was "
-        "driven from there beyond what was left. Excess: metres a success."
+        "SPL + failures + search + approach = 1. Search: path until the target was first in view, "
+        "plus the distance then left, beyond the shortest path. Approach: path from there beyond "
+        "the distance then left. Excess: metres per success."
     )
     return Table("losses", "Where the rest of the SPL goes", head, rows, note)
 
 
 def group(comparison: Comparison, by: str) -> Table:
-    """A group a row: SPL (and SR) of each column."""
+    """Return a table of SPL and SR of each arm, one row for each group."""
     columns = comparison.outcomes.columns
     rows = []
     for label, figures in comparison.groups[by].items():
@@ -180,23 +180,23 @@ def _figure(metric: Metric, figure: Figure, bounds: bool) -> str:
 
 
 def bounded(interval: Interval, digits: int, scale: float = 1.0, sign: str = "") -> str:
-    """`0.71 [0.66, 0.75]`; without bounds where there are none."""
+    """Format `0.71 [0.66, 0.75]`; without bounds if there are none."""
     if math.isnan(interval.value):
         return DASH
     value, low, high = (f"{scale * x:{sign}.{digits}f}" for x in interval)
     return value if math.isnan(interval.low) else f"{value} [{low}, {high}]"
 
 
-# -- in what it is written ----------------------------------------------------------------------
+# -- formats ------------------------------------------------------------------------------------
 
 
 def text(table: Table) -> str:
-    """For a terminal: title and aligned columns."""
+    """Return title and aligned columns for a terminal."""
     return f"{table.title}\n{aligned([table.head, *table.rows], left=1)}"
 
 
 def html(table: Table) -> str:
-    """A section of a page."""
+    """Return a section of a page."""
     head = "".join(f"<th>{escape(cell)}</th>" for cell in table.head)
     rows = "".join(
         "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows
@@ -209,7 +209,7 @@ def html(table: Table) -> str:
 
 
 def to_csv(comparison: Comparison) -> bytes:
-    """A figure a line, of all episodes and of every group."""
+    """Return one line for each figure, of all episodes and of every group."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(("group", "column", "metric", "n", "value", "low", "high"))
@@ -231,7 +231,7 @@ def _all_figures(comparison: Comparison):  # type: ignore[no-untyped-def]
 
 
 def to_json(comparison: Comparison) -> bytes:
-    """Everything; NaN, which JSON lacks, is null."""
+    """Return everything as JSON; NaN, which JSON lacks, becomes null."""
     outcomes = comparison.outcomes
     data = {
         "baseline": outcomes.columns[comparison.baseline] if outcomes.columns else None,

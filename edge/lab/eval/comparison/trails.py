@@ -1,4 +1,4 @@
-"""Trails on their maps, as SVG: every floor plan is in the page once, and the maps refer to it."""
+"""Trails on maps, as SVG. The page has every floor plan once, and the maps refer to it."""
 
 from __future__ import annotations
 
@@ -15,30 +15,31 @@ from edge.lab.eval.comparison.worlds import Drawing, along
 from edge.lab.report.document import data_url
 from edge.text import one_line
 
-UNIT_M = 0.05  # of the coordinates: what is written as 1
-# The way from first to last: matplotlib's plasma, less the yellow that paper swallows.
+UNIT_M = 0.05  # length of one unit of the SVG coordinates
+# Colours of a trail from start to end: matplotlib's plasma, without the yellow, too pale on white.
 RAMP = (
     "#0d0887", "#3e049c", "#6300a7", "#8606a6", "#a62098", "#c03a83", "#d5546e", "#e76f5a",
     "#f68d45", "#f9a535",
 )  # fmt: skip
 MAX_REASON = 120
 HEADING_M = 0.45
-_GOALS = {"frontier": "f", "instance": "i"}  # other goals are looks
+_GOALS = {"frontier": "f", "instance": "i"}  # other goals are spins
 _MARGIN_M = 1.0
 
 
 class Ground(NamedTuple):
-    """What the trails of a world are drawn on.
+    """Background of the trails of a world.
 
     Attributes:
-        key: of its symbols in the page; empty where there are none.
+        key: id of its symbols in the page; "" if there are none.
+        drawing: the floor plan.
     """
 
     key: str
     drawing: Drawing
 
     def units(self, xy_m: np.ndarray) -> np.ndarray:
-        """(n, 2) points of `map` in the picture's coordinates, as int64."""
+        """Return (n, 2) points of `map` in SVG coordinates, int64."""
         shifted = np.asarray(xy_m, np.float64).reshape(-1, 2)
         d = self.drawing
         flipped = np.stack([shifted[:, 0] - d.left_m, d.top_m - shifted[:, 1]], axis=1)
@@ -46,17 +47,18 @@ class Ground(NamedTuple):
 
     @property
     def size(self) -> tuple[int, int]:
+        """Width and height in SVG coordinates."""
         d = self.drawing
         return math.ceil(d.width_m / UNIT_M), math.ceil(d.height_m / UNIT_M)
 
 
 def grounds_of(drawings: Mapping[str, Drawing]) -> dict[str, Ground]:
-    """By world, as `drawings` are."""
+    """Return the background of each world."""
     return {world: Ground(f"w{k}", d) for k, (world, d) in enumerate(drawings.items())}
 
 
 def bare(records: Sequence[Record]) -> Ground:
-    """As large as some trails, without a floor plan."""
+    """Return an empty background as large as some trails."""
     points = [xy for r in records for xy in [*(r.get("trail") or []), r["start"][:2]]]
     low, high = np.min(points, axis=0) - _MARGIN_M, np.max(points, axis=0) + _MARGIN_M
     (left, bottom), (right, top) = low.tolist(), high.tolist()
@@ -64,7 +66,7 @@ def bare(records: Sequence[Record]) -> Ground:
 
 
 def symbols(grounds: Mapping[str, Ground]) -> str:
-    """Floor plans, and what episodes in them ask for, for the maps to refer to."""
+    """Return the SVG symbols of floor plans and targets, which the maps refer to."""
     inner = []
     for ground in grounds.values():
         (width, height), drawing = ground.size, ground.drawing
@@ -81,7 +83,7 @@ def symbols(grounds: Mapping[str, Ground]) -> str:
 def figure(
     ground: Ground, target: str, name: str, column: int, record: Record | None, spl: float
 ) -> str:
-    """The map of one episode in one column, with its outcome below."""
+    """Return the map of one episode with one arm, and its outcome below."""
     words = f"<b>{escape(one_line(name, 40))}</b>"
     if record is None:
         return (
@@ -112,7 +114,7 @@ def _ground(ground: Ground, target: str) -> str:
 
 
 def _drawn(ground: Ground, record: Record) -> str:
-    """Trail, goals, where the target came into view, start and end."""
+    """Return trail, goals, start, end, and the place at which the target was first seen."""
     trail = np.asarray(record.get("trail") or [record["start"][:2]], np.float64).reshape(-1, 2)
     units = ground.units(trail)
     marks = [_trail(units), _goals(ground, record.get("goal_xy") or [])]
@@ -128,7 +130,7 @@ def _drawn(ground: Ground, record: Record) -> str:
 
 
 def _trail(units: np.ndarray) -> str:
-    """The way in pieces, one a colour of the ramp; each begins where the one before ends."""
+    """Return the trail in pieces, one for each colour; each begins at the end of the last."""
     moved = np.ones(len(units), bool)
     moved[1:] = (np.diff(units, axis=0) != 0).any(axis=1)
     units = units[moved]
@@ -141,7 +143,7 @@ def _trail(units: np.ndarray) -> str:
 
 
 def _goals(ground: Ground, goals: Sequence[Sequence]) -> str:
-    """A dot each: a line of no length with round ends."""
+    """Return a dot for each goal: a line of no length with round ends."""
     dots: dict[str, str] = {}
     for x_m, y_m, kind in goals:
         (x, y), mark = ground.units(np.array([[x_m, y_m]]))[0], _GOALS.get(kind, "l")
@@ -154,7 +156,7 @@ def _circle(kind: str, at: np.ndarray, radius: float) -> str:
 
 
 def _path(units: np.ndarray) -> str:
-    """A polyline: where it begins, then steps, as short as SVG lets them be."""
+    """Return a polyline as short SVG text: its start, then relative steps."""
     steps = np.diff(units, axis=0).ravel().tolist()
     text = "".join(f"{'' if k == 0 or v < 0 else ' '}{v}" for k, v in enumerate(steps))
     return f"M{units[0, 0]} {units[0, 1]}{f'l{text}' if steps else ''}"

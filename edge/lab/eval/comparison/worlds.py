@@ -1,7 +1,4 @@
-"""The worlds of episodes as a page draws them: floor plan and things; and what was left to drive.
-
-A world is loaded once, for all that is asked about it.
-"""
+"""Drawings of the worlds of episodes, and the distances that were left at first sight."""
 
 from __future__ import annotations
 
@@ -20,17 +17,20 @@ from edge.lab.sim.base import World, WorldObject
 
 MAX_SIDE_PX = 320
 _MARGIN_M = 0.3
-_WALL_M = 0.3  # so much of what bounds the floor is drawn
+_WALL_M = 0.3  # drawn thickness of walls next to the floor
 
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """A world from above, as much of it as the robot could see the floor of.
+    """A world from above, cut to the area around the reachable floor.
 
     Attributes:
         png: north (larger y) at the top.
-        left_m, top_m, width_m, height_m: what it covers, in `map`; `top_m` is the largest y.
-        footprints: of the things that the episodes there ask for, by target: corners, (k, 2).
+        left_m: smallest x, in `map`.
+        top_m: largest y, in `map`.
+        width_m: extent in x.
+        height_m: extent in y.
+        footprints: by target, the corners (k, 2) of its objects.
     """
 
     png: bytes
@@ -42,8 +42,10 @@ class Drawing:
 
 
 def draw(world: World, targets: list[str], robot_radius_m: float) -> Drawing:
-    """Draw a world with the things that targets name: where one can stand is white, furniture grey,
-    walls dark, and the outside pale."""
+    """Draw a world and the footprints of targets.
+
+    Free floor is white, furniture grey, walls dark, and the outside pale.
+    """
     cells = _cells(world, robot_radius_m)
     inside = np.argwhere(cells.cells >= 0)
     grid = _cut(cells, inside) if len(inside) else cells
@@ -58,12 +60,12 @@ def draw(world: World, targets: list[str], robot_radius_m: float) -> Drawing:
 
 
 def named(world: World, target: str) -> list[WorldObject]:
-    """The world's things that a target means; none for a name that it does not have."""
+    """Return the world's objects with this name; [] if there are none."""
     return [item for item in world.objects if names.same(item.label, target)]
 
 
 def corners_m(item: WorldObject) -> np.ndarray:
-    """(4, 2) float64: the corners of a thing's box on the floor, in `map`, in their order."""
+    """Return (4, 2) float64: the corners of an object's box on the floor, in `map`, in order."""
     half = 0.5 * np.array(item.size_m[:2])
     c, s = np.cos(item.yaw_rad), np.sin(item.yaw_rad)
     corners = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * half
@@ -71,7 +73,7 @@ def corners_m(item: WorldObject) -> np.ndarray:
 
 
 def _cells(world: World, robot_radius_m: float) -> Grid:
-    """int8 cells: 100 wall, 50 furniture, 0 free, -1 beyond whatever the robot can get near."""
+    """Return int8 cells: 100 wall, 50 furniture, 0 free, -1 outside the reachable area."""
     plan = world.plan
     grid, cell_m = plan.grid, plan.grid.resolution_m
     furniture = np.zeros(grid.cells.shape, np.uint8)
@@ -103,11 +105,14 @@ def _cut(grid: Grid, inside: np.ndarray) -> Grid:
 def left_at_sight_m(
     world: World, episodes: list[int], outcomes: Outcomes, radius_m: float, out_m: np.ndarray
 ) -> None:
-    """Fill in how far the robot still had to drive when it first saw its target.
+    """Fill in the distance that was left when a robot first saw its target.
 
     Args:
-        episodes: indices of those in this world.
-        out_m: (C, E) float64, of which these columns are filled where something was seen.
+        world: the world.
+        episodes: indices of the episodes in this world.
+        outcomes: the outcomes.
+        radius_m: radius of the robot.
+        out_m: (C, E) float64; entries of these episodes are set if the target was seen.
     """
     for target in sorted({str(outcomes.target[e]) for e in episodes} - {""}):
         things = named(world, target)
@@ -122,15 +127,17 @@ def left_at_sight_m(
 
 
 def along(trail_m: np.ndarray, path_m: float) -> np.ndarray:
-    """(2,) the place on a polyline, (n, 2), that lies so far from its start; its end if beyond."""
+    """Return the (2,) point on a polyline (n, 2) at a distance from its start, at most its end."""
     steps = np.hypot(*np.diff(trail_m, axis=0).T)
     driven = np.concatenate([[0.0], np.cumsum(steps)])
     return np.array([np.interp(path_m, driven, trail_m[:, k]) for k in (0, 1)])
 
 
 def nearest(world: World, field: np.ndarray, xy_m: np.ndarray, within_m: float = 0.5) -> float:
-    """The smallest value of a field around a place: the robot may be nearer to a wall than the
-    field's cells are free; NaN where there is none."""
+    """Return the smallest value of a field around a place; NaN if there is none.
+
+    The robot's place itself may be outside the free cells, as it may be nearer to a wall.
+    """
     grid = world.plan.grid
     reach = int(within_m / grid.resolution_m)
     column, row = np.floor(grid.of_metres(xy_m)).astype(int)

@@ -1,5 +1,5 @@
-"""ViTL's task-level benchmark: mission planners on tasks in language, and what their robot meets.
+"""ViTL's task-level benchmark: mission planners on tasks in natural language.
 
-`templates` makes the tasks, `planners` are what is compared, `executor` runs one episode and
-`sweep` all of them. Nothing here drives or sees.
+`templates` makes the tasks, `planners` has the compared planners, `executor` runs one episode and
+`sweep` all of them. The benchmark simulates no driving and no perception.
 """

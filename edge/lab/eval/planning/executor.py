@@ -1,24 +1,24 @@
 """The probabilistic single-target executor of ViTL V-C, and the loop of planner and executor.
 
-What the paper says: a target that was observed before is reached directly. For any other the
-robot explores: with probability p_obs it finds (and reaches) the intended target, else it
-encounters a different object, and the planner is asked again.
+From the paper: the robot reaches a target that was observed before directly. For any other target
+it explores. With probability p_obs it finds and reaches the target. Else it encounters a different
+object, and the planner is asked again.
 
-What the paper leaves open, and how it is here:
+The paper leaves some points open. Here:
 
-- The world has the six categories of HM3D and the task's own objects, one place each. The
-  different object is drawn uniformly from those not yet seen, the intended one left out. When
-  there is none, the attempt shows nothing new.
-- An object once seen or reached stays known: going there (again) needs no exploration.
-- Encountering is not reaching: only a reached target advances the automaton.
-- Nothing ever fails for good, so the failed set B stays empty.
-- The planner is asked before every attempt, not only when something changed.
-- A run ends at the first accepting state (as algorithm 1), when success has become impossible,
-  when the planner gives up, or after `MAX_DECISIONS`.
+- The world has the six categories of HM3D and the task's own objects, one place each. The different
+  object is drawn uniformly from those not yet seen, without the target. If there is none, the
+  attempt shows nothing new.
+- An object that was seen or reached stays known. To go there (again) needs no exploration.
+- To encounter an object is not to reach it: only a reached target advances the automaton.
+- No object is unreachable, so the failed set B stays empty.
+- The planner is asked before every attempt, not only after a change.
+- A run ends at the first accepting state (as algorithm 1), when success has become impossible, when
+  the planner stops, or after `MAX_DECISIONS`.
 - An object that the formula does not name counts as "nothing reached" in the automaton.
 
-Mind that with five others unknown each of them turns up with probability (1 - p_obs) / 5: at
-p_obs < 1/6 a given object is found sooner by looking for something else.
+Note: with five other objects unknown, each is encountered with probability (1 - p_obs) / 5. So at
+p_obs < 1/6 the robot finds a given object sooner when it looks for another.
 """
 
 from __future__ import annotations
@@ -43,11 +43,12 @@ COMPLETE, VIOLATED, GAVE_UP, NO_ANSWER, OUT_OF_ATTEMPTS = range(len(OUTCOMES))
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Problem:
-    """A lifted task's automaton over all objects of its world.
+    """A delexicalised task's automaton, extended to all objects of its world.
 
     Attributes:
         automaton: over the objects that the formula names.
-        n_letters: objects that the formula names; they are the first of the `n_objects`.
+        n_letters: number of objects that the formula names; they come first.
+        n_objects: number of objects in the world.
         moves: (n_states, n_objects + 1) int32 next states; the last column is "nothing reached".
         accepting: (n_states,) bool.
         steps_left: (n_states,) int32, fewest reached objects to acceptance, -1 if impossible.
@@ -62,10 +63,7 @@ class Problem:
 
     @classmethod
     def of(cls, automaton: Automaton, others: int) -> Problem:
-        """
-        Args:
-            others: objects in the world that the formula does not name.
-        """
+        """Build the problem of an automaton in a world with `others` unnamed objects."""
         n_letters = len(automaton.letters)
         by_letter, nothing = automaton.delta[:, :n_letters], automaton.delta[:, n_letters:]
         moves = np.hstack([by_letter, np.repeat(nothing, others, axis=1), nothing])
@@ -76,15 +74,15 @@ class Problem:
 
 
 class Situation(NamedTuple):
-    """What a planner is asked about.
+    """The input of a planner.
 
     Attributes:
         state: of the automaton.
-        seen: bit i is set when object i's place is known; reached ones are among them.
-        reached: bit i is set when object i was reached.
-        order: the objects in the order of being reached.
-        current: the target of the attempt just made in vain, else `NOTHING`.
-        draw: uniform in [0, 1), for planners that decide by chance.
+        seen: bit i is set if object i's place is known; reached objects are included.
+        reached: bit i is set if object i was reached.
+        order: the reached objects, in order.
+        current: the target of the attempt that has just failed, else `NOTHING`.
+        draw: uniform in [0, 1), for planners that choose at random.
     """
 
     state: int
@@ -96,11 +94,11 @@ class Situation(NamedTuple):
 
 
 Choose = Callable[[Situation], int]
-"""A planner: an object's index, `NOTHING`, `DONE` or `INVALID`."""
+"""A planner: returns an object's index, `NOTHING`, `DONE` or `INVALID`."""
 
 
 class Episode(NamedTuple):
-    """How a run ended.
+    """The result of a run.
 
     Attributes:
         outcome: index into `OUTCOMES`.
@@ -114,10 +112,13 @@ class Episode(NamedTuple):
 
 
 def draws_of(seed: int, task: int, p_obs: float, episode: int) -> np.ndarray:
-    """(MAX_DECISIONS, 3) float64 uniform in [0, 1): luck, what is met, the planner's own chance.
+    """Return random numbers for an episode: luck, encountered object, the planner's own draw.
 
-    They depend on nothing but the arguments, so all planners meet the same luck in the same
-    attempt (common random numbers) and differences between them are paired.
+    They depend only on the arguments, so all planners have the same luck in the same attempt
+    (common random numbers), and differences between planners are paired.
+
+    Returns:
+        (MAX_DECISIONS, 3) float64, uniform in [0, 1).
     """
     counter = np.array([0, 0, episode, round(p_obs * 1e6)], dtype=np.uint64)
     key = np.array([seed, task], dtype=np.uint64)
@@ -128,11 +129,14 @@ def draws_of(seed: int, task: int, p_obs: float, episode: int) -> np.ndarray:
 def run_episode(
     problem: Problem, p_obs: float, choose: Choose, draws: np.ndarray, seen: int = 0
 ) -> Episode:
-    """Ask the planner and attempt what it says, until the run ends.
+    """Ask the planner and attempt its target, until the run ends.
 
     Args:
+        problem: the task.
+        p_obs: probability that an exploration finds its target.
+        choose: the planner.
         draws: see `draws_of`; row i serves the i-th decision.
-        seen: objects whose places are known from the start (bit mask).
+        seen: bit mask of objects whose places are known from the start.
     """
     state, reached, order, current = 0, 0, (), NOTHING
     explorations = steps = 0
@@ -162,7 +166,7 @@ def run_episode(
 
 
 def _encountered(excluded: int, n_objects: int, draw: float) -> int:
-    """The bit of one of the objects not in `excluded`; 0 when there are none."""
+    """Return the bit of one of the objects not in `excluded`; 0 if there are none."""
     bits = _bits_outside(excluded, n_objects)
     return bits[int(draw * len(bits))] if bits else 0
 

@@ -18,7 +18,7 @@ FIELDS = {"id": int, "template": str, "objects": list, "sentence": str, "formula
 
 
 class TaskFileError(UserError):
-    """A file of tasks that cannot be used: which line, and what is wrong with it."""
+    """A file of tasks that cannot be used; the message has the line and the problem."""
 
 
 def write_tasks(path: Path, tasks: Sequence[Task]) -> None:
@@ -43,7 +43,7 @@ def write_tasks(path: Path, tasks: Sequence[Task]) -> None:
 
 
 def read_tasks(path: Path) -> list[Task]:
-    """Tasks as `write_tasks` writes them; objects may have any name that `edge.names` maps.
+    """Read tasks in the format of `write_tasks`. Objects may have any name that `edge.names` knows.
 
     Raises:
         TaskFileError: the file cannot be read, or a line is not a task that can be fulfilled.
@@ -60,24 +60,25 @@ def read_tasks(path: Path) -> list[Task]:
         try:
             task = _task(line)
             if task.id in tasks:
-                raise ValueError(f"id {task.id} was there before; ids must differ")
+                raise ValueError(f"duplicate id {task.id}; ids must differ")
         except (ValueError, UserError) as error:
             raise TaskFileError(f"{path}, line {number}: {error}") from None
         tasks[task.id] = task
     if not tasks:
-        raise TaskFileError(f"{path}: holds no tasks; `--export {path}` writes the benchmark's")
+        raise TaskFileError(f"{path}: no tasks; `--export {path}` writes the benchmark's tasks")
     return list(tasks.values())
 
 
 def _task(line: str) -> Task:
-    """
+    """Parse a task.
+
     Raises:
-        ValueError, UserError: what is wrong with the line.
+        ValueError, UserError: the line is invalid.
     """
     try:
         data = read_json_object(line)
     except ValueError as error:
-        raise ValueError(f"{error}; every line is one task, with {', '.join(FIELDS)}") from None
+        raise ValueError(f"{error}; each line must be one task, with {', '.join(FIELDS)}") from None
     for field, kind in FIELDS.items():
         if not isinstance(data.get(field), kind) or isinstance(data[field], bool):
             raise ValueError(

@@ -1,4 +1,4 @@
-"""Tasks without their objects' names: many tasks share one formula, and so one automaton."""
+"""Delexicalised tasks: without object names, many share a formula, and so one automaton."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.ltl import Formula, propositions, renamed
 
 HM3D_OBJECTS = ("chair", "bed", "houseplant", "toilet", "television", "sofa")
-"""HM3D's six object-goal categories, by their canonical names."""
+"""HM3D's six object-goal categories, by canonical name."""
 
 MAX_OBJECTS = 12
 
 
 @dataclass(frozen=True, slots=True)
 class LiftedFormula:
-    """A formula over the letters a, b, … in order of first appearance.
+    """A formula over the propositions a, b, … in order of first appearance.
 
     Attributes:
-        others: objects in the world that the formula does not name.
+        formula: the formula.
+        others: number of objects in the world that the formula does not name.
     """
 
     formula: Formula
@@ -28,12 +29,12 @@ class LiftedFormula:
 
     @property
     def automaton(self) -> Automaton:
-        """Compiled once a process."""
+        """Automaton of the formula, compiled once a process."""
         return compiled(self.formula)
 
 
 def lift(formula: Formula) -> LiftedFormula:
-    """A task's formula with its objects left out; `world_of` gives them in the same order."""
+    """Replace the objects of a task's formula by propositions; `world_of` has the same order."""
     objects = propositions(formula)
     letters = {name: chr(ord("a") + i) for i, name in enumerate(objects)}
     others = len(world_of(objects)) - len(objects)
@@ -41,18 +42,18 @@ def lift(formula: Formula) -> LiftedFormula:
 
 
 def world_of(objects: tuple[str, ...]) -> tuple[str, ...]:
-    """All objects of a task's world: the task's own, then the rest of HM3D's six."""
+    """Return all objects of a task's world: the task's own, then the rest of HM3D's six."""
     return objects + tuple(o for o in HM3D_OBJECTS if o not in objects)
 
 
 def with_canonical_names(formula: Formula) -> Formula:
-    """`tv` becomes `television`, as in worlds and detectors (`edge.names`)."""
+    """Rename objects as in worlds and detectors (`edge.names`): `tv` becomes `television`."""
     return renamed(formula, names.canonical)
 
 
 @cache
 def compiled(formula: Formula) -> Automaton:
-    """The automaton of a lifted formula.
+    """Return the automaton of a delexicalised formula.
 
     Raises:
         CompileError: it grows beyond the compiler's limits.

@@ -34,8 +34,10 @@ from edge.mission.planning.planner import Knowledge, Plan
 NAME = LLM
 
 MAX_QUESTIONS = 50
-"""Different questions in one run; a model that has not come to an end by then gives no answer.
-All six objects seen and twice as many reached as any task needs take fewer than 30."""
+"""Most different questions in a run; after that the answer is `INVALID`.
+
+A run that sees all six objects and reaches twice as many as any task needs takes fewer than 30.
+"""
 
 OPTIONS = {"temperature": 0, "max_tokens": 512}
 
@@ -57,7 +59,7 @@ _THOUGHT = re.compile(r"<think>.*?(</think>|$)", re.DOTALL)
 
 
 def prompt(task: Task, situation: Situation) -> str:
-    """What the model is asked in a situation."""
+    """Return the question for the model in a situation."""
     spoken = [SPOKEN.get(name, name) for name in world_of(task.objects)]
     observed = situation.seen & ~situation.reached
     return PROMPT.format(
@@ -69,7 +71,7 @@ def prompt(task: Task, situation: Situation) -> str:
 
 
 def parse_answer(text: str, objects: Sequence[str]) -> int:
-    """An answer as index into `objects` (canonical names), `DONE`, or `INVALID`.
+    """Return an answer as index into `objects` (canonical names), `DONE`, or `INVALID`.
 
     >>> parse_answer("TARGET: <potted plant>", ["bed", "houseplant"])
     1
@@ -85,15 +87,19 @@ def parse_answer(text: str, objects: Sequence[str]) -> int:
 
 
 class LlmPlanner:
-    """The LLM-planner in the loop: a `mission.planner.kind` of its own.
+    """The LLM-planner in the service: a plugin for `mission.planner.kind`.
 
-    The model is asked anew when what is seen, reached or failed has changed, and the tick waits for
-    its answer: for evaluations, in lockstep. What it says is done, even if it breaks the mission.
-    Where it names nothing that leads on, or says DONE too early, the mission has failed.
+    It asks the model again if an object was seen, reached or failed, and the tick waits for the
+    answer. It is for evaluations in lockstep. It obeys the model even if that breaks the mission.
+    The mission fails if the model names no target that leads on, or says DONE too early.
 
     Args:
-        automaton, instruction: of the mission.
-        url, model, api_key_env, time_limit_s: see `mission.translator.kind: llm`.
+        automaton: of the mission.
+        instruction: of the mission.
+        url: see `mission.translator.kind: llm`.
+        model: likewise.
+        api_key_env: likewise.
+        time_limit_s: likewise.
 
     Raises:
         ChatError: the URL or the key cannot be used; from `plan`, no usable answer.
@@ -114,7 +120,7 @@ class LlmPlanner:
         self._answers: dict[str, str | None] = {}
 
     def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
-        """See `Planner.plan`; costs are steps."""
+        """Return the model's next target. See `Planner.plan`; costs are steps."""
         a = self._automaton
         if a.accepting[state]:
             return ACCEPTED
@@ -128,11 +134,11 @@ class LlmPlanner:
             return _no_plan(f"the language model asks for {letter}, which failed")
         if a.step(state, letter) == state:
             return _no_plan(f"the language model asks for {letter}, which leads no further")
-        reason = "the language model says so"
+        reason = "chosen by the language model"
         return Plan(letter, (letter,), 1.0, True, (), reason, ((letter, 1.0),))
 
     def _asked(self, knowledge: Knowledge) -> str | None:
-        """What the model names, of the automaton's letters."""
+        """Return the proposition that the model names; None if it names none."""
         question = PROMPT.format(
             task=self._instruction,
             observed=_spoken(sorted(knowledge.detected)),
@@ -158,10 +164,10 @@ def _no_plan(reason: str) -> Plan:
 
 
 def llm_chooser(task: Task, ask: Callable[[str], str]) -> Choose:
-    """A planner that asks the model; the same question is asked once a run.
+    """Return a planner that asks the model. It asks the same question only once a run.
 
-    The failed attempt that shows nothing new changes no word of the question, so this is the
-    paper's "re-queried whenever the environment state changes".
+    A failed attempt that shows nothing new does not change the question. So this is the paper's
+    "re-queried whenever the environment state changes".
     """
     objects = world_of(task.objects)
     answers: dict[str, int] = {}
@@ -173,7 +179,7 @@ def llm_chooser(task: Task, ask: Callable[[str], str]) -> Choose:
                 return INVALID
             try:
                 answers[question] = parse_answer(ask(question), objects)
-            except CutOffError as error:  # it rambles, perhaps after having said its target
+            except CutOffError as error:  # too long, but it may have named its target
                 answers[question] = parse_answer(error.answer, objects)
         return answers[question]
 
@@ -188,17 +194,20 @@ def run_llm(
     jobs: int = 1,
     progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[Results, BaseException | None]:
-    """Run the LLM-planner on some of the tasks, with the luck that the other planners had.
+    """Run the LLM-planner on some of the tasks, with the same luck as the other planners.
 
     Args:
-        rows: which of the tasks.
-        jobs: questions at a time.
+        tasks: all tasks.
+        rows: indices of the tasks to run.
+        settings: the settings.
+        client: asks the model.
+        jobs: number of questions at the same time.
         progress: called with the number of episodes done so far.
 
     Returns:
-        Results for all tasks, most of them not run, and what ended it early. Nothing is raised,
-        not even Ctrl-C: the caller reports what is done before it raises that. A server's failure
-        is not the planner's, so the episodes it hits count as not run.
+        Results for all tasks, most of them not run, and the error that ended the runs early. No
+        error is raised, not even Ctrl-C, so that the caller can report the results first. If the
+        server fails, which is not the planner's fault, the episode counts as not run.
     """
     settings = settings._replace(planners=(NAME,))
     results = empty_results(tasks, settings)
@@ -219,7 +228,7 @@ def run_llm(
                 problem, p_obs, lambda s: DONE if stop.is_set() else choose(s), draws
             )
         except ChatError:
-            stop.set()  # at once: the pool's next episode would ask the failed server again
+            stop.set()  # before the pool's next episode asks the failed server again
             raise
         return None if stop.is_set() else episode
 
@@ -243,12 +252,12 @@ def run_llm(
         failure = error
     finally:
         stop.set()
-        pool.shutdown(wait=False, cancel_futures=True)  # a question under way may take a minute
+        pool.shutdown(wait=False, cancel_futures=True)  # a pending question may take a minute
     return results, failure
 
 
 def merged(a: Results, b: Results) -> Results:
-    """The planners of both, on the same tasks and p_obs."""
+    """Return the results of the planners of both, on the same tasks and p_obs."""
     return Results(
         a.planners + b.planners,
         a.p_obs,

@@ -1,6 +1,7 @@
-"""The exact optimum of the paper's executor: the fewest explorations that can be expected.
+"""The exact optimum of the paper's executor: the lowest expected number of explorations.
 
-A stochastic shortest path over automaton and knowledge, solved for all situations of a problem.
+It solves a stochastic shortest path over automaton states and knowledge, for all situations of a
+problem.
 """
 
 from __future__ import annotations
@@ -12,29 +13,29 @@ from edge.lab.eval.planning.executor import DONE, NOTHING, Problem, Situation
 from edge.mission.planning.vitl import working_order
 
 MAX_VALUES = 1 << 18
-"""Entries of a table of values: 2 MiB."""
+"""Most entries of a table of values: 2 MiB."""
 _DIRECT_COST, _WAIT_COST = 1e-5, 1e-6
-"""Going to a known object and waiting only break ties between explorations."""
+"""Costs of a known object and of waiting: small, so that they only break ties."""
 
 
 class Optimum:
-    """A planner that is told p_obs and how many other objects there are.
+    """A planner that knows p_obs and the number of other objects.
 
-    Targets are the formula's own objects, as for every planner. At p_obs < 1/6 one that explored
-    on behalf of objects that the task does not name would gain
-    (see `edge.lab.eval.planning.executor`).
+    Targets are the formula's own objects, as for every planner. At p_obs < 1/6 it could gain by
+    exploring for objects that the task does not name (see `edge.lab.eval.planning.executor`).
+
+    Args:
+        problem: one that is `solvable`.
+        p_obs: probability that an exploration finds its target.
 
     Attributes:
-        value: (2**k, e + 1, n) float64, least expected cost by the set of known letters (bit i:
-            letter i), by other objects that were not met, and by state; inf if there is no way.
-        best: the letter to go to, likewise; int8, `DONE` if there is none.
+        value: (2**k, e + 1, n) float64, least expected cost by the set of known propositions (bit
+            i: proposition i), by the number of other objects not yet encountered, and by state; inf
+            if there is no path.
+        best: the next proposition, of the same shape; int8, `DONE` if there is none.
     """
 
     def __init__(self, problem: Problem, p_obs: float) -> None:
-        """
-        Args:
-            problem: one that is `solvable`.
-        """
         self._others = problem.n_objects - problem.n_letters
         self._own = (1 << problem.n_letters) - 1
         automaton = problem.automaton
@@ -44,32 +45,35 @@ class Optimum:
         least_costs(automaton.delta, problem.accepting, order, p_obs, self.value, self.best)
 
     def choose(self, situation: Situation) -> int:
-        """See `edge.lab.eval.planning.executor.Choose`."""
+        """Return the next target. See `edge.lab.eval.planning.executor.Choose`."""
         left = self._others - (situation.seen & ~self._own).bit_count()
         return int(self.best[situation.seen & self._own, left, situation.state])
 
 
 def solvable(problem: Problem) -> bool:
-    """Whether a problem is small enough for its optimum to be found."""
+    """Return True if a problem is small enough to solve."""
     others = problem.n_objects - problem.n_letters
     return (problem.automaton.n_states * (others + 1)) << problem.n_letters <= MAX_VALUES
 
 
 @njit(nogil=True, cache=True)
 def least_costs(delta, accepting, order, p_obs, value, best):
-    """Least expected cost to acceptance, and what to go to, by what is known and by state.
+    """Compute the least expected cost to acceptance and the next target, by knowledge and state.
 
-    Knowledge only grows, so sets are solved from the full one down: what exploring leads to is
-    then settled, and within a set only certain steps are left, a shortest path.
+    Knowledge only grows, so the sets are solved from the full one down. The results of an
+    exploration are then already known. Within a set only certain steps remain: a shortest path.
 
-    An attempt on an object that is not known finds and reaches it with probability p; else another
-    one that is not known is met, each as likely. Without another one it goes on until it is found.
+    An exploration finds and reaches its object with probability p. Else it encounters another
+    unknown object, each with the same probability. If there is no other, it goes on until it finds
+    its object.
 
     Args:
-        delta: (n, k + 1) int32, the last column is the step that reaches nothing.
+        delta: (n, k + 1) int32; the last column is the step that reaches nothing.
         accepting: (n,) bool.
         order: (m,) int32, states that are neither accepting nor dead.
-        value, best: see `Optimum`, written.
+        p_obs: the probability p.
+        value: see `Optimum`; written.
+        best: see `Optimum`; written.
     """
     k = delta.shape[1] - 1
     total = np.empty(delta.shape[0])
@@ -95,7 +99,7 @@ def least_costs(delta, accepting, order, p_obs, value, best):
                     else:
                         met = (total[s] - after[s]) / others
                         cost = 1.0 + p_obs * after[delta[s, i]] + (1.0 - p_obs) * met
-                    if cost < here[s]:  # not so if there is no way: inf, or inf - inf
+                    if cost < here[s]:  # False without a path: inf, or inf - inf
                         here[s], go[s] = cost, i
             changed = True
             while changed:

@@ -1,7 +1,7 @@
 """The planners that `edge eval planning` compares, behind one interface.
 
 A planner is made for a problem, then for a p_obs, and then answers situations
-(`edge.lab.eval.planning.executor.Choose`). Only `optimal` makes use of p_obs.
+(`edge.lab.eval.planning.executor.Choose`). Only `optimal` uses p_obs.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ class Entrant(NamedTuple):
     """A planner of the comparison.
 
     Attributes:
-        words: what it is, for the table's legend.
-        knows_all: whether it is told all places at the start.
+        make: makes the planner for a problem.
+        words: description for the table's legend.
+        knows_all: True if the planner knows all places at the start.
     """
 
     make: MakeForProblem
@@ -33,25 +34,25 @@ class Entrant(NamedTuple):
 
 
 def vitl(problem: Problem, known_reached: bool = True) -> Callable[[float], Choose]:
-    """The service's `vitl` planner; see `VitlPlanner` for `known_reached`."""
+    """Return the service's `vitl` planner; see `VitlPlanner` for `known_reached`."""
     planner = make_planner(PlannerVitl(), problem.automaton, known_reached=known_reached)
     choose = _asking(planner, problem)
     return lambda p_obs: choose
 
 
 def vitl_eq1(problem: Problem) -> Callable[[float], Choose]:
-    """ViTL eq. 1 to the letter: an object that was reached weighs 1, as if it had to be found."""
+    """Return ViTL eq. 1 to the letter: a reached object weighs 1, as if it had to be found."""
     return vitl(problem, known_reached=False)
 
 
 def in_order(problem: Problem) -> Callable[[float], Choose]:
-    """The service's `in_order` planner: the first object of the sentence that makes progress."""
+    """Return the service's `in_order` planner: the sentence's first object that makes progress."""
     choose = _asking(make_planner(PlannerInOrder(), problem.automaton), problem)
     return lambda p_obs: choose
 
 
 def random_valid(problem: Problem) -> Callable[[float], Choose]:
-    """Any object that changes the state and keeps success possible, drawn at every decision."""
+    """Return a planner that draws any object that changes the state and keeps success possible."""
     targets = valid_targets(problem)
 
     def choose(situation: Situation) -> int:
@@ -62,7 +63,10 @@ def random_valid(problem: Problem) -> Callable[[float], Choose]:
 
 
 def clairvoyant(problem: Problem) -> Callable[[float], Choose]:
-    """A shortest accepted word; where every place is known, nobody needs fewer steps."""
+    """Return a planner that follows a shortest accepted trace: a lower bound on steps.
+
+    The bound holds only if every place is known.
+    """
     left = problem.steps_left
     after = left[problem.moves]
     shortest = [
@@ -73,7 +77,7 @@ def clairvoyant(problem: Problem) -> Callable[[float], Choose]:
 
 
 def least_explorations(problem: Problem) -> Callable[[float], Choose]:
-    """The exact optimum under the planners' information; see `Optimum`."""
+    """Return the exact optimum for the planners' information; see `Optimum`."""
     return lambda p_obs: Optimum(problem, p_obs).choose
 
 
@@ -88,8 +92,10 @@ PLANNERS = {
 
 
 def valid_targets(problem: Problem) -> list[list[int]]:
-    """By state, the targets that change it and keep success possible, in the formula's order;
-    letting a step pass (`NOTHING`) only where no object does."""
+    """Return, by state, the targets that change it and keep success possible, in formula order.
+
+    `NOTHING` (let a step pass) is included only if no object does.
+    """
     moves, alive = problem.moves, problem.steps_left >= 0
     useful = alive[moves] & (moves != np.arange(len(moves))[:, None])
     targets = []
@@ -100,7 +106,7 @@ def valid_targets(problem: Problem) -> list[list[int]]:
 
 
 def _asking(planner: Planner, problem: Problem) -> Choose:
-    """A planner of the service, asked about each situation once."""
+    """Return a planner of the service as a `Choose` with a cache of its answers."""
     letters = problem.automaton.letters
     index = {letter: i for i, letter in enumerate(letters)}
     own = (1 << problem.n_letters) - 1

@@ -1,4 +1,4 @@
-"""Two plots like ViTL's figure 4: completion rate and exploration attempts against p_obs."""
+"""Two plots like ViTL's figure 4: completion rate and exploration attempts over p_obs."""
 
 from __future__ import annotations
 
@@ -25,10 +25,9 @@ STYLES = {name: style_of(k) for k, name in enumerate((*PLANNERS, LLM))}
 
 
 def write_plots(rows: Sequence[Row], directory: Path) -> list[Path]:
-    """Write `completion` and `explorations`, each as SVG and PNG; returns the files.
+    """Write the plots `completion` and `explorations`, each as SVG and PNG. Return the files.
 
-    Args:
-        rows: rows for all p_obs together are left out.
+    Rows for all p_obs together are left out.
 
     Raises:
         OSError: a file cannot be written.
@@ -48,7 +47,7 @@ def write_plots(rows: Sequence[Row], directory: Path) -> list[Path]:
 def _completion(axes: Axes, rows: Sequence[Row]) -> None:
     worst = min((100 * row.complete.low for row in rows if row.runs), default=0.0)
     bottom = 0.0 if worst < 80 else 80.0
-    room = 0.04 * (100 - bottom)  # so that marks on the limits are whole
+    room = 0.04 * (100 - bottom)  # so that markers at the limits are not cut
     axes.set_ylim(bottom - (room if bottom == 0.0 else 0.0), 100 + room)
     axes.locator_params(axis="y", integer=True)
     axes.set_ylabel("tasks completed, %")
@@ -57,7 +56,7 @@ def _completion(axes: Axes, rows: Sequence[Row]) -> None:
 
 def _explorations(axes: Axes, rows: Sequence[Row]) -> None:
     axes.set_ylim(bottom=0.0)
-    axes.set_ylabel("exploration attempts a task, mean")
+    axes.set_ylabel("exploration attempts per task, mean")
     axes.set_title("Exploration attempts", loc="left", color=palette.INK, fontsize=12)
 
 
@@ -66,7 +65,7 @@ def _drawn(
     figure_of: Callable[[Row], Interval],
     finish: Callable[[Axes, Sequence[Row]], None],
 ) -> dict[str, bytes]:
-    """A plot's content by file ending."""
+    """Return a plot's content by file ending."""
     figure, (axes,) = canvas.plots(SIZE_IN, DPI)
     lines = _lines(rows, figure_of)
     for k, (planners, figures) in enumerate(lines.items()):
@@ -75,7 +74,7 @@ def _drawn(
     axes.set_xlabel("$p_{obs}$, probability that an exploration finds its target")
     axes.set_xticks(p_obs[:: max(1, len(p_obs) // 10)])
     finish(axes, rows)
-    # Beside the axes, so that it covers no data.
+    # Outside the axes, so that it covers no data.
     legend = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "frameon": False}
     if lines:
         axes.legend(**legend, fontsize=9, labelcolor=palette.INK, handlelength=3.2)
@@ -85,7 +84,7 @@ def _drawn(
 def _lines(
     rows: Sequence[Row], figure_of: Callable[[Row], Interval]
 ) -> dict[tuple[str, ...], list[tuple[float, Interval]]]:
-    """(p_obs, figure) pairs by planner; planners that do not differ anywhere share a line."""
+    """Return (p_obs, figure) pairs by planner. Planners without any difference share a line."""
     alike: dict[str, list[str]] = {}
     figures: dict[str, list[tuple[float, Interval]]] = {}
     for planner in dict.fromkeys(row.planner for row in rows):
@@ -99,10 +98,9 @@ def _lines(
 def _line(
     axes: Axes, planners: tuple[str, ...], figures: list[tuple[float, Interval]], rank: int
 ) -> None:
-    """One line with the band of its 95 % intervals.
+    """Draw a line with the band of its 95 % intervals.
 
-    Args:
-        rank: larger marks further down, so that lines on top of each other all show.
+    A larger `rank` makes larger markers further down, so that overlapping lines all show.
     """
     style = STYLES.get(planners[0], style_of(len(STYLES)))
     p_obs, values = [p for p, _ in figures], [f.value for _, f in figures]

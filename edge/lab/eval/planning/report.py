@@ -1,12 +1,12 @@
-"""What a comparison of task planners says: figures with intervals, as a table and as JSON.
+"""Report of a comparison of task planners: figures with intervals, as a table and as JSON.
 
 - complete: share of runs that end in an accepting state, with Wilson's interval.
 - explorations: mean of the completed runs (the paper's attempts, figure 4b).
-- steps / bound: explorations and direct reaches, summed over completed runs, against the steps
-  of the shortest accepted words of the same runs' tasks (what `clairvoyant` needs).
+- steps / bound: explorations and direct reaches, summed over completed runs, over the steps of the
+  shortest accepted traces of these runs' tasks (the steps of `clairvoyant`).
 - explorations / optimum: sums over the runs that both the planner and `optimal` completed.
 
-Means and ratios have intervals by the delta method, the task being the independent unit.
+Means and ratios have intervals by the delta method, with the task as the independent unit.
 """
 
 from __future__ import annotations
@@ -34,9 +34,14 @@ class Row:
     """A planner's figures at one p_obs, or over all of them.
 
     Attributes:
+        planner: its name.
         p_obs: None for all together.
-        outcomes: number of runs by how they ended.
-        steps_to_bound, explorations_to_optimum: ratios; NaN without a bound or optimum.
+        runs: number of runs.
+        outcomes: number of runs by outcome.
+        complete: share of completed runs.
+        explorations: mean over completed runs.
+        steps_to_bound: ratio; NaN without a bound.
+        explorations_to_optimum: ratio; NaN without an optimum.
     """
 
     planner: str
@@ -50,7 +55,7 @@ class Row:
 
 
 def rows_of(results: Results) -> list[Row]:
-    """By planner: a row for each p_obs, then one for all (if there are several)."""
+    """Return, by planner, a row for each p_obs, then one for all if there are several."""
     rows = []
     for k in range(len(results.planners)):
         rows += [_row(results, k, slice(j, j + 1), p) for j, p in enumerate(results.p_obs)]
@@ -83,19 +88,19 @@ def _row(results: Results, k: int, at: slice, p_obs: float | None) -> Row:
 
 
 def _knows_all(planner: str) -> bool:
-    """Whether it has information that the optimum under the planners' information lacks."""
+    """Return True if the planner has more information than the optimum."""
     return planner in PLANNERS and PLANNERS[planner].knows_all
 
 
 def _ratio(numerators: np.ndarray, denominators: np.ndarray, where: np.ndarray) -> Interval:
-    """Ratio of sums over runs, (p_obs, tasks, episodes), with tasks as the independent units."""
+    """Return a ratio of sums over runs (p_obs, tasks, episodes), with independent tasks."""
     counted = where.any(axis=(0, 2))
     sums = [np.where(where, a, 0).sum(axis=(0, 2))[counted] for a in (numerators, denominators)]
     return ratio(sums[0].astype(float), sums[1].astype(float))
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Aligned text, an empty line between planners."""
+    """Return aligned text, with an empty line between planners."""
     lines = [
         f"{'planner':13}{'p_obs':>6}{'runs':>8}  {'complete, % [95 % interval]':27}"
         f"{'explorations':>16}{'steps / bound':>17}{'expl. / optimum':>18}"
@@ -124,13 +129,13 @@ def _pm(interval: Interval, digits: int) -> str:
 
 
 def legend(planners: Sequence[str]) -> str:
-    """What each planner is, a line each."""
+    """Return a line for each planner, with its description."""
     words = {**{name: entrant.words for name, entrant in PLANNERS.items()}, **{LLM: LLM_WORDS}}
     return "\n".join(f"{name:13}{words[name]}" for name in planners)
 
 
 def tasks_line(tasks: Sequence[Task]) -> str:
-    """How many tasks of which templates."""
+    """Return the number of tasks, in total and by template."""
     families = Counter(task.template for task in tasks)
     structures = len({lift(task.formula) for task in tasks})
     kinds = ", ".join(f"{n} {name}" for name, n in families.items())
@@ -138,7 +143,7 @@ def tasks_line(tasks: Sequence[Task]) -> str:
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """A planner a line: its figures over all p_obs."""
+    """Return a line for each planner, with its figures over all p_obs."""
     last = {row.planner: row for row in rows}
     return "\n".join(_summary(row) for row in last.values())
 
@@ -161,7 +166,7 @@ def _summary(row: Row) -> str:
 def to_json(
     rows: Sequence[Row], tasks: Sequence[Task], settings: Settings, seconds: float
 ) -> bytes:
-    """The figures; NaN, which JSON lacks, is null, and so is the p_obs of "all"."""
+    """Return the figures as JSON. NaN, which JSON lacks, is null, and so is the p_obs of "all"."""
     data = {
         "tasks": len(tasks),
         "templates": Counter(task.template for task in tasks),

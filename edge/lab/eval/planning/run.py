@@ -1,7 +1,7 @@
-"""The task-level benchmark (ViTL V-C, figure 4): which planner completes tasks in language with
-the fewest explorations, under a probabilistic executor.
+"""The task-level benchmark (ViTL V-C, figure 4), with a probabilistic executor.
 
-The formulas are given (right): translation is what `edge eval translate` measures.
+It measures which planner completes tasks in natural language with the fewest explorations. The
+correct formulas are given: `edge eval translate` measures translation.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ def run(args: argparse.Namespace) -> int:
     """Handle `edge eval planning`.
 
     Raises:
-        UserError: bad options or tasks; nothing can be written to `--out`; the language model's
-            server failed. What ends the language model's runs, Ctrl-C too, is raised after the
-            results until then have been printed and written.
+        UserError: an option or a task is wrong; `--out` cannot be written; or the language model's
+            server failed. The error that ends the language model's runs, even Ctrl-C, is raised
+            after the results so far are printed and written.
     """
     from edge.lab.eval.planning import file, report
     from edge.lab.eval.planning.sweep import Settings
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 def _report(
     results: Results, tasks: list[Task], settings: Settings, out: Path, began_s: float
 ) -> None:
-    """Print the figures, write them and the plots."""
+    """Print the figures, and write them and the plots."""
     from edge.host.files import write_atomically
     from edge.lab.eval.planning import report
     from edge.lab.eval.planning.plots import write_plots
@@ -69,16 +69,16 @@ def _report(
         write_atomically(out / JSON_NAME, content)
         paths = [out / JSON_NAME, *write_plots(rows, out)]
     except OSError as error:
-        raise FileError(f"--out {out}: {error.strerror}; name another directory") from None
+        raise FileError(f"--out {out}: {error.strerror}; choose another directory") from None
     print("\n".join(map(str, paths)))
     print(f"{seconds:.0f} s")
 
 
 def _writable(directory: Path) -> Path:
-    """Make sure, before the work, that its results can be written there.
+    """Return the directory if results can be written there; checked before the work.
 
     Raises:
-        UserError: they cannot.
+        UserError: it cannot be written.
     """
     from edge.host.files import make_writable
 
@@ -86,7 +86,7 @@ def _writable(directory: Path) -> Path:
         make_writable(directory)
     except OSError as error:
         reason = error.strerror
-        raise FileError(f"--out {directory}: {reason}; name another directory") from None
+        raise FileError(f"--out {directory}: {reason}; choose another directory") from None
     return directory
 
 
@@ -105,7 +105,7 @@ def _run_offline(tasks: list[Task], settings: Settings, jobs: int) -> Results:
 
 
 def _run_llm(tasks, settings, args, client, results):  # type: ignore[no-untyped-def]
-    """The results with the language model's, and what ended its runs early."""
+    """Return the results with the language model's, and the error that ended its runs early."""
     import numpy as np
 
     from edge.host.bars import Bar
@@ -120,7 +120,7 @@ def _run_llm(tasks, settings, args, client, results):  # type: ignore[no-untyped
 
 
 def _client(args: argparse.Namespace):  # type: ignore[no-untyped-def]
-    """The language model's client; None when none is asked for."""
+    """Return the language model's client; None without `--llm`."""
     if not args.llm:
         return None
     from edge.chat import client_of
@@ -130,9 +130,10 @@ def _client(args: argparse.Namespace):  # type: ignore[no-untyped-def]
 
 
 def _planners(text: str | None) -> tuple[str, ...]:
-    """
+    """Parse the names of planners.
+
     Raises:
-        UserError: an unknown name; lists what there is.
+        UserError: a name is unknown; the message lists all.
     """
     from edge.lab.eval.planning.planners import PLANNERS
 

@@ -1,7 +1,7 @@
-"""All planners on all tasks at all p_obs, on as many processes as there are cores to use.
+"""All planners on all tasks at all p_obs, in parallel processes.
 
-Tasks that share a lifted formula run together, so that automaton, plans and policies are made
-once for all of them.
+Tasks that share a delexicalised formula run together, so that automaton, plans and policies are
+made once for all of them.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ from edge.lab.eval.planning.planners import PLANNERS
 from edge.lab.eval.planning.templates import Task
 
 BATCH_EPISODES = 20
-"""Of one planner at one p_obs, between two looks at whether to stop."""
+"""Episodes of one planner at one p_obs between two checks for a stop."""
 
 NOT_RUN = -1
-"""Outcome of an episode that did not take place."""
+"""Outcome of an episode that was not run."""
 
 
 class Settings(NamedTuple):
-    """What every task is run with.
+    """The settings of all tasks.
 
     Attributes:
         planners: names in `PLANNERS`.
         p_obs: each in (0, 1], with at most six decimals.
-        episodes: a task, planner and p_obs.
+        episodes: number for each task, planner and p_obs.
+        seed: of the random numbers.
     """
 
     planners: tuple[str, ...]
@@ -50,10 +51,13 @@ class Results:
     """Every episode of a comparison.
 
     Attributes:
+        planners: names.
+        p_obs: values.
         outcome: (planners, p_obs, tasks, episodes) int8 index into `executor.OUTCOMES`, or
             `NOT_RUN` (the optimum of a task that is too large to solve).
-        explorations, steps: the same shape, int32.
-        bound: (tasks,) int32, steps of the shortest accepted word.
+        explorations: the same shape, int32.
+        steps: the same shape, int32.
+        bound: (tasks,) int32, steps of the shortest accepted trace.
     """
 
     planners: tuple[str, ...]
@@ -65,11 +69,18 @@ class Results:
 
     @property
     def complete(self) -> np.ndarray:
+        """(planners, p_obs, tasks, episodes) bool."""
         return self.outcome == COMPLETE
 
 
 class Batch(NamedTuple):
-    """Tasks with one lifted formula, as a process gets them: rows of the results and ids."""
+    """Tasks with one delexicalised formula, for one process.
+
+    Attributes:
+        problem: of the formula.
+        rows: of the tasks in the results.
+        ids: of the tasks.
+    """
 
     problem: Problem
     rows: list[int]
@@ -85,6 +96,9 @@ def run_tasks(
     """Run the comparison; the results do not depend on `jobs`.
 
     Args:
+        tasks: the tasks.
+        settings: the settings.
+        jobs: number of processes.
         progress: called with the number of tasks done so far.
 
     Raises:
@@ -104,7 +118,7 @@ def run_tasks(
 
 
 def empty_results(tasks: Sequence[Task], settings: Settings) -> Results:
-    """Results to be filled in."""
+    """Return results to be filled in."""
     shape = (len(settings.planners), len(settings.p_obs), len(tasks), settings.episodes)
     return Results(
         settings.planners, settings.p_obs, np.full(shape, NOT_RUN, np.int8),
@@ -124,7 +138,11 @@ def _batches(tasks: Sequence[Task], size: int) -> Iterator[Batch]:
 
 
 def run_batch(batch: Batch, settings: Settings) -> np.ndarray:
-    """(3, planners, p_obs, tasks, episodes) int32: outcomes, explorations and steps."""
+    """Return outcomes, explorations and steps of a batch.
+
+    Returns:
+        (3, planners, p_obs, tasks, episodes) int32.
+    """
     problem = batch.problem
     shape = (len(settings.planners), len(settings.p_obs), len(batch.ids), settings.episodes)
     results = np.zeros((3, *shape), np.int32)
@@ -149,11 +167,11 @@ def run_batch(batch: Batch, settings: Settings) -> np.ndarray:
 def _run_all(
     work: list[Batch], settings: Settings, jobs: int
 ) -> Iterator[tuple[Batch, np.ndarray]]:
-    """Batches with their results, in the order of being done."""
+    """Yield batches with their results, in the order of completion."""
     if jobs == 1:
         yield from ((batch, run_batch(batch, settings)) for batch in work)
         return
-    # Forking would copy the locks of the numerical libraries' threads in whatever state they are.
+    # A fork could copy locks that threads of the numerical libraries hold.
     pool = ProcessPoolExecutor(
         jobs, multiprocessing.get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
     )
@@ -163,8 +181,7 @@ def _run_all(
             yield futures[future], future.result()
     except BrokenProcessPool:
         raise UserError(
-            "a process of the benchmark was ended from outside, perhaps for want of memory; "
-            "try fewer --jobs"
+            "a process of the benchmark was killed, perhaps for lack of memory; try fewer --jobs"
         ) from None
     finally:
         pool.shutdown(cancel_futures=True)

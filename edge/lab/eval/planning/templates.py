@@ -1,12 +1,12 @@
-"""The task-level benchmark's tasks: English sentences with their formulas (ViTL V-C).
+"""Tasks of the task-level benchmark: English sentences with their formulas (ViTL V-C).
 
-A task is a lifted template, an abstract temporal structure over placeholders, grounded with
-objects of HM3D's six categories. `FAMILIES` is the distribution that templates are drawn from;
-the paper gives its kinds ("disjunctive branches and until constraints, up to 6 targets") but not
-their shares, which are ours. "Do not reach X until Y" is the weak until `!X W Y`: the paper writes
-U, but its tables II and III hold only under W.
+A task is a template, an abstract temporal structure over placeholders, filled with objects of
+HM3D's six categories. `FAMILIES` is the distribution of the templates. The paper gives its kinds
+("disjunctive branches and until constraints, up to 6 targets") but not their shares, which are
+ours. "Do not reach X until Y" is the weak until `!X W Y`: the paper writes U, but its tables II and
+III hold only under W.
 
-Tasks that contradict themselves are drawn anew, and no two tasks have the same formula.
+Tasks that contradict themselves are drawn again, and no two tasks have the same formula.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from edge.mission.logic.ltl import (
 )
 
 SPOKEN = {"houseplant": "potted plant", "television": "tv", "sofa": "couch"}
-"""The paper's word for an object where it is not the canonical name."""
+"""The paper's word for an object, if it is not the canonical name."""
 
 JOINTS = (", then {}", " and then {}", ", then reach {}")
-"""How a sequence goes on: the paper's example, its case studies, its running example."""
+"""Continuations of a sequence: the paper's example, its case studies, its running example."""
 
 PLACEHOLDERS = len(HM3D_OBJECTS)
 
@@ -42,11 +42,13 @@ Step = tuple[int, ...]
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A sentence and what it means.
+    """A sentence and its formula.
 
     Attributes:
-        template: the family of its lifted template.
-        objects: canonical names in order of first appearance in the formula.
+        id: unique.
+        template: family of its template.
+        objects: canonical names, in order of first appearance in the formula.
+        sentence: the instruction.
         formula: over `objects`.
     """
 
@@ -59,16 +61,18 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """Templates alike; pairs are inclusive ranges, drawn from uniformly.
+    """A family of similar templates. Pairs are inclusive ranges of a uniform distribution.
 
     Attributes:
+        name: of the family.
         share: relative frequency among the draws.
-        branches: alternatives of the task ("…; or reach …").
-        length: steps of each branch, one after the other or in any order.
+        branches: number of alternatives of the task ("…; or reach …").
+        length: number of steps of each branch.
         either: probability that a step is a choice of two objects.
-        must_choose: whether at least one step is such a choice.
-        untils: constraints "do not reach X until Y is reached", with different X.
-        avoided: objects never to be reached.
+        must_choose: at least one step is such a choice.
+        any_order: the steps of a branch have no order.
+        untils: number of constraints "do not reach X until Y is reached", with different X.
+        avoided: number of objects never to be reached.
     """
 
     name: str
@@ -101,7 +105,9 @@ class Template:
 
     Attributes:
         branches: alternatives, each a sequence of steps (a set with `any_order`).
+        any_order: the steps of a branch have no order.
         untils: (X, Y) for "do not reach X until Y is reached".
+        avoided: placeholders never to be reached.
         joint: an entry of `JOINTS`.
     """
 
@@ -113,13 +119,18 @@ class Template:
 
     @property
     def placeholders(self) -> frozenset[int]:
-        """Those that it has."""
+        """The placeholders in use."""
         steps = {i for branch in self.branches for step in branch for i in step}
         return frozenset(steps.union(self.avoided, *self.untils))
 
 
 def generate(n: int = 2000, seed: int = 0) -> list[Task]:
-    """The benchmark: `n` satisfiable tasks with different formulas, the same for the same seed."""
+    """Generate the benchmark: `n` satisfiable tasks with different formulas, the same for a seed.
+
+    Example:
+        >>> generate(4)[3].sentence
+        'Reach a potted plant, then reach a toilet.'
+    """
     tasks: list[Task] = []
     seen: set[Formula] = set()
     for family, template, objects in draws(random.Random(seed), FAMILIES, HM3D_OBJECTS):
@@ -135,7 +146,7 @@ def generate(n: int = 2000, seed: int = 0) -> list[Task]:
 
 
 def formula_of(template: Template, objects: Sequence[str]) -> Formula:
-    """What a grounded template means, as ViTL writes it but with the weak until."""
+    """Return the formula of a template with its objects, as in ViTL but with the weak until."""
 
     def step(choices: Step) -> Formula:
         return disj(*[ap(objects[i]) for i in choices])
@@ -156,9 +167,9 @@ def formula_of(template: Template, objects: Sequence[str]) -> Formula:
 
 
 def sentence_of(template: Template, objects: Sequence[str]) -> str:
-    """A grounded template in the paper's wording."""
+    """Return the sentence of a template with its objects, in the paper's wording."""
 
-    # "either a bed or a tv and then a couch" could be read in two ways.
+    # "either a bed or a tv and then a couch" is ambiguous.
     choice_inside = any(len(choices) > 1 for steps in template.branches for choices in steps[:-1])
     joint = JOINTS[0] if choice_inside and template.joint == JOINTS[1] else template.joint
 
@@ -190,11 +201,9 @@ def sentence_of(template: Template, objects: Sequence[str]) -> str:
 def draws(
     rng: random.Random, families: Sequence[Family], objects: Sequence[str]
 ) -> Iterator[tuple[Family, Template, list[str]]]:
-    """Templates and objects to ground them with, without end.
+    """Yield random templates, each with its family and objects to fill it, without end.
 
-    Args:
-        objects: what to draw from; where they are fewer than `PLACEHOLDERS`, some templates have
-            placeholders for which there is none.
+    If there are fewer `objects` than `PLACEHOLDERS`, some placeholders of a template may have none.
     """
     while True:
         family = _family(families, rng.random())
@@ -211,7 +220,7 @@ def _family(families: Sequence[Family], u: float) -> Family:
 
 
 def _template(family: Family, rng: random.Random) -> Template:
-    """A template of the family, its placeholders drawn at random."""
+    """Draw a template of the family and its placeholders."""
     branches: list[tuple[Step, ...]] = []
     for _ in range(_between(family.branches, rng)):
         branch = _branch(family, rng)
@@ -232,7 +241,7 @@ def _template(family: Family, rng: random.Random) -> Template:
 
 
 def _branch(family: Family, rng: random.Random) -> tuple[Step, ...]:
-    """Steps with different placeholders."""
+    """Draw steps with different placeholders."""
     length = _between(family.length, rng)
     free = _sample(range(PLACEHOLDERS), PLACEHOLDERS, rng)
     choices = [rng.random() < family.either for _ in range(length)]
@@ -246,16 +255,16 @@ def _branch(family: Family, rng: random.Random) -> tuple[Step, ...]:
 
 
 def worth_doing(formula: Formula) -> bool:
-    """Whether it can be satisfied, and is not yet before the first step."""
+    """Return True if the formula can be satisfied, and is not yet satisfied at the start."""
     return int(lift(formula).automaton.steps_left[0]) > 0
 
 
-# Built on random() alone: the other methods' streams have changed between Python versions.
+# Uses random() alone: the streams of the other methods have changed between Python versions.
 def _between(limits: tuple[int, int], rng: random.Random) -> int:
     low, high = limits
     return low + int(rng.random() * (high - low + 1))
 
 
 def _sample(items: Sequence, k: int, rng: random.Random) -> list:  # type: ignore[type-arg]
-    """`k` different items in random order; all of them when there are fewer."""
+    """Return `k` different items in random order; all of them if there are fewer."""
     return sorted(items, key=lambda _: rng.random())[:k]

@@ -1,5 +1,5 @@
-"""Endurance: the service with a simulated robot in real time, through faults, for hours.
+"""Endurance test: the service with a simulated robot in real time, for hours, under faults.
 
-`faults` is the table of what is done to it, `rules` of what must hold. The service and the robot
-are processes as on a robot; nothing in here runs in the service but the sink of `beat`.
+`faults` is the table of faults, `rules` the table of requirements. The service and the robot are
+processes, as on a robot. Only the sink of `beat` runs in the service.
 """

@@ -1,4 +1,4 @@
-"""A sink that tells, once a second, how evenly the loop goes."""
+"""Sink that publishes the jitter of the loop once a second."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ _CLOSE_S = 1.0
 
 
 class BeatSink:
-    """Publishes JSON at `KEY`, below the prefix: of the last second `ticks`, `beats` (with those
-    that found nothing to see) and p50, p99 and the longest of what lies between two ticks
-    (`interval_ms`) or beats (`gap_ms`), and of what a tick takes (`tick_ms`).
+    """Publishes JSON at `KEY`, below the prefix, about the last second.
+
+    `ticks` is the number of ticks with an observation and `beats` the number of all ticks.
+    `interval_ms` is the time between two ticks, `gap_ms` between two beats, and `tick_ms` the
+    duration of a tick: each as p50, p99 and maximum.
     """
 
     def __init__(
@@ -46,10 +48,10 @@ class BeatSink:
             self._intervals_s.append(now_s - self._tick_s)
             self._tick_s = now_s
         if now_s - self._began_s >= PERIOD_S:
-            self._worker.submit(json.dumps(self._told(result, now_s - self._began_s)).encode())
+            self._worker.submit(json.dumps(self._message(result, now_s - self._began_s)).encode())
             self._began_s, self._intervals_s, self._gaps_s = now_s, [], []
 
-    def _told(self, result: TickResult, passed_s: float) -> dict[str, object]:
+    def _message(self, result: TickResult, passed_s: float) -> dict[str, object]:
         ticks = len(self._intervals_s)
         tick = result.latency(last=ticks).tick
         return {
@@ -62,12 +64,13 @@ class BeatSink:
         }
 
     def close(self) -> None:
+        """Stop the publisher."""
         if self._worker.close(_CLOSE_S):
             self._publisher.undeclare()
 
 
 def _three(values_s: list[float]) -> list[float] | None:
-    """p50, p99 and the longest, in ms; None of nothing."""
+    """Return p50, p99 and maximum in ms; None without values."""
     if not values_s:
         return None
     return [round(1e3 * float(v), 3) for v in np.percentile(values_s, (50, 99, 100))]

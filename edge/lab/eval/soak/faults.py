@@ -1,4 +1,4 @@
-"""THE table of faults: how each is made, how long it lasts, what must hold then and after."""
+"""The table of faults: how to inject each, how long it lasts, what must hold."""
 
 from __future__ import annotations
 
@@ -31,18 +31,21 @@ _CLOCK_S = 3 * 3600.0
 
 @dataclass(frozen=True)
 class Fault:
-    """One row.
+    """A row of the table.
 
     Attributes:
-        part: what it is done to; two at once are of two parts.
-        what: how it is made, in words.
-        lasts_s: at least and at most.
-        within_s: after its end, in which `recovered` and `after` must hold, all of it at once.
-        shows: what must hold at some time while it lasts.
-        says: a pattern that the log must have by then. Neither is asked for of two at once: one may
-            hide the other.
-        mutes: nothing that is published is heard while it lasts.
-        needs: what of the configuration it is a fault of.
+        name: for `--faults`.
+        part: the affected part. Two faults at the same time affect two parts.
+        what: description for the log.
+        make: injects the fault.
+        lasts_s: shortest and longest duration.
+        within_s: time after the end within which `recovered` and all of `after` must hold together.
+        shows: each must hold at some time during the fault.
+        after: must hold after the fault.
+        says: pattern that the log must have by then. For two faults at the same time neither
+            `shows` nor `says` is checked, as one fault may hide the other.
+        mutes: no published message can be received during the fault.
+        needs: returns True if the fault is possible with a configuration.
     """
 
     name: str
@@ -81,32 +84,32 @@ FAULTS: tuple[Fault, ...] = (
           made.cut, shows=(blind,)),
     Fault("next-house", "robot", "the simulator starts again in another house", made.next_house,
           within_s=40.0, says="pose jumped"),
-    Fault("image-frozen", "sensors", "one image again and again, under new stamps",
+    Fault("image-frozen", "sensors", "the same image again and again, with new stamps",
           made.altered(lambda rng: relay.frozen(True))),
-    Fault("driver-frozen", "sensors", "one image again and again, stamp and all",
+    Fault("driver-frozen", "sensors", "the same image again and again, with its old stamp",
           made.altered(lambda rng: relay.frozen(False)), shows=(blind,)),
-    Fault("messages-late", "sensors", f"all of the sensors {made.LATE_S:g} s late", made.late),
-    Fault("sensor-garbage", "sensors", "before each message of the sensors a broken one",
+    Fault("messages-late", "sensors", f"all sensor messages {made.LATE_S:g} s late", made.late),
+    Fault("sensor-garbage", "sensors", "a malformed message before each sensor message",
           made.altered(relay.garbage)),
-    Fault("clock-ahead", "sensors", "stamps of the sensors three hours ahead",
+    Fault("clock-ahead", "sensors", "sensor stamps three hours ahead",
           made.altered(lambda rng: relay.other_clock(_CLOCK_S))),
-    Fault("clock-behind", "sensors", "stamps of the sensors three hours behind",
+    Fault("clock-behind", "sensors", "sensor stamps three hours behind",
           made.altered(lambda rng: relay.other_clock(-_CLOCK_S))),
     Fault("pose-jump", "sensors",
           f"odometry jumps {_JUMP_M:g} m and {math.degrees(_JUMP_RAD):.0f}°, and back",
           made.altered(lambda rng: relay.elsewhere(_JUMP_M, _JUMP_RAD)),
           shows=(says("pose jumped"),)),
-    Fault("router-killed", "bus", "kill -9 to the Zenoh router, which is started again",
+    Fault("router-killed", "bus", "kill -9 to the Zenoh router, then a restart",
           made.router_killed, (2.0, 5.0), 25.0, mutes=True, needs=_router),
     Fault("controller-killed", "controller",
-          "kill -9 to the motion controller, which is started again", made.controller_killed),
+          "kill -9 to the motion controller, then a restart", made.controller_killed),
     Fault("model-killed", "model", "kill -9 to the model's process",
           made.model_signalled(signal.SIGKILL),
           (4.0, 6.0), 40.0, needs=_process, shows=(says("ended by SIGKILL"),)),
     Fault("model-stopped", "model", "SIGSTOP to the model's process",
           made.model_signalled(signal.SIGSTOP),
           (8.0, 10.0), 40.0, needs=_process, shows=(says("no answer within"),)),
-    Fault("model-swapped", "model", "`edge models use --force` of a twin under another name",
+    Fault("model-swapped", "model", "`edge models use --force` of a copy of the model",
           made.swapped, (1.0, 2.0), 90.0, says="model .*: kept", needs=_onnx),
     Fault("bad-model", "model", "`edge models use` of a damaged model", made.badly_swapped,
           (1.0, 2.0), 40.0, says=f"model {BROKEN}: refused", needs=_onnx),
@@ -116,46 +119,46 @@ FAULTS: tuple[Fault, ...] = (
     Fault("policy-reload", "configuration", "SIGHUP with another policy",
           made.reloaded({"policy": {"kind": "nearest_frontier"}}, {}), (1.0, 2.0), 60.0,
           says="reload: switched"),
-    Fault("bad-reload", "configuration", "SIGHUP with a configuration that is none",
+    Fault("bad-reload", "configuration", "SIGHUP with an invalid configuration",
           made.badly_reloaded, (3.0, 5.0), says="reload: refused"),
-    Fault("disk-full", "disk", "no file of the service may grow (RLIMIT_FSIZE)", made.disk_full,
+    Fault("disk-full", "disk", "no file of the service can grow (RLIMIT_FSIZE)", made.disk_full,
           shows=(checkpoint_fails, recording_fails),
           after=(checkpoint_written, recording_goes_on)),
-    Fault("log-reader-gone", "log", "who reads the log goes away", made.log_reader_gone,
+    Fault("log-reader-gone", "log", "the reader of the log exits", made.log_reader_gone,
           says="thread MainThread"),
-    Fault("log-reader-stuck", "log", "who reads the log reads no more, and its pipe is full",
+    Fault("log-reader-stuck", "log", "the reader of the log stops reading, and the pipe is full",
           made.log_reader_stuck, (12.0, 15.0), says=r"m2 \| tick"),
-    Fault("viewer-stopped", "viewer", "SIGSTOP to somebody who hears all that is published",
+    Fault("viewer-stopped", "viewer", "SIGSTOP to a subscriber of all topics",
           made.viewer_stopped, (10.0, 20.0)),
-    Fault("page-open", "pages", "somebody has the live page open, and all that it shows",
+    Fault("page-open", "pages", "a browser has the live page open, with all its data",
           made.page_open, (10.0, 20.0), shows=(page_answers,)),
     Fault("visitors-stuck", "pages",
-          "dozens of connections to the pages a second, which say nothing whole",
+          "dozens of HTTP connections a second that send incomplete requests",
           made.visitors_stuck, after=(page_answers,)),
     Fault("request-flood", "requests", "hundreds of requests a second",
           made.asked(lambda rng: made.REQUESTS[rng.integers(len(made.REQUESTS))]),
           after=(answers,)),
-    Fault("request-garbage", "requests", "hundreds of broken requests a second",
+    Fault("request-garbage", "requests", "hundreds of malformed requests a second",
           made.asked(made.nonsense), after=(answers,)),
     Fault("answer-flood", "controller",
-          "hundreds of the controller's answers a second, and broken ones",
+          "hundreds of goal statuses a second, valid and malformed",
           made.sent(lambda rng: (topics.GOAL_STATUS.key, made.ANSWER),
                 lambda rng: (topics.GOAL_STATUS.key, relay.broken(made.ANSWER, rng)))),
 )  # fmt: skip
 
 
 def chosen(config: Config, names: Sequence[str] | None) -> list[Fault]:
-    """The faults that there is a place for, or those of them that are named.
+    """Return the faults that are possible with a configuration, or the named ones of them.
 
     Raises:
-        UserError: there is no fault of that name, or no place for it.
+        UserError: a named fault does not exist, or is not possible.
     """
     there = {fault.name: fault for fault in FAULTS if fault.needs(config)}
     if names is None:
         return list(there.values())
     if unknown := [name for name in names if name not in there]:
         raise UserError(
-            f"--faults: {unknown[0]!r:.40}: none of the faults for this configuration "
+            f"--faults: {unknown[0]!r:.40}: not a fault for this configuration "
             f"(choices: {', '.join(there)})"
         )
     return [there[name] for name in dict.fromkeys(names)]

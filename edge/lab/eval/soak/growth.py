@@ -1,4 +1,4 @@
-"""Whether something grows: a slope that no outlier moves, and how well it is known."""
+"""Growth of a value over time: a slope that is robust to outliers, with its confidence interval."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _Z95 = 1.96
 
 
 class Slope(NamedTuple):
-    """What it grows by an hour, and the bounds of its 95 % interval."""
+    """Growth in an hour, with the bounds of its 95 % interval."""
 
     per_h: float
     low: float
@@ -22,22 +22,22 @@ class Slope(NamedTuple):
 
     @property
     def resolves(self) -> float:
-        """The smallest growth that would have shown."""
+        """The smallest growth that the data would have shown."""
         return 0.5 * (self.high - self.low)
 
 
 def slope_of(lives: Iterable[tuple[np.ndarray, np.ndarray]]) -> Slope | None:
-    """Theil and Sen's slope, with Sen's interval from the variance of Kendall's S.
+    """Return the Theil-Sen slope, with Sen's interval from the variance of Kendall's S.
 
-    Samples of a second are much alike, which the interval would take for knowledge: what is
-    compared are medians over longer times, of which there are at most `_BINS`. Only values within
-    one life of a process are compared.
+    Samples of adjacent seconds are correlated, which would make the interval too narrow. So medians
+    over longer bins are compared, at most about `_BINS`. Values are compared only within one life
+    of a process.
 
     Args:
-        lives: (n,) seconds and (n,) values of each, in order of time.
+        lives: for each life of a process, (n,) seconds and (n,) values, in order of time.
 
     Returns:
-        None where there is too little to tell.
+        None if there are too few values.
     """
     thinned = [_thin(*life) for life in _sized(lives)]
     slopes, variance = [np.zeros(0)], 0.0
@@ -59,14 +59,14 @@ def slope_of(lives: Iterable[tuple[np.ndarray, np.ndarray]]) -> Slope | None:
 def _sized(
     lives: Iterable[tuple[np.ndarray, np.ndarray]],
 ) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """Each life with the length of its bins, the same for all."""
+    """Return each life of at least two samples, with the bin length, which is the same for all."""
     kept = [(t_s, values) for t_s, values in lives if len(t_s) > 1]
     whole_s = sum(float(t_s[-1] - t_s[0]) for t_s, _ in kept)
     return [(t_s, values, max(whole_s / _BINS, 1e-9)) for t_s, values in kept]
 
 
 def _thin(t_s: np.ndarray, values: np.ndarray, bin_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Medians over bins of this length, those with nothing in them left out."""
+    """Return medians over bins of this length, without empty bins."""
     bins = ((t_s - t_s[0]) / bin_s).astype(np.int64)
     parts = np.split(np.arange(len(t_s)), np.flatnonzero(np.diff(bins)) + 1)
     medians = [(np.median(t_s[part]), np.median(values[part])) for part in parts]

@@ -1,4 +1,4 @@
-"""What can be held of the service, from outside."""
+"""Conditions that a soak checks on the service from outside."""
 
 from __future__ import annotations
 
@@ -14,93 +14,95 @@ if TYPE_CHECKING:
 
 
 class When(NamedTuple):
-    """A fault's time (`time.monotonic`, in seconds); one that lasts ends when it begins."""
+    """Begin and end of a fault (`time.monotonic` [s]). While it lasts, the end equals the begin."""
 
     began_s: float
     ended_s: float
 
 
 Hold = Callable[["Stage", "Watch", When], str]
-"""Why something does not hold; empty where it does."""
+"""Returns the reason why a condition does not hold; "" if it holds."""
 
 LIVE_PAGES = ("/live/now", "/live/story", "/live/map", "/live/camera", "/live/layers/0")
-"""What the live page asks for while it is open."""
-_OF_USUAL = 0.5  # a beat that is back, on a machine that has other work as well
+"""Requests of an open live page."""
+_OF_USUAL = 0.5  # share of the usual tick rate, as the machine may have other work
 
 
 def recovered(stage: Stage, watch: Watch, when: When) -> str:
-    """`/readyz` is 200 and ticks come half as often as before, or more."""
+    """Check that `/readyz` is 200 and that ticks come at least half as often as before."""
     if watch.seen_s <= when.ended_s or not watch.is_ready:
         return f"not ready: {'; '.join(watch.ready) or 'not asked yet'}"
     ticks_hz, usual_hz = watch.ticks_hz(when.ended_s), watch.usual_hz
     if ticks_hz < _OF_USUAL * usual_hz:
-        return f"{ticks_hz:.1f} ticks a second, {usual_hz:.1f} before"
+        return f"{ticks_hz:.1f} ticks per second, {usual_hz:.1f} before"
     return ""
 
 
 def blind(stage: Stage, watch: Watch, when: When) -> str:
-    """`/readyz` says that nothing is to be seen."""
+    """Check that `/readyz` reports that the service sees nothing."""
     if watch.seen_s > when.began_s and any("nothing to be seen" in why for why in watch.ready):
         return ""
-    return f"does not say that nothing is to be seen, but: {'; '.join(watch.ready) or 'ready'}"
+    return (
+        f"/readyz does not report a lack of sensor data, but: {'; '.join(watch.ready) or 'ready'}"
+    )
 
 
 def says(pattern: str) -> Hold:
-    """The log has a line with this."""
+    """Return a check that the log has a line that matches the pattern."""
 
     def hold(stage: Stage, watch: Watch, when: When) -> str:
         if any(re.search(pattern, line) for line in stage.log.since(when.began_s)):
             return ""
-        return f"the log does not say {pattern!r}"
+        return f"no line of the log matches {pattern!r}"
 
-    hold.__doc__ = f"the log says `{pattern}`"
+    hold.__doc__ = f"Check that a line of the log matches `{pattern}`."
     return hold
 
 
 def checkpoint_fails(stage: Stage, watch: Watch, when: When) -> str:
-    """status says that the checkpoint is not written."""
-    told = watch.status.get("checkpoint") or {}
-    if watch.status_s > when.began_s and told.get("problem"):
+    """Check that the status reports that the checkpoint cannot be written."""
+    checkpoint = watch.status.get("checkpoint") or {}
+    if watch.status_s > when.began_s and checkpoint.get("problem"):
         return ""
-    return "status says nothing of a checkpoint that is not written"
+    return "the status does not report that the checkpoint cannot be written"
 
 
 def checkpoint_written(stage: Stage, watch: Watch, when: When) -> str:
-    """the checkpoint is written again."""
-    told = watch.status.get("checkpoint") or {}
-    if watch.status_s > when.ended_s and not told.get("problem"):
+    """Check that the checkpoint is written again."""
+    checkpoint = watch.status.get("checkpoint") or {}
+    if watch.status_s > when.ended_s and not checkpoint.get("problem"):
         return ""
-    return f"the checkpoint is not written: {told.get('problem')}"
+    return f"the checkpoint is not written: {checkpoint.get('problem')}"
 
 
 def recording_fails(stage: Stage, watch: Watch, when: When) -> str:
-    """status says that nothing is recorded."""
-    if all(told["problem"] for told in _recorders(watch)) and watch.status_s > when.began_s:
+    """Check that the status reports that the recording cannot be written."""
+    if all(sink["problem"] for sink in _recorders(watch)) and watch.status_s > when.began_s:
         return ""
-    return "status says nothing of a recording that cannot be written"
+    return "the status does not report that the recording cannot be written"
 
 
 def recording_goes_on(stage: Stage, watch: Watch, when: When) -> str:
-    """recording goes on."""
+    """Check that the recording continues."""
     if watch.status_s <= when.ended_s:
-        return "status was not heard since"
-    stopped = [told for told in _recorders(watch) if told["problem"] or not told["file"]]
+        return "no status message since"
+    stopped = [sink for sink in _recorders(watch) if sink["problem"] or not sink["file"]]
     return f"nothing is recorded: {stopped[0]['problem']}" if stopped else ""
 
 
 def _recorders(watch: Watch) -> list[dict[str, Any]]:
-    """What the sinks that write files say of themselves; none where none records."""
-    return [told for told in (watch.status.get("sinks") or {}).values() if "file" in told]
+    """Return the status of each sink that writes files."""
+    return [sink for sink in (watch.status.get("sinks") or {}).values() if "file" in sink]
 
 
 def page_answers(stage: Stage, watch: Watch, when: When) -> str:
-    """the live page is served."""
+    """Check that the live page is served."""
     silent = [path for path in LIVE_PAGES if not stage.text(path)]
     return f"{silent[0]}: no answer" if silent else ""
 
 
 def answers(stage: Stage, watch: Watch, when: When) -> str:
-    """a request is answered."""
+    """Check that a request is answered."""
     try:
         stage.mission(do="status")
     except UserError as error:

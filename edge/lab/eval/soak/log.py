@@ -1,4 +1,4 @@
-"""What a process says, read from a pipe that has a name: its reader can go away and come back."""
+"""Output of a process, read from a named pipe whose reader can exit and come back."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _CHUNK = 1 << 16
 
 
 class Log:
-    """Reads without waiting, and keeps the lines in a file.
+    """Reads the pipe without blocking, and copies it to a file.
 
     Attributes:
-        lines: what was said, with when it was read (`time.monotonic`), oldest first.
+        lines: the lines with the time of reading (`time.monotonic`), oldest first.
     """
 
     def __init__(self, pipe: Path, kept: Path) -> None:
@@ -27,23 +27,23 @@ class Log:
         self.open()
 
     def open(self) -> None:
-        """Have a reader, where there is none, and have it read."""
+        """Open a reader, if there is none, and let it read."""
         self._stuck = False
         if self._reader is None:
             self._reader = os.open(self._pipe, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
 
     def leave(self) -> None:
-        """Have no reader: who writes finds the pipe broken."""
+        """Close the reader: writers get a broken pipe."""
         if self._reader is not None:
             os.close(self._reader)
             self._reader, self._rest = None, b""
 
     def stick(self) -> None:
-        """Have a reader that does not read, and the pipe full: who writes waits."""
+        """Fill the pipe and stop reading: writers block."""
         self._stuck = True
         filling = os.open(self._pipe, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
-            for size in (_CHUNK, 1):  # what is not larger than a page goes in whole or not at all
+            for size in (_CHUNK, 1):  # a write of up to a page is atomic
                 with suppress(BlockingIOError):
                     while True:
                         os.write(filling, b"\n" * size)
@@ -51,11 +51,11 @@ class Log:
             os.close(filling)
 
     def writer(self) -> int:
-        """A descriptor for who is to write; the caller closes it."""
+        """Open the pipe for a writer; the caller closes the descriptor."""
         return os.open(self._pipe, os.O_WRONLY | os.O_CLOEXEC)
 
     def poll(self) -> None:
-        """Read what was said meanwhile."""
+        """Read what the pipe holds."""
         if self._reader is None or self._stuck:
             return
         now_s = time.monotonic()
@@ -64,7 +64,7 @@ class Log:
                 content = os.read(self._reader, _CHUNK)
             except BlockingIOError:
                 break
-            if not content:  # nobody writes (any more)
+            if not content:  # no writer
                 break
             self._file.write(content)
             *whole, self._rest = (self._rest + content).split(b"\n")
@@ -72,13 +72,14 @@ class Log:
         self._file.flush()
 
     def since(self, since_s: float) -> list[str]:
-        """What was read since then."""
+        """Return the lines read since a time."""
         first = len(self.lines)
         while first and self.lines[first - 1][0] >= since_s:
             first -= 1
         return [text for _, text in self.lines[first:]]
 
     def close(self) -> None:
+        """Read the rest, and remove the pipe."""
         self.open()
         self.poll()
         self.leave()

@@ -1,7 +1,7 @@
-"""How each fault is made: a generator.
+"""Fault injectors, as generators.
 
-What comes before its first `yield` makes it, what follows each is done a few times a second while
-it lasts, and its `finally` ends it.
+The code before the first `yield` starts the fault. The code after each `yield` runs a few times a
+second during the fault. The `finally` block ends it.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ Made = Generator[None, None, None]
 Make = Callable[[Stage, np.random.Generator], Made]
 
 LATE_S = 0.4
-_BATCH = 40  # messages of a flood at a time, of which there are several a second
+_BATCH = 40  # messages of a flood in one step; there are several steps a second
 
 
 def until_over(end: Callable[[], object] = lambda: None) -> Made:
-    """Nothing more is done while it lasts."""
+    """Wait until the fault is over, then call `end`."""
     try:
         while True:
             yield
@@ -43,7 +43,7 @@ def until_over(end: Callable[[], object] = lambda: None) -> Made:
 
 
 def altered(make: Callable[[np.random.Generator], Alter]) -> Make:
-    """The relay sends something else."""
+    """Return an injector that makes the relay alter messages."""
 
     def fault(stage: Stage, rng: np.random.Generator) -> Made:
         stage.relay.alter = make(rng)
@@ -56,7 +56,7 @@ def altered(make: Callable[[np.random.Generator], Alter]) -> Make:
 
 
 def sent(*payloads: Callable[[np.random.Generator], tuple[str, bytes]]) -> Make:
-    """The soak publishes these again and again, by key, a batch at a time."""
+    """Return an injector that publishes messages (key, payload) all the time, a batch at a time."""
 
     def fault(stage: Stage, rng: np.random.Generator) -> Made:
         while True:
@@ -110,19 +110,19 @@ def model_signalled(number: int) -> Make:
 
 
 def disk_full(stage: Stage, rng: np.random.Generator) -> Made:
-    """No file that the service writes may grow, as on a full disk; what is open stays whole."""
+    """Stop the growth of all files of the service, as on a full disk. Written data stays intact."""
     before = resource.prlimit(stage.service.pid, resource.RLIMIT_FSIZE)
     resource.prlimit(stage.service.pid, resource.RLIMIT_FSIZE, (0, before[1]))
     try:
         yield from until_over()
-    finally:  # whoever it started meanwhile has its limits
+    finally:  # a child started during the fault has inherited the limit
         for pid in (stage.service.pid, *(child.pid for child in descendants(stage.service.pid))):
             with suppress(ProcessLookupError):
                 resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
 
 
 def reloaded(*choices: dict[str, dict[str, object]]) -> Make:
-    """Write one of these changes after the other, and have the service read it."""
+    """Return an injector that reloads the first of these changes that makes a difference."""
 
     def fault(stage: Stage, rng: np.random.Generator) -> Made:
         present = stage.config_file.read_bytes()
@@ -145,7 +145,7 @@ def badly_reloaded(stage: Stage, rng: np.random.Generator) -> Made:
 
 
 def swapped(stage: Stage, rng: np.random.Generator) -> Made:
-    """To the twin, or back; however slow the computer is at that moment."""
+    """Switch to the copy of the model, or back, with `force` as the computer may be slow."""
     running = stage.models(do="status")
     own = stage.config.perception.detector.model  # type: ignore[union-attr]
     at_work = running["model"] if running["state"] in ("kept", "idle") else running["previous"]
@@ -159,7 +159,10 @@ def badly_swapped(stage: Stage, rng: np.random.Generator) -> Made:
 
 
 def log_reader_gone(stage: Stage, rng: np.random.Generator) -> Made:
-    """What it writes then has nowhere to go: at once where every thread is, later its log."""
+    """Close the reader of the log, then make the service write.
+
+    SIGUSR1 prints all threads now, and again once the reader is back.
+    """
     stage.log.leave()
     stage.service.send_signal(signal.SIGUSR1)
     try:
@@ -176,7 +179,7 @@ def log_reader_stuck(stage: Stage, rng: np.random.Generator) -> Made:
 
 def viewer_stopped(stage: Stage, rng: np.random.Generator) -> Made:
     stage.start_viewer()
-    stops_s = time.monotonic() + 3.0  # once it is there
+    stops_s = time.monotonic() + 3.0  # after it has started
     try:
         while time.monotonic() < stops_s:
             yield
@@ -193,19 +196,19 @@ def page_open(stage: Stage, rng: np.random.Generator) -> Made:
 
 
 def visitors_stuck(stage: Stage, rng: np.random.Generator) -> Made:
-    """More connections than the service keeps, on which nothing whole is ever said."""
+    """Open more connections than the service keeps; none sends a complete request."""
     address = stage.config.http.host, stage.config.http.port
     with ExitStack() as opened:
         while True:
-            for said in _HALVES:
-                with suppress(OSError):  # too many, at times
+            for request in _HALVES:
+                with suppress(OSError):  # at times there are too many
                     visitor = socket.create_connection(address, ANSWER_S)
-                    opened.enter_context(visitor).sendall(said)
+                    opened.enter_context(visitor).sendall(request)
             yield
 
 
 def asked(make: Callable[[np.random.Generator], bytes]) -> Make:
-    """Requests, whose answers nobody waits for."""
+    """Return an injector that sends requests without waiting for answers."""
 
     def fault(stage: Stage, rng: np.random.Generator) -> Made:
         keys = [

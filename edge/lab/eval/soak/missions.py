@@ -1,4 +1,4 @@
-"""One mission after another, in words for what the house holds."""
+"""Missions one after another, in sentences about the objects of the house."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FORMS = (
     "go to the {0}, then to the {1}",
     "go to the {0} or the {1}",
 )
-_AGAIN_S = 2.0  # after a request that nobody took, and for status to follow a new mission
+_AGAIN_S = 2.0  # before a failed request is repeated, and for status to follow a new mission
 _OVER = ("reached", "failed")
 
 
@@ -31,7 +31,7 @@ class Missions:
     """Gives the service a mission whenever it has none.
 
     Attributes:
-        ended: of each mission its end: `instruction`, `phase`, `reason`, `elapsed_s`, `path_m`.
+        ended: the end of each mission: `instruction`, `phase`, `reason`, `elapsed_s`, `path_m`.
     """
 
     def __init__(self, stage: Stage, watch: Watch, rng: np.random.Generator) -> None:
@@ -41,7 +41,7 @@ class Missions:
         self._words: dict[int, list[str]] = {}
 
     def step(self) -> dict[str, Any] | None:
-        """Give the next, if it is time for one; the end of the last, if that was seen now."""
+        """Give the next mission if the last has ended. Return that end, or None."""
         status = self._watch.status
         fresh = self._watch.status_s > self._asked_s + _AGAIN_S
         if not fresh or status.get("phase") not in _OVER:
@@ -51,10 +51,10 @@ class Missions:
         }
         try:
             self._stage.mission(do="new", instruction=self._next())
-        except RequestError as error:  # a fault is under way: it is given again
+        except RequestError as error:  # because of a fault: try again later
             log.debug("%s", error)
             return None
-        finally:  # to be understood may take as long as status comes again
+        finally:  # translation may take longer than the period of status messages
             self._asked_s = time.monotonic()
         self.ended.append(end)
         return end
@@ -65,7 +65,7 @@ class Missions:
         return form.format(*self._rng.permutation(words)[:2])
 
     def _here(self) -> list[str]:
-        """What the house holds that the detector knows, sorted."""
+        """Return the labels of the house's objects that the detector knows, sorted."""
         stage = self._stage
         if stage.house not in self._words:
             sim = stage.config.sim.model_copy(update={"world": stage.world})

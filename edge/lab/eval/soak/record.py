@@ -1,4 +1,4 @@
-"""What happened in a soak, as JSON lines."""
+"""Log of a soak, as JSON lines."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ Row = dict[str, Any]
 
 
 class Record:
-    """Each row has `t_s` since the soak's begin, and its `kind`: `begin`, `sample` (one a second),
-    `fault`, `mission`, `broken`, `growth`, `end`. The file has all of it at any time.
+    """Writes rows to a file. The file is complete at any time.
+
+    Each row has `t_s` since the begin, and its `kind`: `begin`, `sample` (once a second), `fault`,
+    `mission`, `broken`, `recordings`, `growth`, `end`.
 
     Attributes:
-        began_s: `time.monotonic` of the begin; may be set.
+        rows: all rows so far.
+        began_s: `time.monotonic` of the begin; can be set.
     """
 
     def __init__(self, path: Path) -> None:
@@ -25,22 +28,24 @@ class Record:
         self._file = path.open("w", encoding="utf-8")
 
     def add(self, kind: str, **fields: Any) -> None:
+        """Add a row."""
         row = {"t_s": round(time.monotonic() - self.began_s, 2), "kind": kind, **fields}
         self.rows.append(row)
         self._file.write(json.dumps(row, ensure_ascii=False) + "\n")
         self._file.flush()
 
     def close(self) -> None:
+        """Close the file."""
         self._file.close()
 
 
 def of(rows: Sequence[Row], kind: str) -> list[Row]:
-    """The rows of a kind."""
+    """Return the rows of a kind."""
     return [row for row in rows if row["kind"] == kind]
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """How it went, in one line: the first rule that did not hold."""
+    """Return the result in one line: the first broken rule, or that all held."""
     broken, minutes = of(rows, "broken"), rows[-1]["t_s"] / 60.0
     if broken:
         more = f" ({len(broken) - 1} more)" if len(broken) > 1 else ""
@@ -48,6 +53,6 @@ def verdict(rows: Sequence[Row]) -> str:
     faults, missions = len(of(rows, "fault")), of(rows, "mission")
     reached = sum(row["phase"] == "reached" for row in missions)
     return (
-        f"all held for {minutes:.0f} min: {faults} faults, {len(missions)} missions, "
+        f"all rules held for {minutes:.0f} min: {faults} faults, {len(missions)} missions, "
         f"{reached} of them reached"
     )

@@ -1,4 +1,4 @@
-"""What the service records, as the `mcap` library and `edge replay` read it."""
+"""Check of the service's recordings, with the `mcap` library and `edge replay`."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from edge.text import one_line
 FOLDER = "recordings"
 FIRST = "first.mcap"
 KIND = "mcap"
-_SPARE_MB = 2.0  # a file is complete with the chunk at hand, and its index
+_SPARE_MB = 2.0  # a file is closed with its last chunk and its index
 _MB = 1e6
 
 
 def below(sinks: Iterable[Sink], out: Path) -> tuple[Sink, ...]:
-    """The sinks, of which those that record do so below `out`."""
+    """Return the sinks, with the folder of those that record moved below `out`."""
     folder = {"folder": str(out / FOLDER)}
     return tuple(
         Sink(kind=sink.kind, options={**sink.options, **folder}) if sink.kind == KIND else sink
@@ -38,11 +38,14 @@ def below(sinks: Iterable[Sink], out: Path) -> tuple[Sink, ...]:
 
 
 class Recordings:
-    """Reads each file once it is complete. Its first lasts as `FIRST`, however much is recorded.
+    """Reads each file once it is complete. The first file is kept as `FIRST` by a hard link.
 
     Attributes:
-        problem: what a file is of no use for, or the folder too large; empty while all is well.
-        files, messages: complete ones that were read whole. `size_mb`: of the folder.
+        problem: first problem of a file or of the folder's size; "" if there is none.
+        files: number of files that were read to their end.
+        messages: number of messages in them.
+        size_mb: size of the folder.
+        first: path of the first file.
     """
 
     def __init__(self, config: Config, out: Path) -> None:
@@ -56,27 +59,27 @@ class Recordings:
         self._read: set[Path] = set()
 
     def look(self) -> None:
-        """Read the oldest complete one that was not read yet."""
+        """Read the oldest complete file that was not read yet."""
         if self._folder is None:
             return
         files = files_of(self._folder)
-        with suppress(FileNotFoundError):  # deleted, or completed, meanwhile
+        with suppress(FileNotFoundError):  # deleted or renamed in between
             if files and not self.first.exists():
-                os.link(files[0], self.first)  # the same file, under whatever name it goes on
+                os.link(files[0], self.first)  # stays valid if the file is renamed
         self.size_mb = sum(map(_size, files)) / _MB
         if self.size_mb > self._most_mb + _SPARE_MB:
-            self._tell(f"{self.size_mb:.1f} MB, keep_mb is {self._most_mb:g}")
+            self._report(f"{self.size_mb:.1f} MB, keep_mb is {self._most_mb:g}")
         new = (path for path in files if not path.name.endswith(PARTIAL))
         if (path := next((path for path in new if path not in self._read), None)) is not None:
             self._read.add(path)
             self._read_whole(path)
 
     def judge(self) -> dict[str, Any]:
-        """Read what is left, and replay the first: when nothing is recorded any more.
+        """Read the remaining files and replay the first. Call it after the service has ended.
 
         Returns:
-            JSON-ready: `files` and `messages` in all, `cut`: files that have no end, and of the
-            replay `ticks`, `differing`, and why it `ended` early.
+            JSON-ready: `files` and `messages` in all; `cut`, the number of files without an end;
+            and of the replay `ticks`, `differing`, and the reason why it `ended` early.
         """
         if self._folder is None:
             return {}
@@ -89,61 +92,61 @@ class Recordings:
         return {"files": self.files, "messages": self.messages, "cut": cut, **self._replayed()}
 
     def _read_whole(self, path: Path) -> None:
-        """By the library alone, and by the index that it finds in the file."""
+        """Read a complete file by the library alone, using the index of the file."""
         try:
             with path.open("rb") as file:
                 reader = make_reader(file, validate_crcs=True)
                 summary = reader.get_summary()
                 read = sum(1 for _ in reader.iter_messages(log_time_order=False))
-        except FileNotFoundError:  # the oldest go
+        except FileNotFoundError:  # the service deletes the oldest
             return
-        except Exception as error:  # whatever a decompressor makes of what is damaged
-            self._tell(f"{path.name}: {one_line(error, 120) or type(error).__name__}")
+        except Exception as error:  # a decompressor may raise anything for damaged data
+            self._report(f"{path.name}: {one_line(error, 120) or type(error).__name__}")
             return
-        told = summary and summary.statistics and summary.statistics.message_count
-        if not read or read != told:
-            self._tell(f"{path.name}: {read} messages, its index tells of {told}")
+        indexed = summary and summary.statistics and summary.statistics.message_count
+        if not read or read != indexed:
+            self._report(f"{path.name}: {read} messages, but its index has {indexed}")
         self.files += 1
         self.messages += read
 
     def _read_cut(self, path: Path) -> None:
-        """One that was given up: what is in it can be read, up to where it ends."""
+        """Read a file that was not completed, up to where it ends."""
         try:
             reading = McapReading(path)
             read = sum(1 for _ in reading)
         except RecordingError as error:
-            self._tell(str(error))
+            self._report(str(error))
             return
         if reading.cut not in ("", "cut off"):
-            self._tell(f"{path.name}: {reading.cut}")
+            self._report(f"{path.name}: {reading.cut}")
         self.files += 1
         self.messages += read
 
     def _replayed(self) -> dict[str, Any]:
         if not self.first.exists():
-            self._tell("nothing was recorded")
+            self._report("nothing was recorded")
             return {}
-        logging.disable(logging.WARNING)  # what the service said then was said then
+        logging.disable(logging.WARNING)  # the service logged this the first time
         try:
             session = Session(self.first, trust=True)  # it was made here
             warm_up(session.config())
             outcome = replay(session)
         except UserError as error:
-            self._tell(f"replay: {error}")
+            self._report(f"replay: {error}")
             return {}
-        except Exception as error:  # what must not happen, and is to be told with the rest
-            self._tell(f"replay: {type(error).__name__}: {one_line(error)}")
+        except Exception as error:  # a bug, which the report must name
+            self._report(f"replay: {type(error).__name__}: {one_line(error)}")
             return {}
         finally:
             logging.disable(logging.NOTSET)
         if outcome.differing or not outcome.ticks:
             first = outcome.first.tick if outcome.first else 0
-            self._tell(
+            self._report(
                 f"replay: {outcome.differing} of {outcome.ticks} ticks differ, first tick {first}"
             )
         return {"ticks": outcome.ticks, "differing": outcome.differing, "ended": outcome.ended}
 
-    def _tell(self, problem: str) -> None:
+    def _report(self, problem: str) -> None:
         self.problem = self.problem or problem
 
 

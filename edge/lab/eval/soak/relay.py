@@ -1,7 +1,7 @@
-"""What stands between robot and service: passes on what the sensors send, or something else.
+"""Relay between robot and service that passes on sensor messages or altered ones.
 
-The robot's simulator knows this process only. An `Alter` makes of each message what goes on in its
-place; there is one at a time, and every one leaves well what it does not mean.
+The robot's simulator connects only to this process. An `Alter` turns each message into its
+replacements. There is one at a time, and it passes on unchanged all that it does not concern.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from edge.bus.wire.cdr import HEADER, STAMP
 from edge.config import Zenoh
 
 Alter = Callable[[Topic, bytes], Sequence[bytes]]
-"""What is sent in the place of a message of a topic; called on Zenoh's threads."""
+"""Returns the messages that replace a message of a topic. It is called on Zenoh's threads."""
 
 _IMAGES = (topics.RGB, topics.DEPTH, topics.SEGMENTATION)
 _STAMPED = tuple(topic for topic in topics.PLAYED if topic.type != "json")
@@ -33,19 +33,20 @@ _FRAMES = tuple(topic for topic in _STAMPED if topic is not topics.ODOMETRY)
 
 
 class Relay:
-    """Passes on until it is closed.
+    """Passes on messages until it is closed.
 
     Args:
-        robot: where the simulator connects to; the relay listens.
-        service: where the service, or its router, is.
+        robot: the endpoint to which the simulator connects; the relay listens.
+        service: the endpoint of the service or its router.
+        stop: ends a wait for that endpoint.
 
     Attributes:
-        alter: what is made of the sensors' messages; None: nothing.
-        offset_m: what is added to the x of the odometry, whoever else alters it.
-        passed: messages of the sensors.
+        alter: alters the sensors' messages; None: no change.
+        offset_m: is added to the x of the odometry, before `alter`.
+        passed: number of sensor messages.
 
     Raises:
-        Stopped: `stop` was set before somebody was at the service's endpoint.
+        Stopped: `stop` was set before the service's endpoint answered.
     """
 
     def __init__(self, robot: Zenoh, service: Zenoh, stop: threading.Event) -> None:
@@ -66,7 +67,7 @@ class Relay:
         self.connect()
 
     def connect(self) -> None:
-        """Open the session with the service, where there is none."""
+        """Open the session with the service, if there is none."""
         if self._publishers:
             return
         session = self._side.enter_context(zenoh_session(self._service, "connect", self._stop))
@@ -77,20 +78,21 @@ class Relay:
         }
 
     def cut(self) -> None:
-        """Close the session with the service: what comes until `connect` is lost."""
+        """Close the session with the service. Messages until `connect` are lost."""
         self._publishers = {}
         self._side.close()
 
     def close(self) -> None:
+        """Close both sessions."""
         self.cut()
         self._stack.close()
 
     def delay(self, late_s: float) -> None:
-        """From now on let every message wait so long; 0: none any more."""
+        """Delay every message from now on; 0: no delay."""
         self._late_s = late_s
 
     def step(self) -> None:
-        """Send what has waited long enough."""
+        """Send the messages whose delay is over."""
         now_s = time.monotonic()
         while self._late and self._late[0][0] <= now_s:
             _, topic, payload = self._late.popleft()
@@ -119,30 +121,32 @@ def _put(publisher: zenoh.Publisher, payload: bytes) -> None:
         return
 
 
-# -- what messages are made into -------------------------------------------------------------------
+# -- altered messages ------------------------------------------------------------------------------
 
 
 def moved(payload: bytes, x_m: float, yaw_rad: float = 0.0) -> bytes:
-    """Odometry as it would be elsewhere: turned about the origin of `map`, then moved along x."""
-    told = messages.decode_odometry(payload)
+    """Return odometry that is rotated about the origin of `map`, then moved along x."""
+    odometry = messages.decode_odometry(payload)
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     T = np.array([[c, -s, 0, x_m], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-    return messages.encode_odometry(told.stamp_ns, T @ told.T_map_base, told.v_mps, told.w_radps)
+    return messages.encode_odometry(
+        odometry.stamp_ns, T @ odometry.T_map_base, odometry.v_mps, odometry.w_radps
+    )
 
 
 def restamped(payload: bytes, stamp_ns: int) -> bytes:
-    """Any message that begins with a header, of another instant."""
+    """Return a message that begins with a header, with another stamp."""
     begin, end = len(HEADER), len(HEADER) + STAMP.size
     return payload[:begin] + STAMP.pack(*divmod(stamp_ns, 1_000_000_000)) + payload[end:]
 
 
 def nothing(only: Sequence[Topic] = topics.PLAYED) -> Alter:
-    """Drops these."""
+    """Return an `Alter` that drops messages of these topics."""
     return lambda topic, payload: () if topic in only else (payload,)
 
 
 def frozen(stamps_go_on: bool) -> Alter:
-    """The first image of each topic again and again, as a driver that hangs sends it."""
+    """Return an `Alter` that repeats the first image of each topic, like a driver that hangs."""
     first: dict[Topic, bytes] = {}
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
@@ -155,7 +159,7 @@ def frozen(stamps_go_on: bool) -> Alter:
 
 
 def other_clock(ahead_s: float) -> Alter:
-    """Stamps of a clock that is so far ahead."""
+    """Return an `Alter` that moves all stamps ahead."""
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
         if topic not in _STAMPED:
@@ -166,26 +170,25 @@ def other_clock(ahead_s: float) -> Alter:
 
 
 def elsewhere(x_m: float, yaw_rad: float) -> Alter:
-    """Odometry that has jumped."""
+    """Return an `Alter` for odometry that has jumped."""
     return lambda topic, payload: (
         (moved(payload, x_m, yaw_rad),) if topic is topics.ODOMETRY else (payload,)
     )
 
 
 def garbage(rng: np.random.Generator) -> Alter:
-    """Each message well, and before it a broken one: cut, with other bytes, or of nothing but
-    chance."""
-    hand = threading.Lock()  # a generator is for one thread, Zenoh calls from several
+    """Return an `Alter` that sends a malformed message before each message."""
+    lock = threading.Lock()  # the generator is not thread-safe, and Zenoh has several threads
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
-        with hand:
+        with lock:
             return broken(payload, rng), payload
 
     return alter
 
 
 def broken(payload: bytes, rng: np.random.Generator) -> bytes:
-    """A message that is not what it was."""
+    """Return a malformed message: cut, random, or with changed bytes."""
     kind = rng.integers(3)
     if kind == 0:
         return payload[: rng.integers(len(payload) + 1)]

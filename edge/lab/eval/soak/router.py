@@ -1,4 +1,4 @@
-"""A Zenoh router as a process of its own: `python -m edge.lab.eval.soak.router ENDPOINT PARENT`."""
+"""A Zenoh router as a process: `python -m edge.lab.eval.soak.router ENDPOINT PARENT`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from edge.host.signals import stop_on_signals
 
 
 def main(endpoint: str, parent: str) -> None:
+    """Run the router until the parent process ends."""
     stop = stop_on_signals(int(parent))
     config = zenoh.Config()
     for key, value in {

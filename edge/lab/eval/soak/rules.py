@@ -1,4 +1,4 @@
-"""What must hold all the time, and what of the whole run."""
+"""Rules that must hold all the time, and limits for the whole run."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 SILENT_S = OLD_S = 10.0
 LOG_A_MINUTE = 120
-_SPARE_S = 30.0  # of a mission's limit
-_WARM_UP_S = 120.0  # a model fills its arenas in some thousand images
-_SETTLES = 0.1  # of the run: caches are filled by then
+_SPARE_S = 30.0  # added to a mission's limit
+_WARM_UP_S = 120.0  # a model fills its memory arenas in some thousand images
+_SETTLES = 0.1  # share of the run after which caches are filled
 _SOME_REACHED_S = 1200.0
 
 Sample = dict[str, Any]
@@ -27,11 +27,13 @@ Sample = dict[str, Any]
 
 @dataclass(frozen=True)
 class Rule:
-    """What must hold at every look.
+    """A condition that must hold at every sample.
 
     Attributes:
-        broken: why it does not hold; empty where it does.
-        ends: there is nothing to go on with once it is broken.
+        name: for the report.
+        what: description for docs/soak.md.
+        broken: returns the reason why it does not hold; "" if it holds.
+        ends: the run cannot continue once it is broken.
     """
 
     name: str
@@ -52,14 +54,14 @@ def _hung(stage: Stage, watch: Watch, sample: Sample) -> str:
 
 def _silent(stage: Stage, watch: Watch, sample: Sample) -> str:
     silent_s = time.monotonic() - max(watch.beat_s, watch.muted_s)
-    return f"no beat for {silent_s:.0f} s" if silent_s > SILENT_S else ""
+    return f"no message of the loop for {silent_s:.0f} s" if silent_s > SILENT_S else ""
 
 
 def _unreadable(stage: Stage, watch: Watch, sample: Sample) -> str:
     return watch.checkpoint
 
 
-def _places_lost(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _map_lost(stage: Stage, watch: Watch, sample: Sample) -> str:
     age_s = sample["places_age_s"]
     if watch.calm and age_s is not None and age_s > OLD_S:
         return f"written {age_s:.0f} s ago"
@@ -75,16 +77,16 @@ def _floods(stage: Stage, watch: Watch, sample: Sample) -> str:
     return f"{lines} lines in a minute" if lines > LOG_A_MINUTE else ""
 
 
-def _endless(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _overdue(stage: Stage, watch: Watch, sample: Sample) -> str:
     elapsed_s = watch.status.get("elapsed_s", 0.0)
     limit_s = stage.config.mission.time_limit_s + _SPARE_S
-    return f"one goes on for {elapsed_s:.0f} s" if elapsed_s > limit_s else ""
+    return f"a mission runs for {elapsed_s:.0f} s" if elapsed_s > limit_s else ""
 
 
-def _unsaid(stage: Stage, watch: Watch, sample: Sample) -> str:
+def _without_reason(stage: Stage, watch: Watch, sample: Sample) -> str:
     status = watch.status
     silent = status.get("phase") == "failed" and not status.get("reason")
-    return "one failed without a reason" if silent else ""
+    return "a mission failed without a reason" if silent else ""
 
 
 def _others_end(stage: Stage, watch: Watch, sample: Sample) -> str:
@@ -94,34 +96,41 @@ def _others_end(stage: Stage, watch: Watch, sample: Sample) -> str:
 
 RULES: tuple[Rule, ...] = (
     Rule("service lives", "its process never ends", _dead, ends=True),
-    Rule("service answers", f"`/healthz` is never other than 200 for over {SILENT_S:g} s", _hung),
-    Rule("loop beats", f"never {SILENT_S:g} s without a beat, where it can be heard", _silent),
-    Rule("checkpoint", "the file is whole at every look", _unreadable),
+    Rule("service answers", f"`/healthz` is 200 at least every {SILENT_S:g} s", _hung),
+    Rule(
+        "loop beats",
+        f"a message of the loop at least every {SILENT_S:g} s, unless a fault silences the bus",
+        _silent,
+    ),
+    Rule("checkpoint", "the file is complete at every sample", _unreadable),
     Rule(
         "map",
-        f"so is `….map`; without a fault it is no older than {OLD_S:g} s",
-        _places_lost,
+        f"`….map` is complete, too; without a fault it is at most {OLD_S:g} s old",
+        _map_lost,
     ),
     Rule(
         "recordings",
-        "the `mcap` library reads each complete file; together they are no larger than `keep_mb`",
+        "the `mcap` library reads each complete file; together they are at most `keep_mb`",
         _recorded_badly,
     ),
     Rule("log", f"at most {LOG_A_MINUTE} lines a minute", _floods),
-    Rule("missions end", f"none goes on {_SPARE_S:g} s past `mission.time_limit_s`", _endless),
-    Rule("missions say why", "each that fails has a reason", _unsaid),
-    Rule("others live", "simulator, controller and router never end by themselves", _others_end),
+    Rule("missions end", f"at most {_SPARE_S:g} s after `mission.time_limit_s`", _overdue),
+    Rule("missions say why", "each failed mission has a reason", _without_reason),
+    Rule("others live", "simulator, controller and router never exit by themselves", _others_end),
 )
 
 
 @dataclass(frozen=True)
 class Growth:
-    """What must not grow.
+    """A limit on the growth of a value.
 
     Attributes:
-        who: `service` or `model`, of a sample; `key`: of that.
-        most_per_h: it may surely not grow by more.
-        settles: nor, in a run too short for that, by more than this in all.
+        name: for the report.
+        who: part of a sample: `service` or `model`.
+        key: key of the value in that part.
+        unit: of the value.
+        most_per_h: limit on the growth in an hour.
+        settles: limit on the whole growth in a run that is too short for `most_per_h`.
     """
 
     name: str
@@ -140,13 +149,17 @@ GROWTHS: tuple[Growth, ...] = (
     Growth("descriptors of the service", "service", "descriptors", "descriptors", 2.0, 8.0),
     Growth("descriptors of the model's process", "model", "descriptors", "descriptors", 2.0, 8.0),
 )
-"""The interval's lower bound is held against these: what is not known to grow is no fault; the page
-says how small a growth would have shown."""
+"""Limits on the lower bound of the interval, so only certain growth breaks them.
+
+The report has the smallest growth that would have shown.
+"""
 
 
 def grown(growth: Growth, samples: Sequence[Sample]) -> Slope | None:
-    """How it grows, by samples without a fault, after those in which it settles: of the run, and of
-    each process; None: too few."""
+    """Return the growth over samples without a fault; None if there are too few.
+
+    The first samples of the run and of each process are skipped.
+    """
     if not samples:
         return None
     settled_s = _SETTLES * samples[-1]["t_s"]
@@ -162,23 +175,23 @@ def grown(growth: Growth, samples: Sequence[Sample]) -> Slope | None:
 
 
 def most_per_h(growth: Growth, ran_s: float) -> float:
-    """What it may grow by in a run of such a length."""
+    """Return the allowed growth in an hour, for a run of this length."""
     return max(growth.most_per_h, growth.settles * 3600.0 / max(ran_s, 1.0))
 
 
 def grows(growth: Growth, slope: Slope | None, ran_s: float) -> str:
-    """Why it surely grows by more than it may; empty where that is not known."""
+    """Return the reason if a value certainly grows by more than allowed, else ""."""
     most = most_per_h(growth, ran_s)
     if slope is None or slope.low <= most:
         return ""
     return (
-        f"{slope.per_h:+.1f} {growth.unit}/h, surely over {slope.low:.1f}; in "
-        f"{ran_s / 60.0:.0f} min at most {most:.0f}"
+        f"{slope.per_h:+.1f} {growth.unit}/h, at least {slope.low:.1f}; allowed in a run of "
+        f"{ran_s / 60.0:.0f} min: {most:.0f}"
     )
 
 
 def none_reached(ended: Sequence[dict[str, Any]], ran_s: float) -> str:
-    """Why a run was no good at what the service is for; empty for a short one."""
+    """Return the reason if a long run reached the target of no mission, else ""."""
     if ran_s < _SOME_REACHED_S or any(end["phase"] == "reached" for end in ended):
         return ""
     return f"none of {len(ended)} was reached"

@@ -1,4 +1,4 @@
-"""`edge soak`: run all, make faults, watch, judge."""
+"""`edge soak`: start all processes, inject faults, monitor the service, and judge it."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ log = logging.getLogger("edge.lab.eval.soak")
 
 _STEP_S = 0.1
 _LOOK_S = 1.0
-_WARM_UP_S, _WARM_UP = 10.0, 0.1  # at most that share of the run
+_WARM_UP_S, _WARM_UP = 10.0, 0.1  # time, and largest share of the run
 _CALM_S = (2.0, 6.0)
-_SETTLES_S = 2.0  # after a fault, what is watched is not yet as without one
+_SETTLES_S = 2.0  # after a fault, the samples are not yet as before
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge soak`; the exit code, see `edge.errors`.
+    """Handle `edge soak` and return the exit code (see `edge.errors`).
 
     Raises:
-        UserError: it cannot be begun: the configuration, the faults, the folder, the service.
+        UserError: it cannot start with this configuration, faults, folder or service.
     """
     stop = stop_on_signals()
     config = load(args.config)
@@ -62,40 +62,42 @@ def run(args: argparse.Namespace) -> int:
 
 
 def make_empty(folder: Path) -> None:
-    """Make a folder, where there is none.
+    """Make a folder, if it is missing.
 
     Raises:
-        FileError: it cannot be made, or has something in it.
+        FileError: it cannot be made, or it is not empty.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
-            raise FileError(f"--out {folder}: there is something in it; name another folder")
+            raise FileError(f"--out {folder}: not empty; choose another folder")
     except OSError as error:
         raise FileError(f"--out {folder}: {error.strerror}") from None
 
 
 class Soak:
-    """One run."""
+    """One soak run."""
 
     def __init__(
         self, stage: Stage, record: Record, faults: Sequence[Fault], seed: int, lasts_s: float
     ) -> None:
         self._stage, self._record, self._faults = stage, record, faults
-        # Apart, so that the order of faults is that of the seed however long each takes.
-        self._drawn, self._chance, self._worded = map(
+        # Separate streams: the order of faults depends on the seed only, not on their duration.
+        self._schedule_rng, self._fault_rng, self._mission_rng = map(
             np.random.default_rng, np.random.SeedSequence(seed).spawn(3)
         )
         self._lasts_s = lasts_s
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         record.add("begin", seed=seed, minutes=lasts_s / 60.0, faults=[f.name for f in faults],
                    config=stage.config.model_dump(mode="json"))  # fmt: skip
 
     def run(self, stop: threading.Event) -> None:
-        """Until its time is over, and the fault that it finds under way, `stop` is set or there is
-        nothing to go on with."""
+        """Run until the time is over and the current fault has ended.
+
+        It ends early if `stop` is set, or if the run cannot continue.
+        """
         self._watch = Watch(self._stage)
-        self._missions = Missions(self._stage, self._watch, self._worded)
+        self._missions = Missions(self._stage, self._watch, self._mission_rng)
         self._record.began_s = time.monotonic()
         ends_s, look_s = self._record.began_s + self._lasts_s, 0.0
         with closing(self._all_faults(ends_s)) as faults:
@@ -112,7 +114,7 @@ class Soak:
                     return
 
     def _look(self) -> bool:
-        """Take a sample and hold the rules against it; whether there is no going on."""
+        """Take a sample and check the rules. Return True if the run cannot continue."""
         sample = self._watch.look()
         self._record.add("sample", calm=self._watch.calm, **sample)
         for rule in RULES:
@@ -123,20 +125,20 @@ class Soak:
         return False
 
     def _break(self, rule: str, why: str) -> None:
-        """Told once a rule: it may not hold for long."""
-        if rule not in self._told:
-            self._told.add(rule)
+        """Report a broken rule, once a rule."""
+        if rule not in self._reported:
+            self._reported.add(rule)
             log.error("broken: %s: %s", rule, why)
             self._record.add("broken", rule=rule, why=why)
 
     # -- faults ---------------------------------------------------------------------------------
 
     def _all_faults(self, ends_s: float) -> Steps:
-        """A step each time that the next is asked for."""
+        """Inject the faults, one step each time that the generator is resumed."""
         yield from self._pause(min(_WARM_UP_S, _WARM_UP * self._lasts_s))
-        for drawn in rounds(self._faults, self._drawn):
+        for drawn in rounds(self._faults, self._schedule_rng):
             yield from self._one(drawn)
-            yield from self._pause(float(self._drawn.uniform(*_CALM_S)))
+            yield from self._pause(float(self._schedule_rng.uniform(*_CALM_S)))
             if time.monotonic() >= ends_s:
                 return ""
         return ""
@@ -148,12 +150,12 @@ class Soak:
         return ""
 
     def _one(self, drawn: Sequence[Drawn]) -> Steps:
-        """Make a fault, or one within another, and wait until all is well again."""
+        """Inject a fault, or one within another, and wait until the service has recovered."""
         watch, began_s = self._watch, time.monotonic()
         faults = [fault for fault, _ in drawn]
         name, alone = " + ".join(fault.name for fault in faults), len(faults) == 1
         watch.calm = False
-        why = yield from make(drawn, self._stage, watch, self._chance)
+        why = yield from make(drawn, self._stage, watch, self._fault_rng)
         watch.mutes, ended_s = False, time.monotonic()
         why = why if alone else ""
         why = why or (yield from self._recovers(faults, When(began_s, ended_s)))
@@ -168,7 +170,7 @@ class Soak:
         watch.calm = True
 
     def _recovers(self, faults: Sequence[Fault], when: When) -> Steps:
-        """What does not hold in time after them, the first of it; empty once all holds."""
+        """Wait until all holds after the faults. Return the first reason if it takes too long."""
         holds = [recovered, *(hold for fault in faults for hold in fault.after)]
         if len(faults) == 1 and faults[0].says:
             holds.append(says(faults[0].says))
@@ -178,13 +180,13 @@ class Soak:
             if not (why := next(filter(None, every), "")):
                 return ""
             if time.monotonic() - when.ended_s > within_s:
-                return f"{within_s:g} s after: {why}"
+                return f"not recovered after {within_s:g} s: {why}"
             yield
 
     # -- the end --------------------------------------------------------------------------------
 
     def conclude(self) -> None:
-        """Judge the whole run, and have the service end."""
+        """Judge the whole run, and stop the service."""
         ran_s = time.monotonic() - self._record.began_s
         samples = of(self._record.rows, "sample")
         for growth in GROWTHS:
@@ -201,13 +203,15 @@ class Soak:
         self._stage.look_at_family()
         code = self._stage.stop_service()
         if code != os.EX_OK:
-            self._break("service ends", "not within its time" if code is None else f"with {code}")
+            self._break("service ends", "not in time" if code is None else f"with exit code {code}")
         recorded = self._watch.recordings.judge()
         self._record.add("recordings", **recorded)
         if why := self._watch.recordings.problem:
             self._break("recordings", why)
         if left := self._stage.orphans():
             names = ", ".join(process.command[:60] for process in left)
-            self._break("no child is left", f"{len(left)} of the service's: {names}")
+            self._break(
+                "no child is left", f"{len(left)} processes of the service still run: {names}"
+            )
         self._record.add("end", faults=len(of(self._record.rows, "fault")),
                          missions=len(self._missions.ended))  # fmt: skip

@@ -1,4 +1,4 @@
-"""Which fault is next, for how long, and whether another begins within it."""
+"""Schedule of faults: the next fault, its duration, and whether another begins within it."""
 
 from __future__ import annotations
 
@@ -20,21 +20,25 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("edge.lab.eval.soak")
 
-SECOND = 0.2  # of all faults have another within them
-_BEGINS = 0.5  # of the first one's time
+SECOND = 0.2  # share of faults with another within them
+_BEGINS = 0.5  # begin of the second, as a share of the first one's duration
 
 Steps = Generator[None, None, str]
-"""What is done a step at a time, and what came of it."""
+"""A generator of steps that returns the reason of a failure, or ""."""
 
 
 class Drawn(NamedTuple):
+    """A fault and its duration."""
+
     fault: Fault
     lasts_s: float
 
 
 def rounds(faults: Sequence[Fault], rng: np.random.Generator) -> Iterator[tuple[Drawn, ...]]:
-    """All faults, then all in another order, for ever; now and then one with another that is to
-    begin within it, done to something else."""
+    """Yield all faults in random order, again and again.
+
+    Some have a second fault within them, which affects another part.
+    """
     while True:
         for k in rng.permutation(len(faults)):
             first = faults[k]
@@ -45,10 +49,10 @@ def rounds(faults: Sequence[Fault], rng: np.random.Generator) -> Iterator[tuple[
 
 
 def make(drawn: Sequence[Drawn], stage: Stage, watch: Watch, rng: np.random.Generator) -> Steps:
-    """Make the first, and what follows within it, which ends before it does.
+    """Inject the first fault, and the rest within it, which ends before the first does.
 
     Returns:
-        What the first did not show while it lasted, or why it could not be made; empty if neither.
+        The conditions that the first fault did not show, or why it could not be injected; else "".
     """
     if not drawn:
         return ""
@@ -70,4 +74,4 @@ def make(drawn: Sequence[Drawn], stage: Stage, watch: Watch, rng: np.random.Gene
                 yield
             return "; ".join(hold(stage, watch, when) for hold in unshown)
     except UserError as error:
-        return f"it could not be made, or ended: {error}"
+        return f"the fault could not be injected or ended: {error}"

@@ -1,4 +1,4 @@
-"""The processes of a soak: service, robot, controller, router, and the relay between them."""
+"""Harness of a soak: the processes of service, robot, controller and router, and the relay."""
 
 from __future__ import annotations
 
@@ -40,25 +40,25 @@ from edge.perception.runtime.cards import card_path, load_detector_card
 
 BEAT = Sink(kind="edge.lab.eval.soak.beat:BeatSink")
 TWIN, BROKEN = "soak-twin", "soak-broken"
-"""Models: the configuration's own under another name, and one that cannot be loaded."""
+"""Models: a copy of the configured one under another name, and one that cannot be loaded."""
 ANSWER_S = 5.0
 STOP_S = 30.0
-START_S = 900.0  # kernels are compiled at the first start, on a machine that may be busy
+START_S = 900.0  # the first start compiles kernels, on a machine that may be busy
 _HTTP_S = 2.0
 _LOOK_S = 0.1
-_ELSEWHERE_M = 60.0  # houses lie so far apart: no robot could have come from one to the other
+_ELSEWHERE_M = 60.0  # between two houses: too far for a robot to have driven
 _MODEL = re.compile(r"\bedge\.perception\.serve_detector\b")
 
 
 def staged(config: Config, out: Path) -> Config:
-    """The configuration with ports that nobody has, and all that is written below `out`.
+    """Return the configuration with free ports, and with all files below `out`.
 
     Raises:
-        UserError: it is one that replays the same, for which there is no real time.
+        UserError: it runs in lockstep, and not in real time.
     """
     if config.loop.lockstep or config.sim.lockstep:
         where = config.at("loop.lockstep", "sim.lockstep")
-        raise UserError(f"{where}, sim.lockstep: a soak is in real time")
+        raise UserError(f"{where}, sim.lockstep: a soak runs in real time; set both to false")
     zenoh = {"endpoint": _endpoint(), "file": None, "client_file": None}
     http = {"host": "127.0.0.1", "port": free_port(), "token_file": None}
     checkpoint = {"checkpoint": str(out / "checkpoint.json")}
@@ -77,19 +77,22 @@ def _endpoint() -> str:
 
 
 class Stage:
-    """Runs until it is closed.
+    """Runs the processes until it is closed.
 
     Args:
-        config: as `staged` makes it.
+        config: as `staged` returns it.
+        out: folder of all files.
+        stop: ends a wait.
+
     Attributes:
         service: its process; it is never started again.
-        house: the one that the robot is in.
-        session: for requests, and to hear what is published.
-        family: what the service has started, and what that has, ever.
+        house: number of the robot's house.
+        session: for requests and subscriptions.
+        family: all processes that the service and its children have ever started.
 
     Raises:
         Stopped: `stop` was set before all had started.
-        UserError: something ended before that, or took too long.
+        UserError: a process ended before that, or took too long.
     """
 
     def __init__(self, config: Config, out: Path, stop: threading.Event) -> None:
@@ -102,24 +105,29 @@ class Stage:
         self._environ["EDGE_CACHE_DIR"] = str(_cache(config, out / "cache"))
         self._robot = Zenoh(endpoint=_endpoint(), prefix=config.zenoh.prefix)
         self.log = Log(out / "service.pipe", out / "service.log")
-        self._said = (out / "others.log").open("wb")
+        self._output = (out / "others.log").open("wb")
         self._http = httpx.Client(base_url=f"http://127.0.0.1:{config.http.port}", timeout=_HTTP_S)
         self.write_config()
 
-    # -- all of it ------------------------------------------------------------------------------
+    # -- start and end --------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Service first, then who connects to it."""
+        """Start the service first, then the processes that connect to it."""
         self.start_router()
-        with os.fdopen(self.log.writer(), "wb") as said:
-            self.service = self._start("service", "run", str(self.config_file), out=said)
-        self._until(lambda: self.page("/readyz")[1].get("state") == "running", "edge run: no start")
+        with os.fdopen(self.log.writer(), "wb") as output:
+            self.service = self._start("service", "run", str(self.config_file), out=output)
+        self._until(
+            lambda: self.page("/readyz")[1].get("state") == "running", "edge run did not start"
+        )
         self._session = zenoh_session(self.config.zenoh, "connect", self._stop)
         self.session = self._session.__enter__()
         self.relay = Relay(self._robot, self.config.zenoh, self._stop)
         self.start_simulator()
         self.start_controller()
-        self._until(lambda: self.page("/readyz")[0] == HTTPStatus.OK, "the robot is not seen")
+        self._until(
+            lambda: self.page("/readyz")[0] == HTTPStatus.OK,
+            "/readyz is not 200 with the robot running",
+        )
 
     def _until(self, what: Callable[[], bool], otherwise: str) -> None:
         deadline_s = time.monotonic() + START_S
@@ -127,12 +135,12 @@ class Stage:
             raise_if_stopped(self._stop)
             self.log.poll()
             if self.gone() or time.monotonic() > deadline_s:
-                said = self.log.lines[-1][1] if self.log.lines else "nothing was said"
-                raise UserError(f"{otherwise}: {'; '.join([*self.gone(), said])}")
+                last_line = self.log.lines[-1][1] if self.log.lines else "no output"
+                raise UserError(f"{otherwise}: {'; '.join([*self.gone(), last_line])}")
             time.sleep(_LOOK_S)
 
     def close(self) -> None:
-        """End all processes; the service last, which must have ended in order by then."""
+        """End all processes; the service last, as it should have ended before."""
         for name in reversed(list(self._children)):
             if name != "service":
                 self.kill(name)
@@ -142,11 +150,11 @@ class Stage:
             self._session.__exit__(None, None, None)
         self.kill("service")
         self.log.close()
-        self._said.close()
+        self._output.close()
         self._http.close()
 
     def stop_service(self) -> int | None:
-        """Tell it to stop; its exit code, or None where it has not ended in `STOP_S`."""
+        """Stop the service. Return its exit code; None if it has not ended in `STOP_S`."""
         self.service.send_signal(signal.SIGCONT)
         self.service.send_signal(signal.SIGTERM)
         deadline_s = time.monotonic() + STOP_S
@@ -155,23 +163,24 @@ class Stage:
             time.sleep(_LOOK_S)
         return self.service.poll()
 
-    # -- its processes --------------------------------------------------------------------------
+    # -- processes ------------------------------------------------------------------------------
 
     def start_router(self) -> None:
-        """Where the configuration wants one."""
+        """Start the Zenoh router, if the configuration needs one."""
         if self.config.zenoh.mode == "client":
             self._python("router", "edge.lab.eval.soak.router", self.config.zenoh.endpoint)
 
     def start_controller(self) -> None:
+        """Start the motion controller."""
         self._start("controller", "sim", str(self.config_file), "--motion-only")
 
     def start_viewer(self) -> None:
-        """Somebody who hears all that is published."""
+        """Start a subscriber of all topics."""
         settings = self.config.zenoh
         self._python("viewer", "edge.lab.eval.soak.viewer", settings.endpoint, settings.prefix)
 
     def start_simulator(self) -> None:
-        """The robot, at the start of the present house."""
+        """Start the robot, at the start of the present house."""
         config = self.config.model_copy(
             update={"zenoh": self._robot, "sim": self.config.sim.model_copy(
                 update={"world": self.world})}
@@ -182,7 +191,7 @@ class Stage:
 
     @property
     def world(self) -> Any:
-        """`sim.world` of the present house: the configuration's own, then generated ones."""
+        """`sim.world` of the present house: the configured one, then generated ones."""
         own = self.config.sim.world
         if self.house == 0:
             return own
@@ -190,7 +199,7 @@ class Stage:
         return WorldGenerated(kind="generated", seed=first + self.house)
 
     def move_house(self) -> None:
-        """Another simulator, of the next house; `map` goes on elsewhere."""
+        """Restart the simulator in the next house; its place in `map` is far away."""
         self.kill("simulator", signal.SIGTERM)
         self.house += 1
         self.relay.offset_m = _ELSEWHERE_M * (self.house % 2)
@@ -210,24 +219,25 @@ class Stage:
             child.wait()
 
     def send(self, name: str, number: int) -> None:
-        """Send a child a signal."""
+        """Send a signal to a child."""
         self._children[name].send_signal(number)
 
     def gone(self) -> list[str]:
-        """Children that have ended by themselves."""
+        """Return the children that have ended by themselves."""
         return [name for name, child in self._children.items() if child.poll() is not None]
 
     def model_process(self) -> Process | None:
-        """The one of the service's model, where it has one now."""
+        """Return the process of the service's model; None if it has none now."""
         self.look_at_family()
         alive = (process for process in self.family if _MODEL.search(process.command))
         return next((process for process in alive if process.lives()), None)
 
     def look_at_family(self) -> None:
+        """Add the present descendants of the service to `family`."""
         self.family.update(descendants(self.service.pid))
 
     def orphans(self) -> list[Process]:
-        """What the service has started, and has outlived it."""
+        """Return the processes that the service has started and that still run."""
         return [process for process in self.family if process.lives()]
 
     def _start(
@@ -244,9 +254,9 @@ class Stage:
         self, name: str, arguments: Sequence[str], out: Any = None
     ) -> subprocess.Popen[bytes]:
         module, *rest = arguments
-        out = self._said if out is None else out
-        # A session of its own keeps the terminal's Ctrl-C for this process, which stops all in
-        # order, and its closing from being taken for a wish to end.
+        out = self._output if out is None else out
+        # With its own session, a child gets neither the terminal's Ctrl-C nor its hangup: this
+        # process stops all children in order.
         child = subprocess.Popen(
             [*python_module(module), *rest], env=self._environ, stdout=out,
             stderr=out, stdin=subprocess.DEVNULL, start_new_session=True,
@@ -254,10 +264,10 @@ class Stage:
         self._children[name] = child
         return child
 
-    # -- what it is asked and told --------------------------------------------------------------
+    # -- requests and messages ------------------------------------------------------------------
 
     def page(self, path: str) -> tuple[int, dict[str, Any]]:
-        """Status and content of one of the service's pages; 0 where there was no answer in time."""
+        """Return status and JSON of one of the service's pages; 0 without an answer in time."""
         try:
             answer = self._http.get(path)
             return answer.status_code, dict(answer.json())
@@ -265,42 +275,45 @@ class Stage:
             return 0, {}
 
     def text(self, path: str) -> str:
-        """The content of one of the service's pages; empty where there was no answer in time."""
+        """Return the text of one of the service's pages; "" if there was no answer in time."""
         try:
             return self._http.get(path).raise_for_status().text
         except httpx.HTTPError:
             return ""
 
     def mission(self, **request: str) -> dict[str, Any]:
-        """What the service answers to a request about its mission; see `edge.bus.client.ask`."""
+        """Send a request about the mission and return the answer; see `edge.bus.client.ask`."""
         key = self.config.zenoh.key(topics.MISSION_REQUEST)
         return ask(self.session, key, request, ANSWER_S, "mission")
 
     def models(self, **request: object) -> dict[str, Any]:
-        """The same, about its model."""
+        """Send a request about the model and return the answer."""
         key = self.config.zenoh.key(topics.MODELS_REQUEST)
         return ask(self.session, key, request, ANSWER_S, "models")
 
     def put(self, topic_key: str, payload: bytes) -> None:
-        """Publish something in somebody's name."""
+        """Publish a message on a topic."""
         with suppress(zenoh.ZError):
             self.session.put(self.config.zenoh.key(topic_key), payload)
 
     @property
     def config_file(self) -> Path:
+        """Path of the service's configuration."""
         return self.out / "config.yaml"
 
     def write_config(self, **changes: dict[str, Any]) -> None:
-        """Write the service's configuration, with these keys of its sections changed; a section
-        that is of a `kind` gives way as a whole."""
-        told = json.loads(self.config.model_dump_json(exclude={"path"}))
+        """Write the service's configuration with changed keys, by section.
+
+        A section with a `kind` is replaced as a whole.
+        """
+        data = json.loads(self.config.model_dump_json(exclude={"path"}))
         for section, values in changes.items():
-            told[section] = values if "kind" in values else {**told[section], **values}
-        write_atomically(self.config_file, json.dumps(told, indent=1).encode())
+            data[section] = values if "kind" in values else {**data[section], **values}
+        write_atomically(self.config_file, json.dumps(data, indent=1).encode())
 
 
 def _cache(config: Config, folder: Path) -> Path:
-    """A cache that has what the user's own has, and two more models (`TWIN`, `BROKEN`)."""
+    """Make a cache with links to the user's own and two more models (`TWIN`, `BROKEN`)."""
     models = folder / "models"
     models.mkdir(parents=True)
     _link_all(resources.cache_dir(), folder)
@@ -308,10 +321,10 @@ def _cache(config: Config, folder: Path) -> Path:
     detector = config.perception.detector
     if isinstance(detector, DetectorOnnx):
         card = load_detector_card(detector.model)
-        told = read_yaml(card_path(detector.model))
+        card_data = read_yaml(card_path(detector.model))
         for name in (TWIN, BROKEN):
             own = {"name": name, "file": f"{name}.onnx", "parity": None}
-            text = yaml.safe_dump({**told, **own}, sort_keys=False)
+            text = yaml.safe_dump({**card_data, **own}, sort_keys=False)
             (models / f"{name}.yaml").write_text(text, encoding="utf-8")
         shutil.copyfile(card.path, models / f"{TWIN}.onnx")
         (models / f"{BROKEN}.onnx").write_bytes(card.path.read_bytes()[:-1])

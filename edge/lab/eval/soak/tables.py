@@ -1,4 +1,4 @@
-"""What a soak prints at its end: what broke, growth, faults and missions."""
+"""Tables that a soak prints at its end: broken rules, growth, faults and missions."""
 
 from __future__ import annotations
 

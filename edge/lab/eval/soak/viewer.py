@@ -1,4 +1,4 @@
-"""Hears all that is published: `python -m edge.lab.eval.soak.viewer ENDPOINT PREFIX PARENT`."""
+"""A subscriber of all topics: `python -m edge.lab.eval.soak.viewer ENDPOINT PREFIX PARENT`."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from edge.host.signals import stop_on_signals
 
 
 def main(endpoint: str, prefix: str, parent: str) -> None:
+    """Subscribe until the parent process ends."""
     stop = stop_on_signals(int(parent))
-    # As on another machine: there, what is large does not pass by in shared memory.
+    # As on another machine, which large messages do not reach by shared memory.
     settings = Zenoh(endpoint=endpoint, prefix=prefix, shared_memory=False)
     with zenoh_session(settings, "connect", stop) as session:
         session.declare_subscriber(f"{prefix}/**", zenoh.handlers.RingChannel(8))

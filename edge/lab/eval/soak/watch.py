@@ -1,4 +1,4 @@
-"""What is to be seen of the service from outside: what it publishes, its pages, its processes."""
+"""Monitor of the service from outside: its topics, its pages, its processes."""
 
 from __future__ import annotations
 
@@ -36,27 +36,30 @@ _LOGGED = re.compile(r"\d\d:\d\d:\d\d")
 
 
 class Watch:
-    """For the soak's own thread, but for what Zenoh hands in.
+    """State of the service, for the soak's own thread. Zenoh's callbacks take a lock.
 
-    Times are `time.monotonic`'s, in seconds.
+    Times are `time.monotonic` in seconds.
 
     Attributes:
-        status: the newest status message; `status_s`: when it came.
-        beats: the newest of `edge.lab.eval.soak.beat`, with when they came, oldest first.
-        ready: what `/readyz` says is amiss, where `/healthz` was 200; `ready_s`: since when so.
-        alive_s: when `/healthz` was 200 last.
-        counts: goals, the controller's answers by state, missions by how they ended.
-        checkpoint, places: why the mission's, and that of the map beside it, cannot be read; empty
-            while they can.
-        recordings: what is recorded.
-        calm: there is no fault; may be set.
-        mutes: a fault keeps all that is published from being heard; may be set. `muted_s`: when one
-            did so last.
+        status: the newest status message.
+        status_s: its time.
+        beats: the newest messages of `edge.lab.eval.soak.beat` with their times, oldest first.
+        ready: problems that `/readyz` reports.
+        is_ready: `/readyz` was 200.
+        seen_s: time of the last sample.
+        alive_s: time at which `/healthz` was last 200.
+        counts: number of goals, and of goals reached and failed.
+        checkpoint: why the mission's checkpoint cannot be read; "" if it can.
+        places: the same for the map's checkpoint.
+        recordings: check of the recordings.
+        calm: there is no fault; can be set.
+        mutes: a fault stops all published messages; can be set.
+        muted_s: last time of that.
     """
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
-        self._hand = threading.Lock()
+        self._lock = threading.Lock()
         self.status: dict[str, Any] = {}
         self.latency: dict[str, Any] = {}
         self.beats: deque[tuple[float, dict[str, Any]]] = deque(maxlen=_KEPT_BEATS)
@@ -87,61 +90,61 @@ class Watch:
 
     def _on_json(self, take: Callable[[dict[str, Any]], None], sample: zenoh.Sample) -> None:
         try:
-            told = read_json_object(sample.payload.to_bytes())
+            message = read_json_object(sample.payload.to_bytes())
         except ValueError:  # the soak itself sends garbage
             return
-        with self._hand:
-            take(told)
+        with self._lock:
+            take(message)
 
-    def _on_status(self, told: dict[str, Any]) -> None:
-        self.status, self.status_s = told, time.monotonic()
+    def _on_status(self, message: dict[str, Any]) -> None:
+        self.status, self.status_s = message, time.monotonic()
 
-    def _on_latency(self, told: dict[str, Any]) -> None:
-        self.latency = told
+    def _on_latency(self, message: dict[str, Any]) -> None:
+        self.latency = message
 
-    def _on_beat(self, told: dict[str, Any]) -> None:
-        self.beats.append((time.monotonic(), told))
-        if self.calm and told["ticks"]:
-            self._calm_hz.append(told["ticks"] / told["seconds"])
+    def _on_beat(self, message: dict[str, Any]) -> None:
+        self.beats.append((time.monotonic(), message))
+        if self.calm and message["ticks"]:
+            self._calm_hz.append(message["ticks"] / message["seconds"])
 
-    def _on_answer(self, told: dict[str, Any]) -> None:
-        if isinstance(state := told.get("state"), str) and state in ("reached", "failed"):
+    def _on_answer(self, message: dict[str, Any]) -> None:
+        if isinstance(state := message.get("state"), str) and state in ("reached", "failed"):
             self.counts[f"goals {state}"] += 1
 
     def _on_goal(self, sample: zenoh.Sample) -> None:
-        """A goal is sent again until it is answered."""
+        """Count a goal once: it is sent again until it is answered."""
         payload = sample.payload.to_bytes()
-        with self._hand:
+        with self._lock:
             if payload not in self._goals:
                 self._goals = {payload}
                 self.counts["goals"] += 1
 
-    # -- on the soak's ---------------------------------------------------------------------------
+    # -- on the soak's thread --------------------------------------------------------------------
 
     @property
     def usual_hz(self) -> float:
-        """Ticks a second without a fault."""
-        with self._hand:
+        """Median rate of ticks without a fault [1/s]."""
+        with self._lock:
             known = list(self._calm_hz)
         return float(np.median(known)) if known else 0.0
 
     def ticks_hz(self, since_s: float) -> float:
-        """Ticks a second by the newest two beats after `since_s`, 0 before there are two."""
-        with self._hand:
+        """Return the tick rate by the newest two beats after `since_s`; 0 if there are not two."""
+        with self._lock:
             newest = list(self.beats)[-2:]
         if len(newest) < 2 or newest[0][0] < since_s + newest[0][1]["seconds"]:
             return 0.0
-        seconds = sum(told["seconds"] for _, told in newest)
-        return float(sum(told["ticks"] for _, told in newest) / seconds)
+        seconds = sum(message["seconds"] for _, message in newest)
+        return float(sum(message["ticks"] for _, message in newest) / seconds)
 
     @property
     def beat_s(self) -> float:
-        """When the loop's beat was heard last."""
-        with self._hand:
+        """Time of the newest beat."""
+        with self._lock:
             return self.beats[-1][0] if self.beats else self.began_s
 
     def look(self) -> dict[str, Any]:
-        """Look at pages, processes and checkpoint; a sample, JSON-ready."""
+        """Take a sample of pages, processes and checkpoints. Return it, JSON-ready."""
         stage, now_s = self._stage, time.monotonic()
         codes = {path: stage.page(path) for path in PROBES}
         health, ready = (codes[path] for path in PROBES)
@@ -158,7 +161,7 @@ class Watch:
         self.places = _unreadable(places, MAP)
         self.recordings.look()
         stage.look_at_family()
-        with self._hand:
+        with self._lock:
             status, latency = self.status, self.latency
             newest = self.beats[-1] if self.beats else (now_s, {})
         sample: dict[str, Any] = {
@@ -197,13 +200,13 @@ class Watch:
 
 
 def dropped(page: str) -> dict[str, int]:
-    """Messages that became part of no observation since the start, by reason, of `/metrics`."""
+    """Return the messages that became part of no observation, by reason, from `/metrics`."""
     samples = (s for family in text_string_to_metric_families(page) for s in family.samples)
     return {s.labels["reason"]: int(s.value) for s in samples if s.name == _DROPPED and s.value}
 
 
 def _is_logged(line: str) -> bool:
-    """Whether it is a line of the log, not of what a signal has it show."""
+    """Return True for a line of the log; a list of threads after a signal is not one."""
     return _LOGGED.match(line) is not None
 
 
@@ -215,7 +218,7 @@ def _age_s(path: Path) -> float | None:
 
 
 def _unreadable(path: Path, form: CheckpointFormat) -> str:
-    """Why a checkpoint is no whole one; empty where it is, or where there is none yet."""
+    """Return why a checkpoint cannot be read; "" if it can, or if it is not there yet."""
     try:
         with path.open("rb") as file:
             form.decode(file.read(form.max_bytes + 1))

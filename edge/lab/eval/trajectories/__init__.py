@@ -1,5 +1,5 @@
-"""`edge eval trajectories`: what instructions mean as trajectories, and how near methods come.
+"""`edge eval trajectories`: compare trajectories written for instructions with references.
 
-Places and tasks with their references (`meaning`, `episodes`), methods and their baselines
-(`methods`), outcomes and what they say (`outcomes`, `tables`, `plots`), the command (`run`).
+`meaning` and `episodes` make places, tasks and reference trajectories. `methods` has the compared
+methods, `outcomes` the results, `tables` and `pictures` the report, `run` the command.
 """

@@ -1,13 +1,13 @@
-"""Episodes: a task, the scene that methods get for it, and the place as it truly is.
+"""Episodes: a task, the scene that the methods get, and the true place.
 
 | source | the scene | the truth |
 |---|---|---|
-| `streets[0:200]` | known: boxes, occupancy and ground of the built-in street, where LiDAR shows them | the same |
-| `kitti:FOLDER` | perceived: one frame of SemanticKITTI through the chain, by the labels' boxes and masks, or, with a detector, by nothing but image and scan | things by the labels of the frame's points; ground and what is occupied by those of all frames |
-| `house:CONFIG` | known: outlines of what a camera sees from the start, the floor plan of the world | the same |
+| `streets[0:200]` | known: boxes, occupancy and ground of the built-in street, if the LiDAR hits them | the same |
+| `kitti:FOLDER` | perceived: one frame of SemanticKITTI through the detection pipeline, with boxes and masks from the labels; or, with a detector, from image and scan alone | objects from the labels of the frame's points; ground and occupancy from the labels of all frames |
+| `house:CONFIG` | known: outlines of the objects that a camera sees from the start, and the floor plan | the same |
 
-Streets 0-99 are for tuning, 100-199 are held. A street has one task, whose kinds take turns; a frame
-or a start has `WANTED` of each category where it has so many.
+Streets 0-99 are for tuning, 100-199 for testing. A street has one task; the kinds take turns. A frame
+or a start has at most `WANTED` tasks of each category.
 """  # noqa: E501 (a table)
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ from edge.text import one_line
 KNOWN = "streets[0:200], kitti:FOLDER, house:CONFIG"
 WANTED = {"specific": 3, "ambiguous": 3, "high-level": 4}
 STARTS = 10
-"""Of a house."""
+"""Starts in a house."""
 _KEY = 18
 _SPEC = re.compile(r"^streets\[(\d+):(\d+)\]$")
 _MOST_STREETS = 10_000
-_NO_NAMES = ("object", "structure", "vehicle")  # labels of SemanticKITTI that nobody would say
-_KITTI_M, _HOUSE_M = (7.0, 45.0), (1.5, 12.0)  # how far from the robot a task's things are
-_LEAST_HIGH_M, _MOST_OFF_M = 0.15, 0.5  # lower things are driven over, others hang on the wall
+_NO_NAMES = ("object", "structure", "vehicle")  # SemanticKITTI's labels that nobody says
+_KITTI_M, _HOUSE_M = (7.0, 45.0), (1.5, 12.0)  # distance of a task's objects from the robot
+_LEAST_HIGH_M, _MOST_OFF_M = 0.15, 0.5  # lower objects do not block; higher ones hang on a wall
 _EYE = CameraModel.from_hfov(320, 240, math.pi / 2)
 _EYE_M = 1.0
 _LEAST_PX = 40
@@ -57,17 +57,18 @@ _LEAST_PX = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Episode:
-    """
+    """A task with its scene and the true place.
+
     Attributes:
-        id: unique, and another one when the instruction or its reference changes.
+        id: unique; changes with the instruction or its reference.
         source: "streets", "kitti" or "house".
-        world: the street, the frame or the start: episodes of one are not independent.
-        scene: all that methods get besides the instruction.
-        truth: int8, 100 where something is, whether or not the scene tells.
+        world: the street, the frame or the start. Episodes of one world are not independent.
+        task: instruction and reference.
+        scene: all that methods get in addition to the instruction.
+        truth: int8 cells, 100 for occupied, even if the scene does not show it.
         robot_m: the robot's radius.
-        things: of the place, for pictures.
-        solid_m: (n, 2) float64 points of what truly is there, finer than `truth`; None: there are
-            none, and `truth` is exact.
+        things: objects of the place, for pictures.
+        solid_m: (n, 2) float64, true obstacle points, finer than `truth`; None: `truth` is exact.
     """
 
     id: str
@@ -84,18 +85,18 @@ class Episode:
 def episodes(
     specs: Sequence[str], limit: int | None = None, chain: Chain | None = None
 ) -> Iterator[Episode]:
-    """What command lines name, in its order.
+    """Yield the episodes of the places that the command line names, in order.
 
     Args:
-        specs: each `KNOWN` shows a form.
-        limit: at most so many of each.
-        chain: finds what is in a frame of SemanticKITTI; None: the labels tell it. Other places
-            are known as they are, and refused.
+        specs: each has a form of `KNOWN`.
+        limit: at most this number of episodes for each.
+        chain: detection pipeline for frames of SemanticKITTI; None: objects come from the labels.
+            With a pipeline, other places are refused, as their objects are known.
 
     Raises:
-        UserError: one is of no such form, or cannot be read.
+        UserError: a spec has another form or cannot be read.
     """
-    found = [_of(spec, chain) for spec in specs]  # a wrong one is told before the first is run
+    found = [_of(spec, chain) for spec in specs]  # check all before the first runs
     for each in found:
         yield from itertools.islice(each, limit)
 
@@ -103,13 +104,11 @@ def episodes(
 def _of(spec: str, chain: Chain | None) -> Iterator[Episode]:
     kind, colon, name = spec.partition(":")
     if chain is not None and kind != "kitti":
-        raise UserError(
-            f"{one_line(spec)}: it is known as it is: a detector sees kitti:FOLDER only"
-        )
+        raise UserError(f"{one_line(spec)}: --detector works with kitti:FOLDER only")
     if matched := _SPEC.match(spec):
         first, end = map(int, matched.groups())
         if not first < end <= first + _MOST_STREETS:
-            raise UserError(f"{spec}: an empty range, or more than {_MOST_STREETS} streets")
+            raise UserError(f"{spec}: the range is empty or has more than {_MOST_STREETS} streets")
         return _streets(range(first, end))
     if colon and name and kind == "kitti":
         folder = Path(name)
@@ -137,7 +136,7 @@ def _episode(
 
 
 def _drawn(place: Place, dice: Dice, wanted: Mapping[str, int] = WANTED) -> list[Task]:
-    """So many tasks of each category, if a place has them; kinds of high-level ones take turns."""
+    """Draw at most the wanted number of tasks of each category; high-level kinds take turns."""
     found: dict[str, list[Task]] = {category: [] for category in wanted}
     for task in tasks(place, "to", dice):
         if len(found[task.category]) < wanted[task.category]:
@@ -172,16 +171,17 @@ def _kitti(folder: Path, numbers: Sequence[int], chain: Chain | None) -> Iterato
 
 
 def _sequence(folder: Path) -> str:
-    """A name of a sequence that no other has: its folder's, and a few digits of its poses."""
+    """Return a unique name of a sequence: its folder's, and a few digits of its poses' hash."""
     poses = hashlib.sha256((folder / "poses.txt").read_bytes()).hexdigest()[:4]
     return f"{one_line(folder.resolve().name, 40)}-{poses}"
 
 
 def kitti_place(frame: kitti.Frame, whole: Scene) -> Place:
-    """What the labels tell of the things in a frame's picture.
+    """Return the labelled objects in a frame's picture, with the ground and occupancy around them.
 
     Args:
-        whole: of all frames, for its ground and what is occupied.
+        frame: the frame.
+        whole: scene of all frames, for its ground and occupancy.
     """
     seen = frame.observation
     T_map_lidar = seen.T_map_base @ seen.T_base_lidar
@@ -214,7 +214,7 @@ def _house(config: Config) -> Iterator[Episode]:
 
 
 def house_scene(world: World, pose: SE2, radius_m: float) -> Scene:
-    """What stands on the floor in view of a camera that looks all round, on the floor plan."""
+    """Return the scene that a spinning camera sees: floor plan, and objects on the floor."""
     plan = world.plan.grid
     occupancy = Grid((plan.cells > 0).astype(np.int8) * 100, plan.origin_xy_m, plan.resolution_m)
     floor = reachable(occupancy.cells == 0, occupancy, pose).astype(np.uint8)
@@ -233,7 +233,7 @@ def house_scene(world: World, pose: SE2, radius_m: float) -> Scene:
 
 
 def _in_view(world: World, pose: SE2) -> set[int]:
-    """Ids of what a camera sees that turns once round."""
+    """Return the ids of the objects that a camera sees in four views around the robot."""
     depth_m = np.empty((_EYE.height_px, _EYE.width_px), np.float32)
     ids, found = np.empty(depth_m.shape, np.uint16), set()
     for quarter in range(4):

@@ -1,27 +1,27 @@
-"""What a person means by an instruction, as a trajectory: the references of OpenNav IV, made by a
-rule where the paper has them drawn by hand.
+"""Reference trajectories of instructions (OpenNav IV).
 
-| said | it leads |
+The paper draws them by hand; here a rule makes them.
+
+| instruction | reference |
 |---|---|
-| go to A, stop at A | to where one stops at A: of the points from which nothing stands before A and that are about as near to it as the nearest (`ABOUT_M`), the one nearest to where one comes from |
-| drive past the left of A, then stop at B | by a point abeam of A, on the side that the robot sees to the left of A as it stands at first; then as to B |
-| go around the left of A, then stop at B, where B is behind A or on its other side | along an arc past that side of A, until B is abeam; then as to B |
-| go to A, then stop at B | as to A, then as to B |
+| go to A, stop at A | to the stop at A. Candidates are points with a free line to A, nearly as near to A as the nearest (`ABOUT_M`). The stop is the candidate nearest to where the robot comes from |
+| drive past the left of A, then stop at B | by a point abeam of A, on its left as seen from the robot's start; then to the stop at B |
+| go around the left of A, then stop at B, if B is behind A or on its other side | along an arc on that side of A, until B is abeam; then to the stop at B |
+| go to A, then stop at B | to the stop at A, then to the stop at B |
 
-Beside A means `ASIDE_M` between it and the robot. From point to point it is the cheapest way for one
-who keeps `COMFORT_M` more than he needs away from things where there is room, over drivable ground
-and no other; a way that is more than twice as long as the line is not what anybody means, and its
-task is left out.
+A point abeam of A leaves `ASIDE_M` between A and the robot. From point to point the reference is the
+cheapest path over drivable ground. Cells within `COMFORT_M` of the necessary clearance cost more. If a
+path is longer than twice the straight line plus 5 m, the task is left out.
 
-Things are called by what nobody could take for another:
+An object gets an unambiguous name:
 
-| called | category |
+| name | category |
 |---|---|
-| the car: there is one; the red car: one of them is red | specific |
-| the second car on the left: where counting the side's cars, the nearest first, is clear | ambiguous |
-| everything that leads by one thing to another | high-level |
+| the car: there is only one; the red car: only one is red | specific |
+| the second car on the left: counted from the nearest, if the order is clear | ambiguous |
+| any instruction that leads past one object to another | high-level |
 
-Nothing here asks `edge.tasks` what it would do.
+The module does not use the planner of `edge.tasks`, so the references are independent of it.
 """  # noqa: E501 (a table)
 
 from __future__ import annotations
@@ -46,28 +46,31 @@ KINDS = ("to", "past", "around", "then")
 CATEGORIES = ("specific", "ambiguous", "high-level")
 ASIDE_M, COMFORT_M, ABOUT_M = 0.8, 1.0, 0.35
 FARTHEST_STOP_M = 4.0
-"""A thing that nobody gets nearer to is not gone to."""
+"""A stop farther from an object than this does not count as going to it."""
 ESCAPE_M = 1.0
-_AHEAD_RAD = math.radians(60.0)  # how far aside a task's things are
-_ASIDE_RAD = math.radians(8.0)  # nearer to straight ahead, nobody says left or right
-_APART_M = 1.0  # in distance, of things that are counted
+_AHEAD_RAD = math.radians(60.0)  # largest bearing of a task's objects
+_ASIDE_RAD = math.radians(8.0)  # a smaller bearing is neither left nor right
+_APART_M = 1.0  # least difference in distance between objects that are counted
 _ARC_FROM_RAD, _ARC_STEP_RAD = math.radians(60.0), math.radians(30.0)
-_AROUND_RAD = math.radians(150.0), math.radians(300.0)  # where what comes next is, see `_beside`
+_AROUND_RAD = math.radians(150.0), math.radians(300.0)  # of the next object, see `_abeam`
 _ORDER = ("nearest", "second", "third")
-# Who looks at a thing has its left to his left: clockwise as the thing looks back.
+# The viewer's left is clockwise from the direction object → viewer.
 _TURN = {"left": -1.0, "right": 1.0}
 _LEAST_LEG_M = 3.0
-_OWN_CELLS = 1.5  # how far the map may have a thing beyond its outline
+_OWN_CELLS = 1.5  # how far an object's occupied cells may lie outside its outline
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Thing:
-    """Something that an instruction may name.
+    """An object that an instruction may name.
 
     Attributes:
-        look: the word that tells it from others of its kind, such as its colour; "": none.
+        id: unique.
+        label: its class.
+        look: a word that distinguishes it from others of its class, such as its colour; "": none.
         at_m: (2,) float64, its middle in `map`.
-        outline_m: (n, 2) float64 points of its outline on the ground, n >= 1, a cell apart at most.
+        outline_m: (n, 2) float64, n >= 1, points of its outline on the ground, at most a cell
+            apart.
     """
 
     id: int
@@ -79,13 +82,15 @@ class Thing:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """What is there, and where a robot stands.
+    """A place with its objects, and the pose of a robot.
 
     Attributes:
-        occupancy: int8, 100 where something is; all else can be driven over if `drivable`.
+        pose: of the robot.
+        things: the objects.
+        occupancy: int8 cells, 100 for occupied. The robot can drive over all others if `drivable`.
         drivable: (h, w) bool, the same cells.
         robot_m: the robot's radius.
-        reach_m: from the robot, between which its tasks' things lie.
+        reach_m: smallest and largest distance of a task's objects from the robot.
     """
 
     pose: SE2
@@ -97,14 +102,14 @@ class Place:
 
     @cached_property
     def costmap(self) -> CostMap:
-        """Where its middle may be, and what that costs one who keeps away from things."""
+        """Costs of the robot's centre, which rise near obstacles."""
         closed = closed_cells(self.occupancy, self.robot_m) | ~self.drivable
         grid = replace(self.occupancy, cells=(closed * 100).astype(np.int8))
         return from_occupancy(grid, near_m=COMFORT_M, unknown_cost=None)
 
     @cached_property
     def reachable(self) -> np.ndarray:
-        """(h, w) bool: where it gets to."""
+        """(h, w) bool: True if the robot can get there."""
         is_open = self.costmap.weight[1:-1, 1:-1] != 0
         begin = self.begin_m
         if begin is None:
@@ -114,16 +119,17 @@ class Place:
 
     @cached_property
     def stops_m(self) -> dict[int, np.ndarray]:
-        """By thing, (n, 2) each: where one may be said to stop at it; of those that are named."""
+        """By id of an object, (n, 2) candidates for a stop; a cache."""
         return {}
 
     def gets_to(self, at_m: np.ndarray) -> bool:
+        """Return True if the robot can get to a point."""
         cell = self.occupancy.cell_of(*at_m)
         return cell is not None and bool(self.reachable[cell])
 
     @cached_property
     def begin_m(self) -> tuple[float, float] | None:
-        """Where its ways begin: where it stands, or the nearest open cell; None: it is shut in."""
+        """Begin of the robot's paths: its place, or the nearest open cell; None: it is shut in."""
         here = (self.pose.x_m, self.pose.y_m)
         cell = self.costmap.cell_of(*here)
         if cell is None or self.costmap.weight[cell]:
@@ -137,14 +143,16 @@ class Place:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """An instruction, and what it means.
+    """An instruction and its reference trajectory.
 
     Attributes:
-        kind: of `KINDS`; `category`: of `CATEGORIES`.
-        things: ids of those that it names, in its order.
-        segments: (n, 2) float64 each, the points that the rule leads by; one who understands the
-            instruction and knows no map would draw straight lines between them.
-        reference_m: (n, 2) float64, from where the robot stands.
+        kind: one of `KINDS`.
+        category: one of `CATEGORIES`.
+        instruction: the text.
+        things: ids of the objects that it names, in order.
+        segments: (n, 2) float64 each, the points of the rule. Without a map, they are joined by
+            straight lines.
+        reference_m: (n, 2) float64, from the robot's place.
     """
 
     kind: str
@@ -156,7 +164,7 @@ class Task:
 
 
 def tasks(place: Place, kind: str, dice: Dice) -> Iterator[Task]:
-    """Every task of a kind that a place has, in an order that chance decides."""
+    """Yield every task of a kind in a place, in random order."""
     named = {}
     for thing in place.things:
         away_m = place.pose.distance_to(*thing.at_m)
@@ -182,7 +190,7 @@ def tasks(place: Place, kind: str, dice: Dice) -> Iterator[Task]:
 
 
 def called(place: Place, thing: Thing) -> str | None:
-    """What a person would call a thing and mean no other; None: too many are like it."""
+    """Return an unambiguous name of an object; None if too many are like it."""
     like = [other for other in place.things if names.is_kind_of(other.label, thing.label)]
     if len(like) == 1:
         return f"the {thing.label}"
@@ -206,14 +214,14 @@ def called(place: Place, thing: Thing) -> str | None:
 
 
 def box_outline_m(at_m: np.ndarray, size_m: np.ndarray, heading_rad: float) -> np.ndarray:
-    """(n, 2) points around a box on the ground, 0.1 m apart."""
+    """Return (n, 2) points around a box on the ground, 0.1 m apart."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     corners = 0.5 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * size_m[:2]
     return smoothing.resample(corners @ np.array([[c, s], [-s, c]]) + at_m[:2], 0.1)
 
 
 def _seen(place: Place, thing: Thing) -> tuple[float, float]:
-    """Bearing [rad] and distance [m] from the robot."""
+    """Return bearing [rad] and distance [m] from the robot."""
     return place.pose.bearing_to(*thing.at_m), place.pose.distance_to(*thing.at_m)
 
 
@@ -235,7 +243,7 @@ def _words(kind: str, side: str, first: str, last: str) -> str:
 def _segments(
     place: Place, kind: str, first: Thing, last: Thing, side: str
 ) -> tuple[np.ndarray, ...]:
-    """The points that the rule leads by; () where it is not to be followed."""
+    """Return the points of the rule; () if it cannot be followed."""
     here = np.array([place.pose.x_m, place.pose.y_m])
     if kind == "to":
         way = [_stop(place, last, here)]
@@ -244,13 +252,13 @@ def _segments(
     elif kind == "past":
         if _seen(place, last)[1] < _seen(place, first)[1] + _LEAST_LEG_M:
             return ()
-        way = [_beside(place, first, side, math.pi / 2)[None]]
+        way = [_abeam(place, first, side, math.pi / 2)[None]]
     else:
         until_rad = _turn_rad(place, first, side, last.at_m)
         if not _AROUND_RAD[0] <= until_rad <= _AROUND_RAD[1]:
             return ()
         angles_rad = np.arange(_ARC_FROM_RAD, until_rad, _ARC_STEP_RAD)
-        way = [np.array([_beside(place, first, side, angle) for angle in angles_rad])]
+        way = [np.array([_abeam(place, first, side, angle) for angle in angles_rad])]
     if kind != "to" and way[0] is not None:
         way.append(_stop(place, last, way[0][-1]))
     if any(points is None for points in way):
@@ -260,9 +268,11 @@ def _segments(
     return tuple(way)
 
 
-def _beside(place: Place, thing: Thing, side: str, angle_rad: float) -> np.ndarray:
-    """A point `ASIDE_M` off a thing; seen from it, it lies at an angle from the robot: 0 before it,
-    a right angle on its side, pi behind it."""
+def _abeam(place: Place, thing: Thing, side: str, angle_rad: float) -> np.ndarray:
+    """Return a point `ASIDE_M` off an object, in a direction relative to the robot.
+
+    The angle is 0 on the robot's side of the object, a right angle on its `side`, and pi behind it.
+    """
     toward = _back_rad(place, thing) + _TURN[side] * angle_rad
     ray = np.array([math.cos(toward), math.sin(toward)])
     reach_m = float(((thing.outline_m - thing.at_m) @ ray).max())
@@ -270,18 +280,18 @@ def _beside(place: Place, thing: Thing, side: str, angle_rad: float) -> np.ndarr
 
 
 def _turn_rad(place: Place, thing: Thing, side: str, at_m: np.ndarray) -> float:
-    """The angle of `_beside` at which a point lies, in [0, 2 pi)."""
+    """Return the angle, as in `_abeam`, of a point: in [0, 2 pi)."""
     toward = math.atan2(at_m[1] - thing.at_m[1], at_m[0] - thing.at_m[0])
     return (_TURN[side] * (toward - _back_rad(place, thing))) % math.tau
 
 
 def _back_rad(place: Place, thing: Thing) -> float:
-    """The direction from a thing to where the robot stands at first."""
+    """Return the direction from an object to the robot's start."""
     return math.atan2(place.pose.y_m - thing.at_m[1], place.pose.x_m - thing.at_m[0])
 
 
 def _stop(place: Place, thing: Thing, from_m: np.ndarray) -> np.ndarray | None:
-    """(1, 2): where one who comes from a point stops at a thing; None: nowhere near it."""
+    """Return the (1, 2) stop at an object, for a robot that comes from a point; None: no stop."""
     if thing.id not in place.stops_m:
         place.stops_m[thing.id] = _stops(place, thing)
     near = place.stops_m[thing.id]
@@ -289,7 +299,10 @@ def _stop(place: Place, thing: Thing, from_m: np.ndarray) -> np.ndarray | None:
 
 
 def _stops(place: Place, thing: Thing) -> np.ndarray:
-    """(n, 2): from where nothing stands before a thing, about as near to it as the nearest."""
+    """Return the (n, 2) candidates for a stop at an object.
+
+    They have a free line to it, and are about as near to it as the nearest such point.
+    """
     centres = place.occupancy.centres_m(*np.nonzero(place.reachable))
     within = FARTHEST_STOP_M + ABOUT_M
     low, high = thing.outline_m.min(axis=0) - within, thing.outline_m.max(axis=0) + within
@@ -308,7 +321,7 @@ def _stops(place: Place, thing: Thing) -> np.ndarray:
 
 
 def _others(place: Place, thing: Thing) -> CostMap:
-    """Closed where something is that is not the thing."""
+    """Return a cost map that is closed at obstacles other than the object."""
     grid = place.occupancy
     mine = np.ones(grid.cells.shape, np.uint8)
     cells = np.floor(grid.of_metres(thing.outline_m)).astype(np.int64)
@@ -321,7 +334,7 @@ def _others(place: Place, thing: Thing) -> CostMap:
 
 
 def _way(place: Place, segments: Sequence[np.ndarray]) -> np.ndarray | None:
-    """The cheapest way by all points, pulled straight; None where one cannot be reached."""
+    """Return the cheapest path by all points, smoothed; None if one cannot be reached."""
     costmap, begin = place.costmap, place.begin_m
     if begin is None:
         return None

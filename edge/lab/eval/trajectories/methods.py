@@ -1,14 +1,14 @@
-"""The methods of OpenNav's tables: who writes a trajectory, and what becomes of it.
+"""The methods of OpenNav's tables: the input of the writer, and the use of its trajectory.
 
-| method | written with | then |
+| method | input of the writer | then |
 |---|---|---|
 | ours | words, picture, map | refined on the value map |
 | llm_tg | words and map alone: LLM-TG (Kwon et al. 2024) | refined on the value map |
 | ours, not refined | words, picture, map | driven as written |
 | vlt_code | words and picture: `a_star_plan` draws straight lines, nothing is checked | driven as written |
-| a_star | as ours | A* on the occupancy to where that ends, whatever the way to it was to be |
+| a_star | as ours | A* on the occupancy to the end of that trajectory, by any path |
 
-The rules see no picture, and known places have none: there `llm_tg` would be `ours` once more, and
+The rules use no picture, and known places have none. There `llm_tg` would be the same as `ours`, and
 is left out.
 """  # noqa: E501 (a table)
 
@@ -37,7 +37,7 @@ from edge.text import one_line
 from edge.trajectory.pursuit import MotionLimits
 
 LIMITS = MotionLimits(1.5, 1.0, 0.8, 3.0)
-"""They set the times of a refined trajectory, not its way."""
+"""They set the times of a refined trajectory, not its path."""
 CAUSES: tuple[tuple[type[UserError], str], ...] = (
     (TranslationError, "not understood"),
     (RefineError, "not refined"),
@@ -46,23 +46,25 @@ CAUSES: tuple[tuple[type[UserError], str], ...] = (
     (ChatError, "no answer"),
     (WriteError, "nothing written"),
 )
-"""What a refusal is counted as, by the first that fits."""
+"""Causes of refusals by error; the first match counts."""
 REFUSALS = (*(cause for _, cause in CAUSES), "no way", "crashed")
 
 
 class NoWayError(UserError):
-    """A* found none."""
+    """A* found no path."""
 
 
 Finish = Callable[[Episode, Written], np.ndarray]
-"""From what was written to a path (n, 2) float64 in `map`."""
+"""Turns a written trajectory into a path (n, 2) float64 in `map`."""
 
 
 class Method(NamedTuple):
-    """
+    """A method of the comparison.
+
     Attributes:
-        writing: with what it is written: "all", "no picture" or "no map".
-        ends: whether it is one of table I, where only the end counts.
+        writing: input of the writer: "all", "no picture" or "no map".
+        finish: turns the written trajectory into a path.
+        ends: True for a method of table I, in which only the end counts.
     """
 
     writing: str
@@ -71,13 +73,13 @@ class Method(NamedTuple):
 
 
 class Made(NamedTuple):
-    """What a method made of an instruction.
+    """A method's result for an instruction.
 
     Attributes:
-        path_m: (n, 2) float64; of a robot that was refused one, the place where it stands.
-        refused: of `REFUSALS`; "" where there is a trajectory.
-        reason: one line, why.
-        seconds: of writing and of what came after.
+        path_m: (n, 2) float64. If the trajectory was refused: the robot's place.
+        refused: one of `REFUSALS`; "" if there is a trajectory.
+        reason: one line.
+        seconds: of writing and finishing.
     """
 
     path_m: np.ndarray
@@ -88,16 +90,16 @@ class Made(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class Unmapped(Functions):
-    """The functions without a map under them: ways are straight, and none is refused."""
+    """Script functions without a map: paths are straight lines, and none is refused."""
 
     def a_star_plan(self, start: Any, end: Any, regions: Any = ()) -> list[Point]:
-        """A straight line."""
+        """Return a straight line."""
         return self.line(start, end)
 
     def give_trajectory(
         self, segments: Any, regions: Any = (), speed_mps: Any = None, heading_rad: Any = None
     ) -> None:
-        """Hand over the trajectory, whatever it is."""
+        """Hand over the trajectory without a check."""
         self.given = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)
 
 
@@ -116,7 +118,7 @@ def _to_its_end(episode: Episode, written: Written) -> np.ndarray:
     pose, end = episode.scene.pose, written.coarse.points_m[-1]
     found = written.ground.plan((pose.x_m, pose.y_m), (float(end[0]), float(end[1])))
     if not found.ok:
-        raise NoWayError(f"no way: {found.reason}")
+        raise NoWayError(f"no path: {found.reason}")
     return found.path_m
 
 
@@ -130,7 +132,7 @@ METHODS: dict[str, Method] = {
 
 
 def methods_of(config: Tasks, scene: Scene | None = None) -> tuple[str, ...]:
-    """Those that differ with a writer, in a scene if one is given."""
+    """Return the methods that differ for a writer, in a scene if one is given."""
     pictured = scene is None or scene.rgb is not None
     by_model = pictured and isinstance(config.planner, WriterModel)
     return tuple(name for name, method in METHODS.items()
@@ -138,12 +140,12 @@ def methods_of(config: Tasks, scene: Scene | None = None) -> tuple[str, ...]:
 
 
 def make(episode: Episode, names: Sequence[str], config: Tasks) -> dict[str, Made]:
-    """What methods make of an episode, by their names; what several need is written once.
+    """Return the result of each method on an episode. Methods with the same input share a writing.
 
-    Nothing but the instruction, the scene and the robot's size is looked at.
+    Only the instruction, the scene and the robot's radius are used.
 
     Raises:
-        UnavailableError: the scripts' interpreter is not there.
+        UnavailableError: the interpreter of the scripts is missing.
     """
     written: dict[str, tuple[Written | Exception, float]] = {}
     made = {}
@@ -166,7 +168,7 @@ def make(episode: Episode, names: Sequence[str], config: Tasks) -> dict[str, Mad
 
 
 def _written(episode: Episode, writing: str, config: Tasks) -> tuple[Written | Exception, float]:
-    """What was written, or why nothing was; and the seconds that it took."""
+    """Return what was written or the error, and the time that it took [s]."""
     limits = config.trajectory.model_copy(update={"clearance_m": episode.robot_m})
     planner = config.planner
     if writing == "no picture":

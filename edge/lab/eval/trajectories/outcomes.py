@@ -22,21 +22,29 @@ from edge.lab.eval.trajectories.methods import Made
 from edge.lab.eval.trajectory_metrics import contacts, evenly, likeness, point_contacts
 
 EPISODES_NAME = "episodes.jsonl"
-_DRAWN_M = 0.25  # distance of the points of a path that is kept
+_DRAWN_M = 0.25  # distance between the points of a saved path
 _OUTLINE_M = 0.05
-_FINER = 4  # outlines lead through the middles of cells, which are so many times smaller for it
-_MARGIN_M = 4.0  # around a reference, what stands there is kept
+_FINER = 4  # upsampling factor: outlines lead through the middles of cells
+_MARGIN_M = 4.0  # obstacles are saved within this distance of a reference
 
 Polyline = list[list[float]]
 
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """An episode, as much of it as tables and pictures need.
+    """The data of an episode that tables and pictures need.
 
     Attributes:
-        things: outlines of what the instruction names.
-        occupied: outlines of what stands near the reference.
+        id: of the episode.
+        source: see `Episode`.
+        world: see `Episode`.
+        kind: see `Task`.
+        category: see `Task`.
+        instruction: the text.
+        robot_m: the robot's radius.
+        reference: the reference trajectory.
+        things: outlines of the objects that the instruction names.
+        occupied: outlines of the obstacles near the reference.
     """
 
     id: str
@@ -53,15 +61,23 @@ class Facts:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of an episode with a method.
+    """The outcome of an episode with a method.
 
     Attributes:
+        episode: id of the episode.
+        method: its name.
         writer: "rules", or a model's name.
-        error_m, frechet_m, ndtw, contacts: see `edge.lab.eval.trajectory_metrics.Likeness`;
-            contacts with what the scene tells, as OpenNav counts them.
-        true_contacts: with what truly is there.
-        refused: of `methods.REFUSALS`, "" for none; `reason`: one line.
+        success: there is a trajectory, and it ends within 1 m of the reference's end.
+        error_m: see `edge.lab.eval.trajectory_metrics.Likeness`.
+        frechet_m: likewise.
+        ndtw: likewise.
+        contacts: collisions in the scene's map, as OpenNav counts them.
+        true_contacts: collisions with the true obstacles.
+        length_m: length of the trajectory.
+        refused: one of `methods.REFUSALS`; "" if there is a trajectory.
+        reason: one line.
         seconds: of writing and refining.
+        path: the trajectory.
     """
 
     episode: str
@@ -81,10 +97,12 @@ class Outcome:
 
     @property
     def key(self) -> tuple[str, str, str]:
+        """Key of the outcome: episode, method and writer."""
         return self.episode, self.method, self.writer
 
 
 def facts_of(episode: Episode) -> Facts:
+    """Return the data of an episode to save."""
     task = episode.task
     things = {thing.id: thing for thing in episode.things}
     hulls = [
@@ -99,10 +117,10 @@ def facts_of(episode: Episode) -> Facts:
 
 
 def outcome_of(episode: Episode, method: str, writer: str, made: Made) -> Outcome:
-    """What a method made, held against the reference and the truth."""
+    """Compare a method's result with the reference and the true place."""
     path_m = made.path_m
-    told, robot_m = episode.scene.occupancy, episode.robot_m
-    like = likeness(path_m, episode.task.reference_m, told, robot_m)
+    occupancy, robot_m = episode.scene.occupancy, episode.robot_m
+    like = likeness(path_m, episode.task.reference_m, occupancy, robot_m)
     if episode.solid_m is None:
         true_contacts = contacts(path_m, episode.truth, robot_m)
     else:
@@ -118,11 +136,15 @@ def outcome_of(episode: Episode, method: str, writer: str, made: Made) -> Outcom
 
 
 class Folder:
-    """What a folder holds of earlier runs, and what is added.
+    """The saved episodes and outcomes of a folder. New ones are appended.
+
+    Attributes:
+        facts: by id of the episode.
+        outcomes: by key.
 
     Raises:
-        FileError: it cannot be read or written.
-        UserError: it has something else in it.
+        FileError: a file cannot be read or written.
+        UserError: a file has other content.
     """
 
     def __init__(self, path: Path) -> None:
@@ -132,11 +154,13 @@ class Folder:
         self.outcomes = {outcome.key: outcome for outcome in self._outcomes.found}
 
     def add(self, facts: Facts) -> None:
+        """Append an episode, if it is not there yet."""
         if facts.id not in self.facts:
             self._episodes.append(_line(facts))
             self.facts[facts.id] = facts
 
     def append(self, outcome: Outcome) -> None:
+        """Append an outcome."""
         self._outcomes.append(_line(outcome))
         self.outcomes[outcome.key] = outcome
 
@@ -146,12 +170,13 @@ class Results:
     """Outcomes as arrays: M methods by E episodes.
 
     Attributes:
-        methods: their names, with the writer's where there are several; `bare`: without.
+        methods: their names, with the writer's name if there are several.
+        bare: their names without it.
         facts: of each episode.
         ran: (M, E) bool.
-        numbers: success, error_m, frechet_m, ndtw, collided, truly collided, refused, seconds:
-            (M, E) float64, NaN where nothing ran.
-        outcomes: by their indices.
+        numbers: success, error_m, frechet_m, ndtw, collided, truly collided, refused, seconds: (M,
+            E) float64 each, NaN without an outcome.
+        outcomes: by (method, episode) as indices.
     """
 
     methods: tuple[str, ...]
@@ -163,9 +188,10 @@ class Results:
 
 
 def gather(facts: Iterable[Facts], outcomes: Iterable[Outcome]) -> Results:
-    """
+    """Return outcomes as arrays.
+
     Raises:
-        UserError: outcomes of an episode that is not among the facts.
+        UserError: the episode of an outcome is not among the facts.
     """
     outcomes = list(outcomes)
     by_id = {one.id: one for one in facts}
@@ -176,7 +202,7 @@ def gather(facts: Iterable[Facts], outcomes: Iterable[Outcome]) -> Results:
     at: dict[tuple[int, int], Outcome] = {}
     for outcome in outcomes:
         if outcome.episode not in by_id:
-            raise UserError(f"{EPISODES_NAME}: lacks the episode {outcome.episode}")
+            raise UserError(f"{EPISODES_NAME}: the episode {outcome.episode} is missing")
         at[row[_name(outcome, several)], column[outcome.episode]] = outcome
     shape = len(names), len(ids)
     numbers = {key: np.full(shape, math.nan) for key in _NUMBERS}
@@ -206,7 +232,7 @@ def _name(outcome: Outcome, several: bool) -> str:
 
 
 def _outlines(grid: Grid, path_m: np.ndarray) -> list[np.ndarray]:
-    """Polygons (n, 2) [m] around what is occupied near a path."""
+    """Return polygons (n, 2) [m] around the obstacles near a path."""
     low, high = path_m.min(axis=0) - _MARGIN_M, path_m.max(axis=0) + _MARGIN_M
     shape = grid.cells.shape[::-1]
     x0, y0 = np.clip(np.floor(grid.of_metres(low)), 0, shape).astype(int)

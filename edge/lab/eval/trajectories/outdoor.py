@@ -1,12 +1,12 @@
-"""Outdoor episodes: a street as LiDAR shows it, an instruction, and the trajectory that is meant.
+"""Outdoor episodes: a street as a LiDAR sees it, an instruction, and its reference trajectory.
 
     for number in range(200):
         episode = outdoor_episode(number)
 
-Everything is known, not perceived: occupancy, regions and boxes are the street's own, points are a
-LiDAR's of 64 rings. What no point fell on is not in the scene.
+All data is known, not perceived: occupancy, regions and boxes are the street's own, and the points
+are those of a LiDAR with 64 rings. An object without points is not in the scene.
 
-The task and its reference are those of `edge.lab.eval.trajectories.meaning`.
+`edge.lab.eval.trajectories.meaning` makes the task and its reference.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from edge.tasks.value_map import closed_cells
 CELL_M = 0.2
 ROBOT_M, HEIGHT_M = 0.4, 1.0
 TASK_M = 7.0, 36.0
-"""How far from the robot a task's things are."""
+"""Smallest and largest distance of a task's objects from the robot."""
 RINGS, COLUMNS, RANGE_M = 64, 1024, 60.0
 ELEVATION_RAD = math.radians(-24.8), math.radians(2.0)
-"""Of an HDL-64E, whose scans SemanticKITTI holds."""
+"""Elevations of an HDL-64E, the LiDAR of SemanticKITTI."""
 LIDAR_M = 1.73
 LEAST_POINTS = 8
 _X_M, _Y_M = (-12.0, 44.0), (-20.0, 20.0)
@@ -48,10 +48,11 @@ class OutdoorEpisode:
     """A task in a street.
 
     Attributes:
-        scene: without a camera; `map` is where the robot stands.
+        name: of the street.
+        scene: without a camera; the robot stands at the origin of `map`.
         cloud_m: (n, 3) float32, the whole scan in `map`.
-        place: what the task is made of.
-        task: what to do, and what that means.
+        place: the objects from which the task is made.
+        task: the instruction and its reference.
     """
 
     name: str
@@ -62,7 +63,7 @@ class OutdoorEpisode:
 
 
 def outdoor_episode(number: int) -> OutdoorEpisode:
-    """The episode of a number, the same everywhere; kinds take turns.
+    """Return the episode of a number. It is the same on every computer; kinds take turns.
 
     Streets are drawn until one has a task of that kind.
     """
@@ -78,7 +79,7 @@ def outdoor_episode(number: int) -> OutdoorEpisode:
 
 
 def outdoor_scene(drawn: Street) -> tuple[Scene, np.ndarray]:
-    """The scene of a street, and the scan (n, 3) float32 in `map`."""
+    """Return the scene of a street, and the scan (n, 3) float32 in `map`."""
     floor, stood = solids(drawn)
     parts = floor + [part for _, mine in stood for part in mine]
     shape = np.array([part.shape for part in parts], np.uint8)
@@ -108,7 +109,7 @@ def outdoor_scene(drawn: Street) -> tuple[Scene, np.ndarray]:
 
 
 def place_of(scene: Scene) -> Place:
-    """What a street's tasks are drawn of."""
+    """Return the place from which a street's tasks are drawn."""
     things = tuple(
         Named(
             item.id, item.label, item.caption.partition(item.label)[0].strip(),
@@ -124,7 +125,7 @@ def place_of(scene: Scene) -> Place:
 def _gaps_m(
     points_m: np.ndarray, position_m: np.ndarray, size_m: np.ndarray, heading_rad: float
 ) -> np.ndarray:
-    """(n,): how far points (n, 2) are from a box on the ground, 0 inside."""
+    """Return (n,): the distance of points (n, 2) from a box on the ground, 0 inside."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     local = np.abs((points_m - position_m[:2]) @ np.array([[c, -s], [s, c]]))
     return np.hypot(*np.maximum(local - 0.5 * size_m[:2], 0.0).T)
@@ -151,7 +152,7 @@ def _scan(shape: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 
 def _occupancy(shape: np.ndarray, pose: np.ndarray) -> Grid:
-    """Occupied where something is between the ground and the robot's height; else free."""
+    """Return a grid that is occupied between the ground and the robot's height, else free."""
     columns, rows = (round((high - low) / CELL_M) for low, high in (_X_M, _Y_M))
     solid = np.zeros((rows, columns), np.uint8)
     origin = np.array([_X_M[0], _Y_M[0]])
@@ -170,7 +171,7 @@ def _regions_grid(drawn: Street, occupancy: Grid) -> Grid:
 
 
 def _reachable(occupancy: Grid, here: SE2) -> np.ndarray:
-    """(h, w) bool: where a robot of radius `ROBOT_M` gets to."""
+    """Return (h, w) bool: True where a robot of radius `ROBOT_M` can get to."""
     is_open = (~closed_cells(occupancy, ROBOT_M)).astype(np.uint8)
     _, part = cv2.connectedComponents(is_open, connectivity=4)
     return part == part[occupancy.cell_of(here.x_m, here.y_m)]
@@ -200,7 +201,7 @@ def _object(
 
 
 def _points_on(parts: Sequence[Part], cloud_m: np.ndarray) -> np.ndarray:
-    """The points (n, 3) of a scan that lie on one of these parts."""
+    """Return the points (n, 3) of a scan that lie on one of these parts."""
     centers = np.array([part.center_m for part in parts], np.float32)
     halves = 0.5 * np.array([part.size_m for part in parts], np.float32) + 0.01
     reach = np.linalg.norm(halves, axis=1)[:, None]

@@ -1,4 +1,4 @@
-"""A few episodes seen from above: what was meant, and what methods made of it."""
+"""Pictures of a few episodes from above: the reference, and the methods' trajectories."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MOST_WORDS = 60
 
 
 def images(results: Results, kind: str) -> dict[str, bytes]:
-    """The content of each picture's "svg" or "png" file, by its name; none where nothing ran."""
+    """Return the content of each picture as "svg" or "png", by name; {} without outcomes."""
     chosen = chosen_of(results)
     if not chosen:
         return {}
@@ -41,7 +41,7 @@ def images(results: Results, kind: str) -> dict[str, bytes]:
 
 
 def chosen_of(results: Results) -> list[int]:
-    """The first episode of each kind that all methods ran, by the order of `KINDS`."""
+    """Return the first episode of each kind that all methods ran, in the order of `KINDS`."""
     whole = np.flatnonzero(results.ran.all(axis=0)).tolist() if results.ran.size else []
     kinds = [results.facts[e].kind for e in whole]
     return [whole[kinds.index(kind)] for kind in KINDS if kind in kinds]
@@ -54,7 +54,7 @@ def _draw(axes: Axes, results: Results, episode: int) -> None:
     for outline in facts.things:
         axes.fill(*np.array(outline).T, facecolor="none", edgecolor=palette.INK, linewidth=1.4)
     axes.plot(*np.array(facts.reference).T, color=_MEANT, linewidth=5.0, solid_capstyle="round",
-              label="meant")  # fmt: skip
+              label="reference")  # fmt: skip
     for m, name in enumerate(results.methods):
         look, outcome = style_of(m), results.outcomes[m, episode]
         points = np.array(outcome.path)
@@ -69,7 +69,7 @@ def _draw(axes: Axes, results: Results, episode: int) -> None:
 
 
 def _frame(axes: Axes, facts: Facts) -> None:
-    """A square around the reference."""
+    """Show a square around the reference."""
     points = np.array(facts.reference)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     half = 0.5 * float(np.ptp(points, axis=0).max()) + MARGIN_M

@@ -1,4 +1,4 @@
-"""`edge eval trajectories`: methods on the same episodes; what is there is not run again."""
+"""`edge eval trajectories`: run methods on the same episodes, except those already on file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from edge.tasks.chain import Chain
 from edge.text import one_line
 
 RERUN = "crashed"
-"""What is so refused is run again."""
+"""Refusals with this cause are run again."""
 
 
 def run_all(
@@ -37,18 +37,22 @@ def run_all(
     stop: threading.Event | None = None,
     seen_by: str = "",
 ) -> list[tuple[str, str, str]]:
-    """Methods on episodes; outcomes go to the folder as they come, and what it has is not run.
+    """Run methods on episodes. Outcomes on file are not run again; new ones are appended.
 
     Args:
-        stop: ends it early, between two episodes.
-        seen_by: what told the things of the scenes; "" where they are known, or by the labels.
+        found: the episodes.
+        names: of the methods.
+        config: names the writer.
+        folder: keeps the outcomes.
+        tell: called with each new outcome.
+        stop: ends the run early, between two episodes.
+        seen_by: source of the scenes' objects; "" if they are known, or come from labels.
 
     Returns:
-        The keys of their outcomes.
+        The keys of the outcomes.
 
     Raises:
-        UnavailableError: what the writer needs is not there, or its server gives no answer to the
-            first episode.
+        UnavailableError: the writer cannot run, or its server gives no answer to the first episode.
     """
     writer = ", by ".join(filter(None, (writer_of(config), seen_by)))
     keys: list[tuple[str, str, str]] = []
@@ -75,7 +79,7 @@ def run_all(
 
 
 def writer_of(config: Tasks) -> str:
-    """Who writes, as outcomes have it."""
+    """Return the name of the writer for outcomes."""
     planner = config.planner
     return planner.model if isinstance(planner, WriterModel) else planner.kind
 
@@ -110,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def _seen_by(args: argparse.Namespace) -> Iterator[tuple[Chain | None, str]]:
-    """The chain of `--detector`'s configuration, and the model's name; None and "" without."""
+    """Yield the pipeline of `--detector`'s configuration and its name; None and "" without it."""
     if args.detector is None:
         yield None, ""
         return
@@ -119,13 +123,15 @@ def _seen_by(args: argparse.Namespace) -> Iterator[tuple[Chain | None, str]]:
 
 
 def _config(args: argparse.Namespace) -> Tasks:
-    """
+    """Return the settings of tasks from the options.
+
     Raises:
-        ConfigError: the server's address is none.
+        ConfigError: the URL or the model is invalid.
+        UserError: there is a model, but no URL.
     """
     if args.url is None:
         if args.model is not None:
-            raise UserError("--model: say with --url which server has it")
+            raise UserError("--model: give its server with --url, too")
         return Tasks()
     planner = {"kind": "model", "url": args.url, "time_limit_s": args.time_limit,
                "rounds": args.rounds}  # fmt: skip
@@ -144,7 +150,9 @@ def _methods(wanted: str | None, config: Tasks) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(name.strip() for name in wanted.split(";")))
     for name in names:
         if name in METHODS and name not in there:
-            raise UserError(f"--methods: {name}: the rules see no picture; it is what ours is")
+            raise UserError(
+                f"--methods: {name}: same as ours, as the rules use no picture; omit it"
+            )
         if name not in there:
             raise UserError(f"--methods: no {one_line(name)!r} (there are: {'; '.join(there)})")
     return names
@@ -152,9 +160,9 @@ def _methods(wanted: str | None, config: Tasks) -> tuple[str, ...]:
 
 def _line(episode: Episode, outcome: Outcome) -> str:
     verdict = "ok  " if outcome.success else "FAIL"
-    said = outcome.refused and f"{outcome.refused}: {outcome.reason}"
+    refusal = outcome.refused and f"{outcome.refused}: {outcome.reason}"
     return (
         f"{verdict} {outcome.method:18} {episode.world:15} NE {outcome.error_m:5.2f} m, "
         f"Fréchet {outcome.frechet_m:5.2f} m, NDTW {outcome.ndtw:.2f}, {outcome.contacts} contacts,"
-        f" {outcome.seconds:.2f} s: {episode.task.instruction}{said and f' ({said})'}"
+        f" {outcome.seconds:.2f} s: {episode.task.instruction}{refusal and f' ({refusal})'}"
     )

@@ -1,4 +1,4 @@
-"""What outcomes say, in the tables of OpenNav IV beside the paper's own figures."""
+"""Tables of the outcomes, in the form of OpenNav IV, next to the paper's figures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from edge.text import one_line
 
 BASELINE = "ours"
 LEAST_WORLDS = 10
-"""With fewer, intervals are of episodes, and say nothing of other worlds."""
+"""With fewer, episodes are resampled, and the intervals do not generalise to other worlds."""
 
 
 class Paper(NamedTuple):
@@ -45,13 +45,13 @@ PAPER_SHAPES = {
 
 
 def tables(results: Results) -> list[Table]:
-    """Every table that has something to say."""
+    """Return every table that has rows."""
     found = [by_task(results), shapes(results), paired(results), refusals(results)]
     return [table for table in found if table.rows]
 
 
 def by_task(results: Results) -> Table:
-    """A category a row: how many succeed, and how far from the end (table I)."""
+    """Return a table of success and navigation error, one row for each category (table I)."""
     wanted = [m for m, name in enumerate(results.bare) if METHODS[name].ends]
     category = np.array([facts.category for facts in results.facts], str)
     head = ["task", "n"]
@@ -77,7 +77,7 @@ def by_task(results: Results) -> Table:
 
 
 def shapes(results: Results) -> Table:
-    """A method a row: how alike its trajectories are to the references (table II)."""
+    """Return a table of similarity to the references, one row for each method (table II)."""
     head = ("method", "n", "Fréchet, m", "NDTW", "collided", "in truth", "refused", "SR, %",
             "NE, m", "time, s", "paper: Fréchet", "NDTW", "collided")  # fmt: skip
     rows = []
@@ -99,17 +99,17 @@ def shapes(results: Results) -> Table:
             *((f"{paper[0]:.2f}", f"{paper[1]:.2f}", paper[2]) if paper else (DASH,) * 3),
         ])  # fmt: skip
     note = (
-        "Collided: trajectories that come nearer to something than the robot's radius, in the map "
-        "that they were made on, and in truth, which knows what the scene does not. Of a robot "
-        "that was refused a trajectory, the place where it stands is the trajectory. Time: median, "
-        "of writing and refining. " + _unit_words(results)
+        "Collided: trajectories that come nearer to an obstacle than the robot's radius, in the "
+        "map that they were made on. In truth: the same, with all true obstacles. If a trajectory "
+        "was refused, the robot's place counts as the trajectory. Time: median of writing and "
+        "refining. " + _unit_words(results)
     )
     return Table("shapes", "Shape of the trajectories (OpenNav table II)", head, rows, note)
 
 
 def paired(results: Results) -> Table:
-    """A method a row: what ours has more, on the episodes that both ran."""
-    head = ("ours less", "n", "SR, % points", "NE, m", "Fréchet, m", "NDTW", "collided, % points")
+    """Return a table of ours minus each other method, on the same episodes."""
+    head = ("ours minus", "n", "SR, % points", "NE, m", "Fréchet, m", "NDTW", "collided, % points")
     rows = []
     base = next((m for m, name in enumerate(results.bare) if name == BASELINE), None)
     for m, name in enumerate(results.methods) if base is not None else ():
@@ -128,7 +128,7 @@ def paired(results: Results) -> Table:
 
 
 def refusals(results: Results) -> Table:
-    """A method a row: how many were refused, by why."""
+    """Return a table of refusals by cause, one row for each method."""
     causes = [c for c in REFUSALS if any(o.refused == c for o in results.outcomes.values())]
     rows = []
     for m, name in enumerate(results.methods):
@@ -155,7 +155,7 @@ def _means(results: Results, key: str, method: int, kept: np.ndarray) -> Interva
 
 
 def _mean(values: np.ndarray, results: Results, kept: np.ndarray) -> Interval:
-    """The mean over some episodes, its interval by bootstrap over their worlds."""
+    """Return the mean over some episodes, with its interval by bootstrap over their worlds."""
     if not kept.any():
         return Interval(math.nan, math.nan, math.nan)
     cluster, _ = _clusters(results)
@@ -165,7 +165,7 @@ def _mean(values: np.ndarray, results: Results, kept: np.ndarray) -> Interval:
 
 
 def _clusters(results: Results) -> tuple[np.ndarray, str]:
-    """(E,) int of what is resampled, and what that is."""
+    """Return (E,) int of what is resampled, and its unit: "place" or "episode"."""
     names: Sequence[str] = [facts.world for facts in results.facts]
     worlds, index = np.unique(np.array(names, str), return_inverse=True)
     if len(worlds) >= LEAST_WORLDS:
@@ -177,6 +177,6 @@ def _unit_words(results: Results) -> str:
     unit = _clusters(results)[1]
     places = len({facts.world for facts in results.facts})
     how = f"{places} places" if unit == "place" else (
-        f"episodes; of {places} place{'s' * (places != 1)}, so they say nothing of others"
+        f"episodes of {places} place{'s' * (places != 1)}; they do not generalise to other places"
     )  # fmt: skip
-    return f"In brackets: 95 % intervals, of shares Wilson's, else by bootstrap over {how}."
+    return f"In brackets: 95 % intervals, Wilson's for shares, else by bootstrap over {how}."

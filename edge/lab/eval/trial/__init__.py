@@ -1,2 +1,4 @@
-"""`edge trajectory`: one task in one place, from what a camera and a LiDAR show and a sentence to a
-refined trajectory, its pictures and its page. What measures many of them lives beside it."""
+"""`edge trajectory`: one instruction in one place, from sensor data to a refined trajectory.
+
+It writes pictures and a page. `edge.lab.eval.trajectories` evaluates many instructions.
+"""

@@ -1,4 +1,4 @@
-"""`edge trajectory` itself."""
+"""The command `edge trajectory`."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _STREET = re.compile(r"street:(\d{1,9})")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do it, write the files, print a table.
+    """Carry out the instruction, write the files, and print a table.
 
     Raises:
-        UserError: what was given cannot be used, or nothing was written that may be driven; what
-            there is until then is in the folder.
+        UserError: an option is wrong, or there is no trajectory that can be driven; the folder has
+            the results so far.
     """
     check_instruction(args.instruction)
     config = _config(args)
@@ -40,10 +40,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def table(outcome: Outcome, folder: Folder) -> list[tuple[str, str]]:
-    """What there is to say, a name and a value a row."""
+    """Return the result as rows of a name and a value."""
     view, refined = outcome.view, outcome.refined
     scene, rows = view.scene, [("place", one_line(view.name))]
-    seen = f"{len(scene.objects)} things by {view.by}, {len(scene.regions)} regions of ground"
+    seen = f"{len(scene.objects)} objects from {view.by}, {len(scene.regions)} regions of ground"
     rows.append(("seen", seen))
     if outcome.written is not None:
         by_model = f"by a model, in {len(outcome.rounds)} answers"
@@ -62,24 +62,27 @@ def table(outcome: Outcome, folder: Folder) -> list[tuple[str, str]]:
 def _view(args: argparse.Namespace, config: Config, words: tuple[str, ...] | None) -> View:
     seed = _STREET.fullmatch(args.place)
     if seed is None and args.place.startswith("street:"):
-        raise ViewError(f"{one_line(args.place)}: no street; give it a number, as street:3")
+        raise ViewError(f"{one_line(args.place)}: not a street; give a number, such as street:3")
     if seed is None:
         return kitti_view(resources.expand(args.place), args.frames, config, words)
     if args.frames:
-        raise ViewError(f"{args.place}: it has no frames; leave --frames out, or give a folder")
+        raise ViewError(f"{args.place}: a street has no frames; omit --frames, or give a folder")
     return street_view(int(seed[1]), config, words)
 
 
 def _words(instruction: str, config: Config) -> tuple[str, ...]:
-    """What the detector is to look for: what the rules read as named, or, for a model, all that is
-    known as the name of a thing."""
+    """Return the words that the detector looks for.
+
+    For the rules, these are the objects that they find in the instruction; for a model, all known
+    names of objects.
+    """
     if not isinstance(config.tasks.planner, WriterModel):
         return named(instruction)
     return known_names(instruction)
 
 
 def _config(args: argparse.Namespace) -> Config:
-    """The configuration, with `--url` and `--model` put in."""
+    """Return the configuration with `--url` and `--model` applied."""
     config = load(args.config)
     planner = config.tasks.planner
     given = {key: value for key in ("url", "model") if (value := getattr(args, key)) is not None}
@@ -89,5 +92,5 @@ def _config(args: argparse.Namespace) -> Config:
         tasks = config.tasks.model_copy(update={"planner": planner})
         config = config.model_copy(update={"tasks": tasks})
     if isinstance(planner, WriterModel):
-        client_of(planner).close()  # a URL or a key that cannot be used is told before the work
+        client_of(planner).close()  # reports an invalid URL or key before the work
     return config

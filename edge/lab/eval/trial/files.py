@@ -1,4 +1,4 @@
-"""The folder that a trial is kept in."""
+"""The folder with the results of one run of `edge trajectory`."""
 
 from __future__ import annotations
 
@@ -28,31 +28,34 @@ COLUMNS = ("x_m", "y_m", "z_m", "heading_rad", "speed_mps", "time_s")
 
 
 class Folder:
-    """Where the files go.
+    """Writes the files.
+
+    Args:
+        path: of the folder; results of an earlier run are removed.
 
     Attributes:
         path: of the folder.
-        written: names of the files, in the order in which they were written.
+        written: names of the files, in the order of writing.
 
     Raises:
-        FileError: nothing can be written there.
+        FileError: the folder cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
         self.path, self.written = path, list[str]()
         try:
             make_writable(path)
-            # What another trial left would be taken for this one's.
+            # Files of an earlier run would look like results of this one.
             old = [path / name for name in (OBJECTS, CAMERA, MAP, PAGE, JSON, CSV)]
             for one in (*old, *(path / MODEL).glob("*.*")):
                 one.unlink(missing_ok=True)
         except OSError as error:
             raise FileError(
-                f"{path}: cannot be written: {error.strerror}: give another --out"
+                f"{path}: cannot be written: {error.strerror}: choose another --out"
             ) from None
 
     def save(self, outcome: Outcome) -> None:
-        """Write all that there is of a trial.
+        """Write all results that there are.
 
         Raises:
             FileError: a file cannot be written.
@@ -88,8 +91,10 @@ class Folder:
 
 
 def as_json(outcome: Outcome) -> dict[str, object]:
-    """The trajectory and where it comes from; lengths in metres, angles in radians, times in
-    seconds, all in the frame `map`."""
+    """Return the trajectory and its origin, JSON-ready.
+
+    Lengths are in metres, angles in radians, times in seconds, all in the frame `map`.
+    """
     written, refined = outcome.written, outcome.refined
     assert written is not None
     assert refined is not None
@@ -125,7 +130,7 @@ def _page(outcome: Outcome, laid_m: np.ndarray | None) -> str:
         lines = coarse_and_refined(laid_m, refined)
     elif laid_m is not None:
         lines = (Line("as it was written", laid_m, trajectory_map.COARSE, 2.0),)
-    facts = [("place", view.name), ("objects told by", view.by)]
+    facts = [("place", view.name), ("objects from", view.by)]
     if outcome.written is not None and outcome.written.understood:
         facts.append(("understood", outcome.written.understood))
     if refined is not None:
@@ -140,11 +145,11 @@ def _page(outcome: Outcome, laid_m: np.ndarray | None) -> str:
 
 
 def _of_the_model(outcome: Outcome) -> dict[str, bytes]:
-    """What the model was told and shown, and each of its answers, by file name."""
+    """Return the prompt and picture for the model, and each of its answers, by file name."""
     tasks, scene = outcome.config.tasks, outcome.view.scene
     assert isinstance(tasks.planner, WriterModel)
-    told = words(outcome.instruction, scene, tasks.trajectory)
-    files = {"prompt.txt": _bytes(f"{prompt()}\n\n{told}\n")}
+    question = words(outcome.instruction, scene, tasks.trajectory)
+    files = {"prompt.txt": _bytes(f"{prompt()}\n\n{question}\n")}
     jpeg = picture(scene) if tasks.planner.picture else None
     if jpeg is not None:
         files["picture.jpg"] = jpeg
@@ -157,7 +162,7 @@ def _of_the_model(outcome: Outcome) -> dict[str, bytes]:
 
 
 def _bytes(text: str) -> bytes:
-    """Of a text that may hold what UTF-8 has not: a model's answer, a command line."""
+    """Encode a text that may hold invalid characters: a model's answer, a command line."""
     return text.encode("utf-8", errors="replace")
 
 

@@ -1,4 +1,4 @@
-"""A task and what becomes of it (OpenNav figure 1, all of it once)."""
+"""One instruction and its trajectory (OpenNav figure 1, the whole pipeline once)."""
 
 from __future__ import annotations
 
@@ -23,13 +23,17 @@ GROUND_RANGE_M = 60.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What became of a task, as far as it came.
+    """The results of an instruction, as far as it got.
 
     Attributes:
-        rounds: of a model.
-        written: None: nothing was written; `refined`, `costmap`: None: nothing was refined.
-        refined: on the ground that the LiDAR saw.
-        error: one line; "" where all went well.
+        instruction: the text.
+        view: the scene and its sensor data.
+        config: the configuration.
+        rounds: answers of a model.
+        written: the coarse trajectory; None: there is none.
+        refined: the refined trajectory, on the ground that the LiDAR saw; None: there is none.
+        costmap: of the refinement; None: there is none.
+        error: one line; "" if all went well.
     """
 
     instruction: str
@@ -43,7 +47,7 @@ class Outcome:
 
     @property
     def coarse_m(self) -> np.ndarray | None:
-        """(n, 2) float64 in `map`, from where the robot stands."""
+        """(n, 2) float64 in `map`, the coarse trajectory from the robot's place."""
         if self.written is None:
             return None
         pose = self.view.scene.pose
@@ -51,24 +55,27 @@ class Outcome:
 
     @property
     def length_m(self) -> float:
-        """Of the refined trajectory."""
+        """Length of the refined trajectory; 0 if there is none."""
         if self.refined is None:
             return 0.0
         return float(np.hypot(*np.diff(self.refined.poses[:, :2], axis=0).T).sum())
 
     def steps(self) -> list[rules.Step]:
-        """Of the instruction, as the rules read it; of a model none is told."""
+        """Return the instruction's steps as the rules read them; [] with a model."""
         if self.written is None or isinstance(self.config.tasks.planner, WriterModel):
             return []
         return rules.read(self.instruction, self.view.scene)
 
     def named(self) -> list[SceneObject]:
-        """The objects that the rules find named."""
+        """Return the objects that the rules find in the instruction."""
         return list({thing.id: thing for step in self.steps() for thing in step.things}.values())
 
     def ends_at(self) -> tuple[SceneObject, float] | None:
-        """The object that the last step names, else the one nearest to where the trajectory ends,
-        and how far its points are from there."""
+        """Return an object and its distance from the trajectory's end; None without a trajectory.
+
+        It is the nearest of the objects in the last step, or of all objects if that step names
+        none.
+        """
         last = [thing for step in self.steps()[-1:] for thing in step.things]
         things = [t for t in last or self.view.scene.objects.values() if len(t.points_m)]
         if self.refined is None or not things:
@@ -80,7 +87,7 @@ class Outcome:
 
 
 def carry_out(instruction: str, view: View, config: Config) -> tuple[Outcome, UserError | None]:
-    """The trajectory of an instruction, as far as it comes, and what kept it from its end."""
+    """Make the trajectory of an instruction; also return the error that stopped it, or None."""
     rounds: list[Round] = []
     outcome, failed = Outcome(instruction, view, config), None
     try:
@@ -103,17 +110,17 @@ def carry_out(instruction: str, view: View, config: Config) -> tuple[Outcome, Us
 
 
 def laid_down(refined: Refined, view: View) -> Refined:
-    """The same trajectory, its heights over the ground and not over the plane z = 0."""
+    """Return the trajectory with heights over the ground in place of the plane z = 0."""
     poses = refined.poses.copy()
     poses[:, 2] += ground_heights_m(view, poses[:, :2])
     return replace(refined, poses=poses)
 
 
 def ground_heights_m(view: View, xy_m: np.ndarray) -> np.ndarray:
-    """(n,) float64 of the ground in `map` at points (n, 2), as the LiDAR saw it around the robot;
-    where it did not, of what is nearest to there.
+    """Return the height of the ground in `map` at points (n, 2): (n,) float64.
 
-    Only ground that nothing stands on counts: the ground of `terrain` may climb a bonnet.
+    It is the height of the nearest ground that the LiDAR saw around the robot. Ground next to an
+    obstacle is ignored: `terrain` may take the bonnet of a car for ground.
     """
     scene, pose = view.scene, view.scene.pose
     ground = terrain.ground_around(

@@ -1,4 +1,4 @@
-"""What is around a robot that is given a task: frames of a recorded street, or the built-in one."""
+"""Scenes for `edge trajectory`: frames of a recorded street, or the built-in street."""
 
 from __future__ import annotations
 
@@ -26,23 +26,24 @@ from edge.text import one_line
 from edge.types import MASK_SIDE, Detections, Observation
 
 LEAST_PX, LEAST_SIDE_PX = 60, 4
-"""Of what the camera shows of a thing, less is not seen."""
+"""An object with fewer pixels or a smaller side in the picture is not seen."""
 ON_GROUND_M = 0.05
 
 
 class ViewError(UserError):
-    """There is nothing to look at, or nothing to look with; one line."""
+    """There is nothing to see, or no detector that could see it; one line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A scene, and what it was made of.
+    """A scene and its sensor data.
 
     Attributes:
         name: of the place.
-        by: what told the objects.
+        by: source of the objects.
+        scene: the scene.
         cloud_m: (n, 3) float32 in `map`, every return.
-        base_z_m: where the robot touches the ground, in `map`.
+        base_z_m: height of the ground under the robot, in `map`.
     """
 
     name: str
@@ -55,16 +56,17 @@ class View:
 def kitti_view(
     folder: Path, numbers: Sequence[int], config: Config, words: Sequence[str] | None = None
 ) -> View:
-    """Frames of a SemanticKITTI sequence; none chosen: the first that is there.
+    """Build the scene of some frames of a SemanticKITTI sequence.
 
     Args:
-        config: whose robot is to drive there, and whose detector looks.
-        words: what the detector looks for besides what is configured; the ground is then what is
-            flat and hangs together. None: the labels of the points tell what is there, and which
-            kind of ground.
+        folder: of the sequence.
+        numbers: of the frames; empty: the first frame.
+        config: gives the robot and the detector.
+        words: names that the detector looks for, in addition to the configured ones. The regions
+            are then flat, connected ground. None: objects and kinds of ground come from the labels.
 
     Raises:
-        UserError: a frame cannot be read, or nothing can look.
+        UserError: a frame cannot be read, or there is no detector.
     """
     labelled = words is None
     there = kitti.frames_in(folder, labelled)
@@ -88,20 +90,22 @@ def kitti_view(
 
 
 def street_view(seed: int, config: Config, words: Sequence[str] | None = None) -> View:
-    """The built-in street of a seed, as the configured camera and LiDAR show it at its start.
+    """Build the scene of a built-in street, as the configured camera and LiDAR see it at its start.
 
     The kind of ground under each return is the street's own.
 
     Args:
-        words: see `kitti_view`; None: the simulator tells what is there.
+        seed: of the street.
+        config: gives the sensors, the robot and the detector.
+        words: see `kitti_view`; None: the objects come from the simulator.
 
     Raises:
-        UserError: there is no LiDAR, or nothing can look.
+        UserError: there is no LiDAR, or no detector.
     """
     sim = config.sim.model_copy(update={"world": WorldStreet(seed=seed), "start": None})
     config = config.model_copy(update={"sim": sim})
     if config.sensors.lidar is None:
-        raise ViewError(f"{config.at('sensors.lidar')}: a street is seen with a LiDAR: add one")
+        raise ViewError(f"{config.at('sensors.lidar')}: a street needs a LiDAR: add one")
     world = load_world(config)
     camera, lidar = CameraRig(config, world), LidarRig(config, world)
     camera.look(world.start)
@@ -137,14 +141,15 @@ def street_view(seed: int, config: Config, words: Sequence[str] | None = None) -
 def detector_chain(
     config: Config, words: Sequence[str], truth: TruthAt | None = None
 ) -> Iterator[tuple[Chain, str]]:
-    """The chain of the configured detector and segmenter, or one's own, and what it is called.
+    """Yield the detection pipeline of the configured detector, or a plugin, and its name.
 
     Args:
-        words: to look for, besides the detector's `background`.
-        truth: what a simulated detector sees by; None: the pictures are real.
+        config: names the detector and the segmenter, or a plugin in `tasks.chain`.
+        words: names to look for, in addition to the detector's `background`.
+        truth: ground truth for a simulated detector; None: the pictures are real.
 
     Raises:
-        UserError: nothing can look, or there is nothing to look for.
+        UserError: there is no detector, or nothing to look for.
     """
     if config.tasks.chain is not None:
         yield _own_chain(config, config.tasks.chain, tuple(words)), config.tasks.chain.kind
@@ -152,21 +157,21 @@ def detector_chain(
     detector = config.perception.detector
     if detector.kind == "sim" and truth is None:
         raise ViewError(
-            f"{config.at('perception.detector.kind')}: sim sees nothing in a real picture: name a "
-            "model (onnx), or take --objects labels"
+            f"{config.at('perception.detector.kind')}: sim sees nothing in a real picture: choose "
+            "a model (onnx), or use --objects labels"
         )
-    # The detector sees its background anyhow; but it has to be asked for something.
+    # The detector always looks for its background, but it needs at least one word.
     words = tuple(words) or tuple(detector.background or ())[:1]
     if not words:
         raise ViewError(
-            f"{config.at('perception.detector.background')}: name what is to be looked for"
+            f"{config.at('perception.detector.background')}: empty; give names of objects to find"
         )
     with open_chain(config.perception, words, truth) as chain:
         yield chain, detector.model if detector.kind == "onnx" else "the simulated detector"
 
 
 def _own_chain(config: Config, own: ChainOwn, words: tuple[str, ...]) -> Chain:
-    """The chain that `tasks.chain` names; what its parts raise is told as theirs."""
+    """Return the plugin pipeline of `tasks.chain`. An error of a part becomes a `ViewError`."""
     where = config.at("tasks.chain")
     given: dict[str, Any] = {"perception": config.perception, "words": words}
     needs = ("tags", "boxes", "masks", "captions", "embeddings")
@@ -183,9 +188,9 @@ def _own_chain(config: Config, own: ChainOwn, words: tuple[str, ...]) -> Chain:
                 return part(*args)
             except UserError:
                 raise
-            except Exception as error:  # whatever one's own part does
-                said = one_line(f"{type(error).__name__}: {error}")
-                raise ViewError(f"{where}: {own.kind}: {name}: {said}") from None
+            except Exception as error:  # a plugin may raise anything
+                reason = one_line(f"{type(error).__name__}: {error}")
+                raise ViewError(f"{where}: {own.kind}: {name}: {reason}") from None
 
         return None if part is None else called
 
@@ -193,7 +198,7 @@ def _own_chain(config: Config, own: ChainOwn, words: tuple[str, ...]) -> Chain:
 
 
 def _oracle(truth: Segmentation) -> Chain:
-    """A chain that has boxes and masks from the picture of ids."""
+    """Return a detection pipeline with boxes and masks from the picture of ids."""
     words = tuple(dict.fromkeys(truth.labels))
 
     def boxes(observation: Observation, tags: Sequence[str]) -> Detections:
@@ -221,7 +226,7 @@ def _oracle(truth: Segmentation) -> Chain:
 
 
 def _ground_kind(drawn: Street, kinds: Sequence[str], cloud_m: np.ndarray) -> np.ndarray:
-    """(n,) uint8, index into `kinds` plus 1 of the ground that a return is from; 0: of none."""
+    """Return (n,) uint8: index into `kinds` plus 1 of the ground of a return; 0: no ground."""
     x_m, y_m = drawn.to_road(cloud_m[:, :2].astype(np.float64)).T
     out = np.zeros(len(cloud_m), np.uint8)
     for ground in drawn.grounds:

@@ -1,4 +1,4 @@
-"""Houses by seed: floor plans, what rooms of a kind hold, and where it stands.
+"""Generated houses: floor plans, and furniture by the kind of room, from a seed.
 
-Nothing here reads a house of somebody else's, and nothing here knows the service.
+No other house data set is read, and the service is not used.
 """

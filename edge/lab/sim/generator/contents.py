@@ -1,4 +1,4 @@
-"""What rooms of a kind hold, how likely and where: the knowledge of homes, as tables."""
+"""Tables of the furniture of each kind of room: probabilities and places."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from edge.lab.sim.generator.layout import BATHROOM, BEDROOM, HALLWAY, KITCHEN, LIVING, OFFICE
 
 SUPPORTS = ("desk", "table", "tv stand", "cabinet", "dresser", "nightstand", "coffee table")
-"""What other things are put on."""
+"""Furniture that other objects are put on."""
 ON_TOP = ("laptop", "vase", "microwave", "television", "ball", "box", "plant")
 USUAL_ON = {"tv stand": "television", "desk": "laptop"}
 
@@ -24,16 +24,18 @@ FLOORS = {
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A thing that rooms of a kind may hold.
+    """Rule for an object in rooms of a kind.
 
     Attributes:
-        p: probability that one is wanted; after each that found its place, `more` that another is,
-            up to `most`.
+        category: of `edge.lab.sim.assemblies`.
+        p: probability that the object is wanted.
         where: a key of `furnish.PLACES`.
-        by: what it belongs to, for places beside, before, around, across from or on something;
-            where there is none of these the thing is left out.
-        gap_m: floor between it and what it belongs to.
-        from_m2: only in rooms of so much floor.
+        by: categories that it belongs to, for places relative to another object. Without any of
+            them in the room the object is left out.
+        most: most objects of this rule in a room.
+        more: probability of another object after each one that was placed.
+        gap_m: gap on the floor to the object that it belongs to.
+        from_m2: least floor area of the room.
     """
 
     category: str
@@ -141,11 +143,11 @@ CONTENTS: dict[str, tuple[Item, ...]] = {
         Item("box", 0.12),
     ),
 }
-"""In the order of placing: what a room needs and what is large comes first."""
+"""Rules in the order of placing: necessary and large objects come first."""
 
 STRAY_P = 0.2
 STRAYS = (
     Item("ball", 1.0, "anywhere"), Item("box", 1.0), Item("backpack", 1.0), Item("suitcase", 1.0),
     Item("stool", 1.0), Item("chair", 1.0), Item("plant", 1.0), Item("lamp", 1.0, "corner"),
 )  # fmt: skip
-"""Of these any room may hold one, whatever its kind."""
+"""Any room may hold one of these, for any kind of room."""

@@ -1,7 +1,7 @@
-"""Chance and rectangles that are the same on every computer.
+"""Random draws and rectangles that are the same on every computer.
 
-Draws are made of uniform doubles alone: NumPy promises no other stream between its versions. Yaws
-are quarter turns, so that no sine differs by a bit.
+Draws use uniform doubles only, because NumPy does not keep other streams stable between versions.
+Yaws are quarter turns, so that no sine differs by a bit.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import numpy as np
 T = TypeVar("T")
 
 QUARTERS = ((1, 0), (0, 1), (-1, 0), (0, -1))
-"""Where a thing faces after 0 … 3 quarter turns from +x."""
+"""Facing direction after 0 … 3 quarter turns from +x."""
 
 
 class Dice:
-    """Draws that depend on nothing but the key."""
+    """Random draws that depend only on the key."""
 
     def __init__(self, *key: int) -> None:
         self._generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(key)))
 
     def unit(self) -> float:
-        """Uniform in [0, 1)."""
+        """Draw from [0, 1), uniformly."""
         return float(self._generator.random())
 
     def between(self, low: float, high: float) -> float:
@@ -35,7 +35,7 @@ class Dice:
         return self.unit() < p
 
     def count(self, low: int, high: int) -> int:
-        """An integer from `low` to `high`, both included."""
+        """Draw an integer from `low` to `high`, both included."""
         return low + int(self.unit() * (high - low + 1))
 
     def pick(self, choices: Sequence[T]) -> T:
@@ -48,7 +48,7 @@ class Dice:
 
 @dataclass(frozen=True, slots=True)
 class Rect:
-    """A rectangle along the axes, in metres."""
+    """An axis-parallel rectangle, in metres."""
 
     x0: float
     y0: float
@@ -67,7 +67,7 @@ class Rect:
         return Rect(self.x0 - by_m, self.y0 - by_m, self.x1 + by_m, self.y1 + by_m)
 
     def meets(self, other: Rect) -> bool:
-        """Whether they have more than an edge in common."""
+        """Return True if the rectangles share more than an edge."""
         return (
             self.x0 < other.x1 and other.x0 < self.x1 and self.y0 < other.y1 and other.y0 < self.y1
         )
@@ -82,12 +82,12 @@ class Rect:
 
 
 def wall_span_m(room: Rect, side: int) -> float:
-    """Length of the wall that things on it face away from in direction `QUARTERS[side]`."""
+    """Return the length of the wall whose furniture faces `QUARTERS[side]`."""
     return room.width_m if side % 2 else room.depth_m
 
 
 def at_wall(room: Rect, side: int, along_m: float, off_m: float) -> tuple[float, float]:
-    """x and y of a place `off_m` from that wall, `along_m` from its lower end."""
+    """Return x and y of a place `off_m` from that wall, `along_m` from its lower end."""
     return (
         (room.x0 + off_m, room.y0 + along_m),
         (room.x0 + along_m, room.y0 + off_m),

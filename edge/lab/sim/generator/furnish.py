@@ -1,4 +1,4 @@
-"""Furnishing: things of a room's kind where they belong, with a way left to each of them."""
+"""Furnishing of rooms: objects at their usual places, each still reachable."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from edge.lab.sim.generator.draws import QUARTERS, Dice, Rect, at_wall, wall_spa
 from edge.lab.sim.generator.layout import WALL_M, Door
 
 PASSAGE_M = 0.3
-"""Half the width of the way that is left to every door and thing."""
+"""Half the width of the passage that is left to every door and object."""
 NEAR_M, NEAR_RAISED_M = 0.6, 0.65
-"""A thing can be got at where that way comes so near to it, on the floor or above it."""
+"""An object is reachable if the passage comes this near: on the floor, or on other objects."""
 _GAP_M = 0.03
 _OFF_WALL_M = 0.5 * WALL_M + 0.02
 _BEFORE_DOOR_M = 0.7
 _CELL_M = 0.05
 _TRIES, _ROOM_TRIES = 10, 50
 _LOW_M = 1.15
-"""What is lower may stand below a picture."""
+"""Lower objects may stand below a picture."""
 
 Pose = tuple[float, float, int]
-"""Middle x and y, and quarter turns from +x."""
+"""Centre x and y, and quarter turns from +x."""
 
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A thing in a room; `size_m` is depth, width, height, faced from the front."""
+    """An object in a room; `size_m` is depth, width, height, as seen from its front."""
 
     category: str
     x_m: float
@@ -46,7 +46,7 @@ class Placed:
         return _box((self.x_m, self.y_m, self.quarter), self.size_m)
 
     def local(self, ahead_m: float, left_m: float) -> tuple[float, float]:
-        """x and y of a place in front of its middle, and to its left."""
+        """Return x and y of a place in front of its centre and to its left."""
         a, b = QUARTERS[self.quarter]
         return self.x_m + a * ahead_m - b * left_m, self.y_m + b * ahead_m + a * left_m
 
@@ -58,7 +58,7 @@ def _box(pose: Pose, size_m: tuple[float, float, float]) -> Rect:
 
 
 class Ways:
-    """Where the middle of a robot can be in a room, as a raster."""
+    """Raster of the places that a robot's centre can reach in a room."""
 
     def __init__(self, rect: Rect, doors: list[Door]) -> None:
         self._area = rect.grown(-0.5 * WALL_M - PASSAGE_M)
@@ -67,8 +67,13 @@ class Ways:
         self._doors = [self._cell(door.x_m, door.y_m) for door in doors]
 
     def left_by(self, things: list[Placed]) -> np.ndarray | None:
-        """(rows, columns) bool: where one gets to from the doors; None if not from each of them to
-        each other and to all of the things."""
+        """Return (rows, columns) bool: cells that a robot can reach from the doors.
+
+        None if it cannot get from each door to all others and to all objects.
+
+        Args:
+            things: objects in the room.
+        """
         free = np.ones(self._shape, np.uint8)
         boxes = [(t.box, t.z_m > 0) for t in things if t.category != "rug"]
         for box in (box for box, raised in boxes if not raised):
@@ -87,13 +92,13 @@ class Ways:
         return self._area.x0 + (col + 0.5) * _CELL_M, self._area.y0 + (row + 0.5) * _CELL_M
 
     def _cell(self, x_m: float, y_m: float) -> tuple[int, int]:
-        """The nearest cell."""
+        """Return the nearest cell."""
         rows, cols = self._shape
         row, col = int((y_m - self._area.y0) / _CELL_M), int((x_m - self._area.x0) / _CELL_M)
         return min(max(row, 0), rows - 1), min(max(col, 0), cols - 1)
 
     def _cells(self, box: Rect) -> tuple[slice, slice]:
-        """Those that a box touches."""
+        """Return the cells that a box touches."""
         rows, cols = self._shape
         x0, x1 = ((x - self._area.x0) / _CELL_M for x in (box.x0, box.x1))
         y0, y1 = ((y - self._area.y0) / _CELL_M for y in (box.y0, box.y1))
@@ -104,12 +109,12 @@ class Ways:
 
 
 class RoomFurnisher:
-    """Puts things into one room.
+    """Places objects in one room.
 
     Attributes:
-        things: what found its place.
+        things: objects placed so far.
         inside: the floor between the walls.
-        ways: where one gets to.
+        ways: the reachable floor.
     """
 
     def __init__(self, dice: Dice, kind: str, rect: Rect, doors: list[Door]) -> None:
@@ -120,8 +125,7 @@ class RoomFurnisher:
         self._doorways = [door.kept_free(_BEFORE_DOOR_M) for door in doors]
 
     def furnish(self) -> list[Placed]:
-        """Put in what a room of this kind holds; anew where something that it must have finds no
-        place."""
+        """Place the objects of this kind of room; try again if a necessary one finds no place."""
         needed = {item.category for item in CONTENTS[self.kind] if item.p == 1.0 and not item.by}
         for _ in range(_ROOM_TRIES):
             self.things = []
@@ -140,7 +144,7 @@ class RoomFurnisher:
             self.put(self.dice.pick(STRAYS))
 
     def put(self, item: Item) -> bool:
-        """Whether there was a place for it."""
+        """Place an object; return True if there was a place for it."""
         dice, kind = self.dice, assemblies.CATEGORIES[item.category]
         size = tuple(round(v * dice.between(0.93, 1.07), 3) for v in kind.size_m)
         shade = dice.between(0.88, 1.1)
@@ -154,14 +158,14 @@ class RoomFurnisher:
         return False
 
     def draw_start(self) -> tuple[float, float, float]:
-        """x, y and yaw in degrees of a place that a robot can start from."""
+        """Return x, y and yaw in degrees of a place that a robot can start from."""
         rows, cols = np.nonzero(self.ways.left_by(self.things))
         k = self.dice.count(0, len(rows) - 1)
         x, y = self.ways.xy_m(int(rows[k]), int(cols[k]))
         return round(x, 3), round(y, 3), float(self.dice.count(-179, 180))
 
     def last(self, categories: tuple[str, ...]) -> Placed | None:
-        """The newest thing of the first of these kinds that the room has."""
+        """Return the newest object of the first of these categories that the room has."""
         for category in categories:
             for thing in reversed(self.things):
                 if thing.category == category:
@@ -172,7 +176,7 @@ class RoomFurnisher:
         return self._has_room(new) and self.ways.left_by([*self.things, new]) is not None
 
     def _has_room(self, new: Placed) -> bool:
-        """Whether it is within the walls and in nothing's way."""
+        """Return True if the object is within the walls and overlaps nothing."""
         box = new.box
         if not self.inside.grown(0.011).holds(box):
             return False
@@ -197,7 +201,7 @@ Size = tuple[float, float, float]
 
 
 def _by_wall(room: RoomFurnisher, item: Item, size: Size, in_corner: bool = False) -> Candidates:
-    """With its back to a wall; as often as not, or always, at the wall's end."""
+    """Yield poses with its back to a wall; half of them (or all) at the wall's end."""
     dice = room.dice
     for _ in range(_TRIES):
         side = dice.count(0, 3)
@@ -211,13 +215,13 @@ def _by_wall(room: RoomFurnisher, item: Item, size: Size, in_corner: bool = Fals
 
 
 def _in_corner(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
-    """In a corner if there is one, else by a wall."""
+    """Yield poses in a corner, then by a wall."""
     yield from _by_wall(room, item, size, in_corner=True)
     yield from _by_wall(room, item, size)
 
 
 def _hung(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
-    """On a wall, higher than the furniture and the robot."""
+    """Yield poses on a wall, higher than the furniture and the robot."""
     z_m = round(room.dice.between(1.3, 1.6), 3)
     return ((pose, z_m) for pose, _ in _by_wall(room, item, size))
 
@@ -236,8 +240,8 @@ def _anywhere(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
         yield (dice.between(r.x0, r.x1), dice.between(r.y0, r.y1), dice.count(0, 3)), 0.0
 
 
-def _beside(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
-    """To the left or right of what it belongs to, their backs in line."""
+def _next_to(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
+    """Yield poses to the left and right of the object it belongs to, with their backs in line."""
     other = room.last(item.by)
     if other is not None:
         aside = 0.5 * (other.size_m[1] + size[1]) + item.gap_m
@@ -247,7 +251,7 @@ def _beside(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
 
 
 def _before(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
-    """In front of what it belongs to, facing it."""
+    """Yield the pose in front of the object it belongs to, facing it."""
     other = room.last(item.by)
     if other is not None:
         ahead = 0.5 * (other.size_m[0] + size[0]) + item.gap_m
@@ -255,7 +259,7 @@ def _before(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
 
 
 def _around(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
-    """At a free place at a table, facing it: two at a long side, one at an end."""
+    """Yield free places at a table, facing it: two on each long side, one at each end."""
     table = room.last(item.by)
     if table is None:
         return
@@ -269,7 +273,7 @@ def _around(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
 
 
 def _across(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
-    """At the wall that what it belongs to faces; else at any."""
+    """Yield the pose at the wall that the object it belongs to faces; then at any wall."""
     other = room.last(item.by)
     if other is not None:
         side = (other.quarter + 2) % 4
@@ -282,7 +286,7 @@ def _across(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
 
 
 def _on(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
-    """On top of what it belongs to, if that is large enough and bears nothing yet."""
+    """Yield a pose on top of the object it belongs to, if that is large enough."""
     other = room.last(item.by)
     if other is None or size[0] > other.size_m[0] or size[1] > 1.1 * other.size_m[1]:
         return
@@ -292,7 +296,7 @@ def _on(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
 
 
 def _on_floor(room: RoomFurnisher, item: Item, size: Size) -> Candidates:
-    """A rug: before or under what it belongs to, or in the middle."""
+    """Yield poses for a rug: before or under the object it belongs to, or in the middle."""
     other = room.last(item.by)
     if other is not None:
         ahead = 0.0 if other.category == "coffee table" else 0.5 * other.size_m[0]
@@ -306,7 +310,7 @@ PLACES: dict[str, Callable[[RoomFurnisher, Item, Size], Candidates]] = {
     "corner": _in_corner,
     "middle": _in_middle,
     "anywhere": _anywhere,
-    "beside": _beside,
+    "beside": _next_to,
     "before": _before,
     "around": _around,
     "across": _across,
@@ -314,4 +318,4 @@ PLACES: dict[str, Callable[[RoomFurnisher, Item, Size], Candidates]] = {
     "floor": _on_floor,
     "hung": _hung,
 }
-"""Where a thing may stand, the most wanted place first."""
+"""Generators of poses, the most wanted pose first."""

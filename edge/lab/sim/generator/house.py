@@ -2,8 +2,8 @@
 
     house = generated_house(7)
 
-Seeds below `HELD_OUT` are for tuning, those from it on for evaluation. The layouts are made from
-`layout` and `contents` alone: no house of anybody's, ProcTHOR's neither, went into them.
+Seeds below `HELD_OUT` are for tuning, the others for evaluation. The houses come from the tables in
+`layout` and `contents` only, not from ProcTHOR or another data set.
 """
 
 from __future__ import annotations
@@ -22,15 +22,19 @@ _DOOR_HEIGHT_M = 2.05
 
 
 def load_generated(section: WorldGenerated, config: Config) -> BoxWorld:
-    """The house of a seed, for the configured robot and camera."""
+    """Return the house of a seed, for the configured robot and camera."""
     return build_house(generated_house(section.seed), config)
 
 
 def generated_house(seed: int) -> House:
-    """A house of 4 to 10 rooms with doors 0.8 m wide and more, the same everywhere for a seed.
+    """Return a house of 4 to 10 rooms, the same on every computer for a seed.
 
-    Every room, and the side of every thing, can be reached by a robot of radius 0.25 m. A room's
-    name begins with its kind (`layout.KINDS`).
+    Doors are at least 0.8 m wide. A robot of radius 0.25 m can reach every room and every object. A
+    room's name starts with its kind (`layout.KINDS`).
+
+    Example:
+        >>> generated_house(7).name
+        'generated-7'
     """
     dice = Dice(_KEY, seed)
     layout = draw_layout(dice)

@@ -1,8 +1,8 @@
-"""Floor plans: rooms of kinds that fill a footprint, and the doors between them.
+"""Floor plans: rooms that fill a footprint, and the doors between them.
 
-Large homes have a hallway with rooms on both sides, small ones go from room to room; part of the
-footprint may be missing. Which rooms have a door between them follows what homes do: everything
-opens to the hallway or the living room where it can, nobody walks through a bathroom.
+Large homes have a hallway with rooms on both sides; in small ones, rooms open into each other. Part
+of the footprint may be missing. Doors follow real homes: every room opens to the hallway or the
+living room if possible, and no path leads through a bathroom.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ LEAST_SIDE_M = {
 }  # fmt: skip
 MOST_OF_A_KIND = {LIVING: 2, BEDROOM: 4, BATHROOM: 3, OFFICE: 2}
 _MORE = (BEDROOM, BEDROOM, BEDROOM, BATHROOM, BATHROOM, OFFICE, OFFICE, LIVING)
-"""What further rooms are drawn from."""
+"""Kinds that further rooms are drawn from."""
 _SLIMMEST = 2.6
-"""Longest room but the hallway, in widths."""
+"""Largest ratio of length to width of a room other than the hallway."""
 _OUTSIDE = "outside"
 
 _DOOR_COST = {
@@ -46,7 +46,7 @@ _DOOR_COST = {
         ((OFFICE,), 6.0), ((OFFICE, BATHROOM), 7.0), ((BEDROOM,), 8.0), ((BATHROOM,), 12.0),
     )
 }  # fmt: skip
-"""How unusual a door between two kinds is. Each room is joined by the most usual one."""
+"""Cost of a door between two kinds of room. Each room is joined by its cheapest door."""
 _SECOND_DOOR = {
     frozenset(pair): p
     for pair, p in (
@@ -54,7 +54,7 @@ _SECOND_DOOR = {
         ((LIVING,), 0.6), ((BEDROOM, BATHROOM), 0.2), ((LIVING, OFFICE), 0.15),
     )
 }  # fmt: skip
-"""Chance of a door that is not needed, so that some ways are round."""
+"""Probability of a door that is not needed, so that some paths form loops."""
 _WIDE = {frozenset((LIVING, KITCHEN)), frozenset((LIVING, HALLWAY)), frozenset((LIVING,))}
 _WIDE_M = (1.2, 1.8)
 _BESIDE_DOOR_M = 0.12
@@ -62,7 +62,7 @@ _BESIDE_DOOR_M = 0.12
 
 @dataclass(frozen=True, slots=True)
 class PlannedRoom:
-    """A room, to the middle of its walls."""
+    """A room; its rectangle reaches to the middle of its walls."""
 
     kind: str
     rect: Rect
@@ -73,9 +73,11 @@ class Door:
     """A gap in the wall between two rooms.
 
     Attributes:
-        rooms: their indices.
-        x_m, y_m: the middle.
-        upright: whether the wall runs along y.
+        rooms: indices of the two rooms.
+        x_m: centre of the gap.
+        y_m: centre of the gap.
+        width_m: width of the gap.
+        upright: True if the wall runs along y.
     """
 
     rooms: tuple[int, int]
@@ -85,7 +87,7 @@ class Door:
     upright: bool
 
     def kept_free(self, deep_m: float) -> Rect:
-        """The doorway and so much floor on both sides."""
+        """Return the doorway and `deep_m` of floor on both sides."""
         wide = 0.5 * self.width_m + 0.05
         a, b = (deep_m, wide) if self.upright else (wide, deep_m)
         return Rect(self.x_m - a, self.y_m - b, self.x_m + a, self.y_m + b)
@@ -93,7 +95,7 @@ class Door:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A piece of wall along an axis, from its lower end; with what may be a door in it."""
+    """A piece of wall along an axis, from its lower end, with its door if it has one."""
 
     x0: float
     y0: float
@@ -110,7 +112,7 @@ class Layout:
 
 
 def draw_layout(dice: Dice) -> Layout:
-    """Rooms of usual sizes, each of which can be reached from each other one."""
+    """Return rooms of usual sizes, all connected by doors."""
     kinds = draw_kinds(dice)
     while True:
         rooms = _draw_rooms(dice, kinds)
@@ -127,7 +129,7 @@ def draw_layout(dice: Dice) -> Layout:
 
 
 def draw_kinds(dice: Dice) -> list[str]:
-    """The kinds of a home's rooms."""
+    """Return the kinds of a home's rooms."""
     count = dice.count(FEWEST_ROOMS, MOST_ROOMS)
     kinds = [LIVING, KITCHEN, BEDROOM, BATHROOM]
     if count >= 6 or (count == 5 and dice.chance(0.5)):
@@ -140,7 +142,7 @@ def draw_kinds(dice: Dice) -> list[str]:
 
 
 def _draw_rooms(dice: Dice, kinds: Sequence[str]) -> list[PlannedRoom] | None:
-    """None: a room came out too small or too slim."""
+    """Return the rooms; None if one came out too small or too slim."""
     wanted = [(kind, dice.between(*AREA_M2[kind])) for kind in kinds if kind != HALLWAY]
     if dice.chance(0.3):
         wanted.append((_OUTSIDE, dice.between(5.0, 12.0)))
@@ -168,7 +170,7 @@ def _in_block(dice: Dice, wanted: Wanted) -> list[tuple[str, Rect]]:
 
 
 def _along_hallway(dice: Dice, wanted: Wanted) -> list[tuple[str, Rect]]:
-    """Rooms on both sides of a hallway; sometimes the living room lies across its end."""
+    """Return rooms on both sides of a hallway; sometimes the living room lies across its end."""
     wanted = list(wanted)
     across = wanted.pop(0) if dice.chance(0.5) else None
     sides: tuple[list, list] = ([], [])
@@ -189,7 +191,7 @@ def _along_hallway(dice: Dice, wanted: Wanted) -> list[tuple[str, Rect]]:
 
 
 def _cut(rect: Rect, wanted: Wanted) -> list[tuple[str, Rect]]:
-    """Share a rectangle out by area, halving it across its longer side."""
+    """Divide a rectangle by area, repeatedly across its longer side."""
     if len(wanted) <= 1:
         return [(kind, rect) for kind, _ in wanted]
     total = sum(a for _, a in wanted)
@@ -205,7 +207,7 @@ def _cut(rect: Rect, wanted: Wanted) -> list[tuple[str, Rect]]:
 
 
 def _shared_walls(rooms: list[PlannedRoom]) -> dict[tuple[int, int], Stretch]:
-    """The stretch of wall between each two rooms that have one."""
+    """Return the piece of wall between each two rooms that share one."""
     shared = {}
     for i, j in combinations(range(len(rooms)), 2):
         a, b = rooms[i].rect, rooms[j].rect
@@ -219,9 +221,9 @@ def _shared_walls(rooms: list[PlannedRoom]) -> dict[tuple[int, int], Stretch]:
 def _joined(
     dice: Dice, rooms: list[PlannedRoom], shared: dict[tuple[int, int], Stretch]
 ) -> list[tuple[int, int]] | None:
-    """The pairs of rooms with a door: a tree of the most usual ones, and some more.
+    """Return the pairs of rooms with a door: a spanning tree of the cheapest ones, and some more.
 
-    None: no such tree, since a room has no wall that is long enough for a door.
+    None if there is no such tree, because a room has no wall that is long enough for a door.
     """
     least_m = DOOR_M[1] + 2 * _BESIDE_DOOR_M + WALL_M
     pairs = [pair for pair, wall in shared.items() if _length(wall) >= least_m]
@@ -246,7 +248,7 @@ def _draw_door(dice: Dice, rooms: list[PlannedRoom], pair: tuple[int, int], wall
         width = dice.between(*_WIDE_M)
     least = 0.5 * (WALL_M + width) + _BESIDE_DOOR_M
     most = _length(wall) - least
-    # Doors stand near a corner more often than not, so that a wall is left for furniture.
+    # Most doors are near a corner, so that a wall is left for furniture.
     at = dice.pick((least, most)) if dice.chance(0.6) else dice.between(least, most)
     upright = wall.x0 == wall.x1
     x, y = (wall.x0, wall.y0 + at) if upright else (wall.x0 + at, wall.y0)
@@ -258,7 +260,7 @@ def _length(wall: Stretch) -> float:
 
 
 def _outer_walls(rooms: list[PlannedRoom], shared: list[Stretch]) -> list[Stretch]:
-    """What is left of each room's sides beside the walls that it shares."""
+    """Return the parts of each room's sides that are not shared walls."""
     walls = []
     for r in (room.rect for room in rooms):
         for side in (

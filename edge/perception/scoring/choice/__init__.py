@@ -1,4 +1,5 @@
-"""A vision-language model that is asked which frontier to go to (ViTL IV-B).
+"""VLM frontier selection: asks a vision-language model which frontier to go to (ViTL IV-B).
 
-Pictures, questions and answers; when to ask, and what to make of it, is the loop's.
+It has the set-of-marks pictures, the questions and the answers. The loop decides when to ask, and
+how to use an answer.
 """

@@ -1,4 +1,4 @@
-"""Which choice scorers there are, and the one that a configuration names."""
+"""The scorer for VLM frontier selection that a configuration names."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ class ViewScorer(Protocol):
 def make_choice(
     choice: ChoiceOnnx | ChoiceOpenai | ChoiceText, perception: Perception
 ) -> ViewScorer:
-    """The scorer that a configuration names, ready to be asked.
+    """Make the scorer that the configuration names, ready to be asked.
 
     Args:
-        perception: says whether a model that runs here has a process of its own.
+        choice: the configuration of the scorer.
+        perception: decides if a local model runs in its own process.
 
     Raises:
         ChatError: the URL or the key of a server cannot be used.
         ModelError: a model or its card is missing or unusable.
-        PromptError: a network for marks has no text encoder.
+        PromptError: a mark network has no text encoder.
     """
     if isinstance(choice, ChoiceOnnx):
         isolated = perception.isolation == "process"
@@ -46,14 +47,15 @@ def make_choice(
 
 
 def open_choice(choice: ChoiceOnnx, process: ModelProcess | None = None) -> ViewScorer:
-    """The scorer of a card that runs here; the card's task tells what runs it.
+    """Open the scorer of a local model; the card's task decides its type.
 
     Args:
-        process: rules of a process of its own; None: it runs in this one.
+        choice: names the card.
+        process: rules for the model's own process; None: the model runs in this process.
 
     Raises:
         ModelError: a model or its card is missing or unusable.
-        PromptError: a network for marks has no text encoder.
+        PromptError: a mark network has no text encoder.
     """
     try:
         card = load_card(choice.card)

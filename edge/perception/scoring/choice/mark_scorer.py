@@ -1,7 +1,7 @@
-"""A small network that answers ViTL eq. 4 and 5 by itself: image, target and marks in, logits out.
+"""Frontier selection by a small network: image, target and marks in, answers in (ViTL eq. 4 and 5).
 
-It is shown no letters: where the marks are it gets as numbers, since a network of this size learns
-to go by numbers sooner than to read.
+It sees no letters in the image. It gets the positions of the marks as numbers, since a network of
+this size learns to use numbers sooner than to read letters.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from edge.perception.runtime.sessions import TENSORRT, open_session
 from edge.perception.scoring.choice.question import MAX_MARKS, Choice, Mark, View, Ways, choice_of
 
 FAR_M = 20.0
-"""A way so long, or none, is the same to the network."""
+"""Path lengths from here on, and unreachable marks, look the same to the network."""
 _KEY = "perception.choice.providers"
 
 
 class Network(Protocol):
-    """What answers; see `MarkNetwork`."""
+    """Interface of the mark network; see `MarkNetwork`."""
 
     name: str
 
@@ -41,10 +41,19 @@ class Network(Protocol):
 
 
 class MarkNetwork:
-    """The network of a card, loaded; `ask` is for one thread at a time.
+    """The network of a card, loaded. Call `ask` from one thread at a time.
+
+    Args:
+        card: the network's card.
+        text: encodes the target.
+        providers, threads, device_id: see `open_session`.
 
     Attributes:
         name: its card.
+
+    Raises:
+        ModelError: the model is missing or unusable, its first run fails, or the text encoder's
+            embeddings have another length.
     """
 
     def __init__(
@@ -55,11 +64,6 @@ class MarkNetwork:
         threads: int,
         device_id: int = 0,
     ) -> None:
-        """
-        Raises:
-            ModelError: the model is not there, is unusable, its first run fails, or its text
-                encoder's embeddings have another length.
-        """
         if text.dim != card.text_dim:
             raise ModelError(
                 f"model {card.name}: takes text embeddings of length {card.text_dim}, those of "
@@ -84,25 +88,27 @@ class MarkNetwork:
     def ask(
         self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, target: str, limit_s: float
     ) -> list[np.ndarray]:
-        """Put both questions about a view.
+        """Answer both questions about a view.
 
         Args:
             image: (h, w, 3) uint8 RGB of the card's size.
-            marks: (n, MARK_FIELDS) float32, from 1 to MAX_MARKS, and `others`: (OTHERS_FIELDS,)
-                float32; see `MarksCard`.
+            marks: (n, MARK_FIELDS) float32, n from 1 to MAX_MARKS; see `MarksCard`.
+            others: (OTHERS_FIELDS,) float32; see `MarksCard`.
+            target: what is looked for.
+            limit_s: longest time.
 
         Returns:
-            (n + 1,) float32 of the marks and of "elsewhere" (ViTL eq. 4), and (2,) of yes and no
-            (eq. 5); each sums to 1.
+            (n + 1,) float32, probabilities of the marks and of "elsewhere" (ViTL eq. 4), and (2,),
+            those of yes and no (eq. 5).
 
         Raises:
             PromptError: the text encoder does not know the target.
-            ModelError: it fails, takes too long, or returns what is not finite; one line.
+            ModelError: it fails, takes too long, or returns values that are not finite; one line.
         """
         return self._run(image, marks, others, self._row(target), limit_s)
 
     def close(self) -> None:
-        """Give up what is being asked; may be called from another thread."""
+        """Abort the current run; may be called from another thread."""
         self._deadline.end()
 
     def _run(
@@ -117,31 +123,32 @@ class MarkNetwork:
         with self._deadline.within(limit_s):
             options = self._deadline.options
             directions, scene = self._session.run(["directions", "scene"], feed, options)
-        # Of the marks that are there, and of "elsewhere".
+        # Keep the logits of existing marks and of "elsewhere".
         logits = np.append(directions[0, :n], directions[0, MAX_MARKS])
         if not (np.isfinite(logits).all() and np.isfinite(scene).all()):
             raise ModelError(f"model {self.name}: returns logits that are not finite")
         return [_shares(logits), _shares(np.array([scene[0, 0], 0.0]))]
 
     def _row(self, target: str) -> np.ndarray:
-        """(1, dim), encoded once a target."""
+        """Return the target's embedding, (1, dim); each target is encoded once."""
         if target not in self._rows:
             self._rows[target] = self._text.embed([target])[0]
         return self._rows[target]
 
 
 def _shares(logits: np.ndarray) -> np.ndarray:
-    """Softmax, (n,) float32."""
+    """Return the softmax, (n,) float32."""
     p = np.exp(logits.astype(np.float64) - logits.max())
     return (p / p.sum()).astype(np.float32)
 
 
 class Looked(NamedTuple):
-    """What of a view the network gets.
+    """Input of the network for a view.
 
     Attributes:
         image: (h, w, 3) uint8, letterboxed.
-        marks: (n, MARK_FIELDS) and `others`: (OTHERS_FIELDS,) float32; see `MarksCard`.
+        marks: (n, MARK_FIELDS) float32; see `MarksCard`.
+        others: (OTHERS_FIELDS,) float32; see `MarksCard`.
     """
 
     view: View
@@ -151,30 +158,31 @@ class Looked(NamedTuple):
 
 
 class MarkScorer:
-    """A scorer (`edge.perception.worker`) of views.
+    """A scorer (`edge.perception.worker`) of views, by a mark network.
+
+    Args:
+        card: the network's card.
+        network: answers.
+        limit_s: time limit of both questions together.
 
     Attributes:
         name: the model's card.
     """
 
     def __init__(self, card: MarksCard, network: Network, limit_s: float) -> None:
-        """
-        Args:
-            limit_s: for both questions.
-        """
         self.name, self._card = card.name, card
         self._network, self._limit_s = network, limit_s
 
     def look(self, view: View) -> Looked:
-        """Prepare what the network gets; the observation is not needed afterwards.
+        """Prepare the network's input; the observation is not needed afterwards.
 
         Raises:
-            ModelError: the observation has no image, or no map tells of the ways.
+            ModelError: the observation has no image, or there is no map with paths to the marks.
         """
         rgb = view.observation.rgb
         if rgb is None or view.ways is None:
-            lacks = "image to show" if rgb is None else "map with ways to tell"
-            raise ModelError(f"observation {view.observation.seq}: no {lacks} {self.name}")
+            lacks = "image" if rgb is None else "map with paths to the marks"
+            raise ModelError(f"observation {view.observation.seq}: no {lacks} for {self.name}")
         hw = (self._card.input.height, self._card.input.width)
         image, scale, top, left = letterboxed(rgb, hw, self._card.preprocess.letterbox_pad)
         if image is rgb:
@@ -183,10 +191,10 @@ class MarkScorer:
         return Looked(view, image, rows, view.ways.others)
 
     def answer(self, looked: Looked) -> Choice | None:
-        """Both answers at once.
+        """Get both answers at once.
 
         Returns:
-            None where there is no mark: there is nothing to choose from.
+            None if there is no mark to choose from.
 
         Raises:
             PromptError: the text encoder does not know the target.
@@ -199,14 +207,18 @@ class MarkScorer:
         return choice_of(view, view.marks[: len(rows)], p, float(scene[0]))
 
     def close(self) -> None:
-        """Give up what is being asked; may be called from another thread."""
+        """Abort the current run; may be called from another thread."""
         self._network.close()
 
 
 def letterboxed(
     rgb: np.ndarray, hw: tuple[int, int], pad: int
 ) -> tuple[np.ndarray, float, int, int]:
-    """(h, w, 3) uint8 scaled to fit and centred on grey, the factor, and the upper left corner."""
+    """Scale an image to fit, centred on grey.
+
+    Returns:
+        (h, w, 3) uint8 image, scale factor, top row, left column.
+    """
     (height, width), (h, w) = rgb.shape[:2], hw
     scale = min(w / width, h / height)
     inner = max(1, round(width * scale)), max(1, round(height * scale))
@@ -223,7 +235,7 @@ def letterboxed(
 def as_input(
     marks: Sequence[Mark], ways: Ways, scale: float, top: int, left: int, hw: tuple[int, int]
 ) -> np.ndarray:
-    """Marks as the network takes them, (n, MARK_FIELDS) float32; see `MarksCard`."""
+    """Return the marks as the network takes them, (n, MARK_FIELDS) float32; see `MarksCard`."""
     out = np.zeros((len(marks), MARK_FIELDS), np.float32)
     path_m = np.minimum(ways.path_m, FAR_M)
     for row, mark, *worth in zip(out, marks, path_m, ways.gain_m2, strict=False):
@@ -234,7 +246,7 @@ def as_input(
 
 
 def open_network(card: MarksCard, config: ChoiceOnnx) -> MarkNetwork:
-    """The network of a card, ready to be asked.
+    """Open the network of a card, ready to be asked.
 
     Raises:
         ModelError: a model is missing or unusable.
@@ -245,10 +257,10 @@ def open_network(card: MarksCard, config: ChoiceOnnx) -> MarkNetwork:
 
 
 def check_size(card: MarksCard, config: ChoiceOnnx) -> None:
-    """Raise ModelError where `max_image_px` forbids the image that the network takes."""
+    """Raise ModelError if `max_image_px` is less than the network's image size."""
     longer = max(card.input.height, card.input.width)
     if longer > config.max_image_px:
         raise ModelError(
-            f"perception.choice.max_image_px: {config.max_image_px}, but {card.name} is shown "
-            f"images of {card.input.width}x{card.input.height}: at least {longer}"
+            f"perception.choice.max_image_px: {config.max_image_px}, but {card.name} takes "
+            f"images of {card.input.width}x{card.input.height}: set at least {longer}"
         )

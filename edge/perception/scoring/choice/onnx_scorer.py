@@ -1,4 +1,4 @@
-"""Asking a model that runs here which way to go (ViTL eq. 4 and 5)."""
+"""Frontier selection by a language model that runs here (ViTL eq. 4 and 5)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from edge.perception.scoring.vlm.model import Asked, LanguageModel
 
 
 class Model(Protocol):
-    """What answers; see `LanguageModel`."""
+    """Interface of the model; see `LanguageModel`."""
 
     name: str
     sees: bool
@@ -42,7 +42,7 @@ class Model(Protocol):
 
 
 class Shown(NamedTuple):
-    """A view as the model gets it: the lettered image, or words."""
+    """A view as the model gets it: an image with letters, or text."""
 
     view: View
     part: np.ndarray | str
@@ -50,35 +50,39 @@ class Shown(NamedTuple):
 
 
 class OnnxChoice:
-    """A scorer (`edge.perception.worker`) of views.
+    """A scorer (`edge.perception.worker`) of views, by a local language model.
+
+    Args:
+        model: answers.
+        max_image_px: longest side of the image with letters.
+        time_limit_s: of both questions together.
 
     Attributes:
         name: the model's card.
     """
 
     def __init__(self, model: Model, max_image_px: int, time_limit_s: float) -> None:
-        """
-        Args:
-            max_image_px: the longer side of the lettered image is at most so long.
-            time_limit_s: for both questions.
-        """
         self.name = model.name
         self._model, self._max_px, self._limit_s = model, max_image_px, time_limit_s
 
     def look(self, view: View) -> Shown:
-        """Prepare what is shown; the observation is not needed afterwards."""
+        """Prepare the model's input; the observation is not needed afterwards.
+
+        Raises:
+            ModelError: the model takes images, and the observation has none.
+        """
         if not self._model.sees:
             return Shown(view, describe(view), view.marks)
         rgb = view.observation.rgb
         if rgb is None:
-            raise ModelError(f"observation {view.observation.seq}: no image to show {self.name}")
+            raise ModelError(f"observation {view.observation.seq}: no image for {self.name}")
         return Shown(view, *draw(rgb, view.marks, self._max_px))
 
     def answer(self, shown: Shown) -> Choice | None:
         """Ask both questions.
 
         Returns:
-            None where no mark could be drawn: there is nothing to choose from.
+            None if no mark could be drawn: there is nothing to choose from.
 
         Raises:
             ModelError: the model gave no usable answer within the time limit; one line.
@@ -90,12 +94,12 @@ class OnnxChoice:
         return choice_of(view, shown.marks, p, float(scene[0]))
 
     def close(self) -> None:
-        """Give up what is being asked; may be called from another thread."""
+        """Abort the current run; may be called from another thread."""
         self._model.close()
 
 
 def asked_of(n_marks: int, target: str) -> tuple[Asked, Asked]:
-    """Both questions of ViTL IV-B1, with what they offer."""
+    """Return both questions of ViTL IV-B1 with their possible answers."""
     return (
         Asked(direction_question(n_marks, target), tuple(LETTERS[: n_marks + 1])),
         Asked(scene_question(target), YES_NO),
@@ -103,7 +107,7 @@ def asked_of(n_marks: int, target: str) -> tuple[Asked, Asked]:
 
 
 def open_model(config: ChoiceOnnx) -> LanguageModel:
-    """The model of a configuration's card, ready to be asked.
+    """Open the model of the configured card, ready to be asked.
 
     Raises:
         ModelError: there is no such card, it is of another task, or its model is unusable.
@@ -115,7 +119,7 @@ def open_model(config: ChoiceOnnx) -> LanguageModel:
 
 
 def choice_card(config: ChoiceOnnx) -> ChoiceCard:
-    """The card that a configuration names; see `open_model`."""
+    """Return the configured card; see `open_model`."""
     try:
         return load_card_of(ChoiceCard, config.card)
     except ModelError as error:

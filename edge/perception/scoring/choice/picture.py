@@ -1,5 +1,4 @@
-"""Which frontiers the camera sees, and the picture with lettered marks that a vision-language
-model is shown (ViTL fig. 3a)."""
+"""Set-of-marks: frontiers that the camera sees, and an image with their letters (ViTL fig. 3a)."""
 
 from __future__ import annotations
 
@@ -14,30 +13,32 @@ from edge.geometry import invert
 from edge.perception.scoring.choice.question import LETTERS, MAX_MARKS, Mark
 from edge.types import Observation
 
-ENLARGED_PX = 320  # smaller images are shown larger, so that letters leave something to be seen
+ENLARGED_PX = 320  # smaller images are enlarged, so that letters do not cover too much
 JPEG_QUALITY = 90
 _RADIUS_SHARE, _MIN_RADIUS_PX = 0.035, 7
 _RINGS, _SPOKES = 24, 24
 NEAREST_M = 0.1
 OCCLUDED_M, OCCLUDED_SHARE = 0.3, 0.1
-"""A frontier lies on the floor at the edge of what was seen of it; a depth image that ends so much
-in front of it, and this share of its distance, shows something that stands before it."""
+"""A depth less than the frontier's by OCCLUDED_M plus OCCLUDED_SHARE of it hides the frontier.
+
+A frontier lies on the floor at the edge of the seen area."""
 
 
 def visible_marks(
     observation: Observation, xy_m: np.ndarray, ids: np.ndarray, limit: int = MAX_MARKS
 ) -> tuple[Mark, ...]:
-    """The frontiers that the image shows, projected onto the floor (ViTL IV-B1).
+    """Return the frontiers that the image shows, projected onto the floor (ViTL IV-B1).
 
-    Behind the robot, outside the image and behind what the depth image shows there are none.
+    Frontiers behind the robot, outside the image, or hidden in the depth image are left out.
 
     Args:
+        observation: camera, pose and depth.
         xy_m: (n, 2) frontiers in `map`.
-        ids: (n,) their candidates' ids.
-        limit: of more, the nearest are taken.
+        ids: (n,) ids of their candidates.
+        limit: largest number of marks; the nearest are taken.
 
     Returns:
-        From left to right; empty where the observation has no camera.
+        Marks from left to right; empty if the observation has no camera.
     """
     camera = observation.camera
     if camera is None or len(xy_m) == 0:
@@ -54,7 +55,7 @@ def visible_marks(
     if depth is not None and depth.shape == (height, width):
         depth_m = depth[np.rint(v[seen]).astype(np.intp), np.rint(u[seen]).astype(np.intp)]
         allowed_m = z[seen] * (1.0 - OCCLUDED_SHARE) - OCCLUDED_M
-        # NaN and 0 mean that nothing returned.
+        # NaN and 0 mean no return.
         seen = seen[~((depth_m > 0.0) & (depth_m < allowed_m))]
     pose = observation.pose
     away_m = np.hypot(xy_m[seen, 0] - pose.x_m, xy_m[seen, 1] - pose.y_m)
@@ -73,7 +74,7 @@ def visible_marks(
 def _in_camera(
     T_map_base: np.ndarray, T_base_camera: np.ndarray, xy_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points of the floor on which the robot stands, in the camera's optical frame."""
+    """Transform points on the robot's floor into the camera's optical frame."""
     T = invert(T_map_base @ T_base_camera)
     a, b = T[:3, 0].tolist(), T[:3, 1].tolist()
     c = (T[:3, 2] * T_map_base[2, 3] + T[:3, 3]).tolist()
@@ -85,18 +86,18 @@ def _in_camera(
 def draw(
     rgb: np.ndarray, marks: Sequence[Mark], max_px: int
 ) -> tuple[np.ndarray, tuple[Mark, ...]]:
-    """A copy of the image with a letter at each mark.
+    """Draw a letter at each mark, in a copy of the image.
 
-    A letter whose spot is taken moves to the nearest that is free, with a line to where it belongs.
+    A letter whose spot is taken moves to the nearest free spot, with a line to its mark.
 
     Args:
         rgb: (h, w, 3) uint8.
         marks: from left to right, in pixels of `rgb`.
-        max_px: the longer side of the copy is at most so long.
+        max_px: longest side of the copy.
 
     Returns:
-        The copy, and the marks that have the letters A, B, … in this order: at most `MAX_MARKS`,
-        and none for which no room is left.
+        The copy, and the marks with the letters A, B, … in this order. These are at most
+        `MAX_MARKS`, without marks for which there was no room.
     """
     height, width = rgb.shape[:2]
     scale = min(max(1.0, ENLARGED_PX / max(width, height)), max_px / max(width, height))
@@ -120,18 +121,19 @@ def draw(
 def place(
     spots: Sequence[tuple[float, float]], size: tuple[int, int], radius: int
 ) -> list[tuple[float, float] | None]:
-    """Where the centres of discs go: as near as can be to their spots, none over another.
+    """Place discs as near to their spots as possible without overlap.
 
     Args:
         spots: (u, v) each.
         size: width and height; discs stay inside.
+        radius: of a disc, in pixels.
 
     Returns:
-        A centre for each spot, or None where no room was found.
+        A centre for each spot, or None if there is no room.
     """
     taken: list[tuple[float, float]] = []
     centers: list[tuple[float, float] | None] = []
-    apart = 2.0 * radius + 2.0  # their borders, and rounding to whole pixels
+    apart = 2.0 * radius + 2.0  # 2 px for borders and rounding
     for spot in spots:
         free = (
             at
@@ -146,14 +148,14 @@ def place(
 
 
 def data_url(rgb: np.ndarray) -> str:
-    """An image as a JPEG in a `data:` URL."""
+    """Return an image as a JPEG in a `data:` URL."""
     options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
     _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), options)
     return "data:image/jpeg;base64," + base64.b64encode(jpeg).decode()
 
 
 def _around(spot: tuple[float, float], radius: int) -> Iterator[tuple[float, float]]:
-    """The spot itself, then places on rings around it, the nearest first."""
+    """Yield the spot, then places on rings around it, nearest first."""
     yield spot
     for ring in range(1, _RINGS + 1):
         reach = 0.5 * ring * radius
@@ -171,7 +173,7 @@ def _whole(at: tuple[float, float]) -> tuple[int, int]:
 
 
 def _letter(image: np.ndarray, letter: str, at: tuple[int, int], radius: int) -> None:
-    """A black letter on a white disc with a black border, drawn in place."""
+    """Draw a black letter on a white disc with a black border, in place."""
     cv2.circle(image, at, radius, (255, 255, 255), -1, cv2.LINE_AA)
     cv2.circle(image, at, radius, (0, 0, 0), 1, cv2.LINE_AA)
     font, thickness = cv2.FONT_HERSHEY_SIMPLEX, max(1, radius // 6)

@@ -1,4 +1,4 @@
-"""A model that chooses directions, in a process of its own that is brought back when it ends."""
+"""Models for VLM frontier selection in their own process, which is restarted when it ends."""
 
 from __future__ import annotations
 
@@ -30,30 +30,36 @@ _SUM_ERROR = 1e-3
 
 
 class _Process(KeptProcess):
-    """Of a card; `edge.perception.process` says how it works. While there is none, what is asked
-    raises at once."""
+    """The process of a card; see `edge.perception.process`.
+
+    While no process is ready, each question raises at once.
+
+    Args:
+        card: the model's card.
+        choice: the configuration of the scorer.
+        rules: time limits of the process.
+
+    Raises:
+        ModelError, PromptError: the model cannot be loaded, or its process cannot be started.
+    """
 
     def __init__(
         self, card: DirectionsCard, choice: config.ChoiceOnnx, rules: config.ModelProcess
     ) -> None:
-        """
-        Raises:
-            ModelError, PromptError: what keeps the model from loading, or its process from
-                starting.
-        """
         super().__init__(card.name, rules)
-        self._told = {"choice": choice.model_dump(mode="json")}
+        self._request = {"choice": choice.model_dump(mode="json")}
         self._why = f"model {self.name}: its process is not ready"
         self._begin("choice-model")
 
     def _put(
         self, request: dict[str, Any], rgb: np.ndarray | None, sizes: Sequence[int], limit_s: float
     ) -> list[np.ndarray]:
-        """Shares of the answers of each question; see `_decode`. A process that does not keep the
-        limit itself is killed.
+        """Send a request; return the probabilities of the answers of each question, see `_decode`.
+
+        A process that exceeds `limit_s` by `timeout_s` is killed.
 
         Raises:
-            ModelError: also where there is no process, or it ended over this.
+            ModelError: no process is ready, it ended or was killed, or the model failed.
         """
         link = self._link
         if link is None:
@@ -64,7 +70,7 @@ class _Process(KeptProcess):
 
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
         """See `KeptProcess`."""
-        return self._run_link(first, self._told, log_progress, PROGRAM)
+        return self._run_link(first, self._request, log_progress, PROGRAM)
 
     def _ready(self, again: bool) -> None:
         """See `KeptProcess`."""
@@ -74,13 +80,13 @@ class _Process(KeptProcess):
     def _ended(self, why: str, failed: Exception | None, pause: Pause) -> None:
         """See `KeptProcess`."""
         often = "ended too often, " if pause.limit else ""
-        self._why = f"{why}; {often}started again after {pause.seconds:.1f} s"
+        self._why = f"{why}; {often}restarts in {pause.seconds:.1f} s"
         self._link = None
         log.warning("%s", self._why)
 
 
 class ProcessModel(_Process):
-    """Asked like `LanguageModel`.
+    """A `LanguageModel` in its own process.
 
     Attributes:
         name: the model's card.
@@ -104,7 +110,7 @@ class ProcessModel(_Process):
 
 
 class ProcessMarks(_Process):
-    """Asked like `MarkNetwork`.
+    """A `MarkNetwork` in its own process.
 
     Attributes:
         name: the model's card.
@@ -121,23 +127,26 @@ class ProcessMarks(_Process):
 def _decode(
     sizes: Sequence[int], seq: int, header: dict[str, Any], block: bytes
 ) -> list[np.ndarray]:
-    """Check and unpack the shares of the answers.
+    """Check and unpack the probabilities of the answers.
 
     Args:
-        sizes: how many answers each question has.
+        sizes: number of answers of each question.
+        seq: expected sequence number.
+        header: of the reply.
+        block: unused.
 
     Raises:
-        ValueError: with one line that says what is wrong.
+        ValueError: the reply is invalid, for the reason given in one line.
     """
     if header.get("seq") != seq:
         raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
-    told = header.get("p")
-    if not isinstance(told, list) or len(told) != len(sizes):
-        raise ValueError(f"p {bounded_repr(told, 40)}")
+    values = header.get("p")
+    if not isinstance(values, list) or len(values) != len(sizes):
+        raise ValueError(f"p {bounded_repr(values, 40)}")
     try:
-        found = [np.array(p, np.float32) for p in told]
+        found = [np.array(p, np.float32) for p in values]
     except (TypeError, ValueError):
-        raise ValueError(f"p {bounded_repr(told, 40)}") from None
+        raise ValueError(f"p {bounded_repr(values, 40)}") from None
     for p, size in zip(found, sizes, strict=True):
         if p.shape != (size,) or not (p >= 0).all() or abs(float(p.sum()) - 1.0) > _SUM_ERROR:
             raise ValueError(f"shares {bounded_repr(p.tolist(), 40)} for {size} answers")

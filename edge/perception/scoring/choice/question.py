@@ -1,6 +1,6 @@
-"""What a choice scorer is asked, in the words of ViTL (IV-B1), and what it answers.
+"""Questions and answers of VLM frontier selection, in the words of ViTL (IV-B1).
 
-A language model without eyes reads a view in words, as ESC and L3MVN ask theirs.
+A language model that takes no images gets the view in words, as in ESC and L3MVN.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from edge.perception.runtime.card_types import MAX_MARKS
 from edge.types import Observation
 
 LETTERS = "ABCDEFGHJ"
-"""One for each mark, and the next for "explore elsewhere". There is no I: as the likely beginning
-of a sentence it would pass for an answer."""
+"""One letter for each mark, and the next one for "explore elsewhere".
+
+There is no I: it often begins a sentence and would pass for an answer."""
 
 SYSTEM = (
     "You guide a robot that explores a building. Answer each question with one letter or one word."
@@ -34,8 +35,10 @@ class Mark(NamedTuple):
 
     Attributes:
         id: of the candidate.
-        u_px: column in the observation's image; `v_px` is the row.
-        bearing_rad: left of where the robot is heading.
+        u_px: column in the observation's image.
+        v_px: row in the observation's image.
+        bearing_rad: from the robot's heading, positive to the left.
+        distance_m: straight distance from the robot.
     """
 
     id: int
@@ -46,7 +49,7 @@ class Mark(NamedTuple):
 
 
 class Sighting(NamedTuple):
-    """A thing that was detected a moment ago, and where it is as seen from the robot."""
+    """An object that was just detected, with its position relative to the robot."""
 
     label: str
     bearing_rad: float
@@ -54,13 +57,13 @@ class Sighting(NamedTuple):
 
 
 class Ways(NamedTuple):
-    """What the robot's map says of where the directions lead.
+    """Path lengths and expected gains of the frontiers, by the robot's map.
 
     Attributes:
-        path_m: (n,) float32, driving distance to each mark, inf where no way leads to it.
+        path_m: (n,) float32, driving distance to each mark, inf if it is unreachable.
         gain_m2: (n,) float32, unknown area that each mark is expected to show.
-        others: (3,) float32, of the frontiers without a mark that a way leads to: how many, the
-            least driving distance [m] (0: there are none), and the most such area [m²].
+        others: (3,) float32, of the reachable frontiers without a mark: their number, the least
+            driving distance [m] (0: there are none), and the largest such area [m²].
     """
 
     path_m: np.ndarray
@@ -70,15 +73,16 @@ class Ways(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What there is to choose from at one instant.
+    """The input of VLM frontier selection: an image with marks, and a target.
 
     Attributes:
-        observation: its image is read while whoever asks holds it.
+        observation: its image is read while the caller holds it.
         target: what is looked for.
-        marks: at most `MAX_MARKS`, from left to right.
-        lift: (n,) float32, how much likelier the target is near each mark than near an average
-            place, by what was seen so far; None: no prior was asked.
-        ways: to the marks; None: there is no map.
+        marks: from left to right; only the first `MAX_MARKS` get letters.
+        sightings: objects in view, for a model that takes no images.
+        lift: (n,) float32, likelihood ratio of the target near each mark to near an average place,
+            by all that was seen; None: there is no prior.
+        ways: paths to the marks; None: there is no map.
     """
 
     observation: Observation
@@ -91,12 +95,12 @@ class View:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """What the model thinks of the directions in one view.
+    """A model's answer for one view.
 
     Attributes:
         stamp_ns: of the view's observation.
         target: what it was asked about.
-        ids: (n,) the candidates whose marks had letters; some may be gone by now.
+        ids: (n,) candidates whose marks had letters; some may no longer exist.
         p: (n,) float32, P(f_i | I_t, c_k) of ViTL eq. 4.
         elsewhere: the probability of "explore elsewhere"; it and `p` sum to 1.
         scene: S_curr of ViTL eq. 5, in [0, 1].
@@ -111,17 +115,18 @@ class Choice:
 
     @property
     def value(self) -> np.ndarray:
-        """(n,) float32, V_curr(f_i) of ViTL eq. 6."""
+        """V_curr(f_i) of ViTL eq. 6, (n,) float32."""
         return np.float32(self.scene) * self.p
 
 
 def choice_of(view: View, marks: Sequence[Mark], p: np.ndarray, scene: float) -> Choice:
-    """What a model made of a view.
+    """Build the answer for a view.
 
     Args:
-        marks: (n) those that it could choose among.
-        p: (n + 1,) for each of them, and for "explore elsewhere".
-        scene: the probability that the view promises anything.
+        view: the input.
+        marks: (n) marks that the model could choose among.
+        p: (n + 1,) probability of each of them, and of "explore elsewhere".
+        scene: probability that the view leads to the target.
     """
     return Choice(
         view.observation.stamp_ns, view.target, tuple(mark.id for mark in marks),
@@ -130,18 +135,18 @@ def choice_of(view: View, marks: Sequence[Mark], p: np.ndarray, scene: float) ->
 
 
 def direction_question(n_marks: int, target: str) -> str:
-    """Which of the first `n_marks` letters, or the next one."""
+    """Return the question for one of the first `n_marks` letters, or the next for "elsewhere"."""
     letters, elsewhere = ", ".join(LETTERS[:n_marks]), LETTERS[n_marks]
     return DIRECTION.format(letters=letters, elsewhere=elsewhere, target=target)
 
 
 def scene_question(target: str) -> str:
-    """Whether the view as a whole promises anything."""
+    """Return the yes-no question about the view as a whole."""
     return SCENE.format(target=target)
 
 
 def describe(view: View) -> str:
-    """What was detected, and where the lettered frontiers lie.
+    """Describe detections and lettered frontiers in words.
 
     >>> import numpy as np
     >>> from edge.types import Observation

@@ -1,4 +1,4 @@
-"""The program of a process that chooses directions, started by `choice.py` only."""
+"""Program of a process for VLM frontier selection, started by `process.py` only."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from edge.text import read_json_object
 log = logging.getLogger(__name__)
 
 Answer = Callable[[dict[str, Any], Any], list[np.ndarray]]
-"""(request, image or None) → the shares of the answers of each question."""
+"""(request, image or None) → the probabilities of the answers of each question."""
 
 
 def main() -> int:
-    """Read from stdin what to do, load the model, answer until told to end."""
-    told, questions, control, frames = begin()
-    give_way()  # before its threads are started
+    """Read the request from stdin, load the model, and answer until the service ends it."""
+    request, questions, control, frames = begin()
+    give_way()  # before it starts threads
     try:
-        answer = open_answer(ChoiceOnnx.model_validate(told["choice"]))
+        answer = open_answer(ChoiceOnnx.model_validate(request["choice"]))
     except Exception as error:
         control.send(wire.encode_error(error))
         return 1
@@ -39,13 +39,13 @@ def main() -> int:
     try:
         answer_questions(questions, answer, frames)
     except BaseException:
-        log.exception("model %s: its process ends", told["choice"]["card"])
+        log.exception("model %s: its process ends", request["choice"]["card"])
         os._exit(1)
     return 0
 
 
 def open_answer(choice: ChoiceOnnx) -> Answer:
-    """What answers for a card: it reads the requests that `choice.py` makes."""
+    """Open the model of a card; return the function that answers the requests of `process.py`."""
     card = load_card(choice.card)
     if isinstance(card, MarksCard):
         from edge.perception.scoring.choice.mark_scorer import open_network
@@ -69,9 +69,9 @@ def open_answer(choice: ChoiceOnnx) -> Answer:
 
 
 def answer_questions(questions: socket.socket, answer: Answer, frames: FrameView) -> None:
-    """Answer every request with the shares of its answers, or with what was raised."""
-    while said := questions.recv(wire.MAX_BYTES):
-        request = read_json_object(said)
+    """Answer every request with the probabilities of its answers, or with the error raised."""
+    while message := questions.recv(wire.MAX_BYTES):
+        request = read_json_object(message)
         seq = request["seq"]
         try:
             image = None if request["hw"] is None else frames.read(seq, request["hw"])

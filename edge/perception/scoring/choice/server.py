@@ -1,4 +1,4 @@
-"""Asking a chat server which way to go (ViTL eq. 4 and 5)."""
+"""Frontier selection by a chat server (ViTL eq. 4 and 5)."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from edge.perception.scoring.vlm.answers import YES_NO, NoAnswerError, probabili
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """A view as the model gets to see it.
+    """A view as the model gets it.
 
     Attributes:
-        part: of a message's content, which both questions begin with.
-        marks: those that have a letter, in the letters' order.
+        part: the part of a message's content with which both questions begin.
+        marks: the marks that have a letter, in the letters' order.
     """
 
     view: View
@@ -41,7 +41,7 @@ class Shown:
 
 
 def show_picture(max_px: int, view: View) -> Shown:
-    """The image with letters on it; nothing of the observation is kept.
+    """Draw letters on the image; nothing of the observation is kept.
 
     Raises:
         ValueError: the observation has no image.
@@ -55,15 +55,15 @@ def show_picture(max_px: int, view: View) -> Shown:
 
 
 def show_words(view: View) -> Shown:
-    """What was detected, and where the letters are, in words."""
+    """Describe detections and letters in words."""
     return Shown(view, {"type": "text", "text": describe(view)}, view.marks)
 
 
 class ChoiceScorer:
-    """A scorer (`edge.perception.worker`) of views.
+    """A scorer (`edge.perception.worker`) of views, by a chat server.
 
-    Both questions are messages that begin alike (the rules, then the view) and differ at the very
-    end, so that a server which keeps what it computed for the last prompt reads the view once.
+    Both messages begin alike (the rules, then the view) and differ only at the end. So a server
+    with a prompt cache reads the view once.
 
     Attributes:
         name: model and server, for people.
@@ -75,14 +75,14 @@ class ChoiceScorer:
         self._show = show
 
     def look(self, view: View) -> Shown:
-        """Prepare what is shown; the observation is not needed afterwards."""
+        """Prepare the model's input; the observation is not needed afterwards."""
         return self._show(view)
 
     def answer(self, shown: Shown) -> Choice | None:
         """Ask both questions, one after the other, within the client's time limit for both.
 
         Returns:
-            None where no mark could be drawn: there is nothing to choose from.
+            None if no mark could be drawn: there is nothing to choose from.
 
         Raises:
             ChatError: the server gave no usable answer.
@@ -96,7 +96,7 @@ class ChoiceScorer:
         return choice_of(view, shown.marks, p, float(scene[0]))
 
     def close(self) -> None:
-        """Give up what is being asked; may be called from another thread."""
+        """Abort the current request; may be called from another thread."""
         self._client.close()
 
     def _ask(self, shown: Shown, question: str, answers: Any, begin_s: float) -> Any:
@@ -113,14 +113,14 @@ class ChoiceScorer:
 
 
 def _content(part: dict[str, Any], question: str) -> str | list[dict[str, Any]]:
-    """One text where all is text: some servers of text models take no list."""
+    """Return one text if all is text: some servers of text models accept no list."""
     if part["type"] == "text":
         return f"{part['text']}\n{question}"
     return [part, {"type": "text", "text": question}]
 
 
 def make_server_choice(config: ChoiceOpenai | ChoiceText) -> ChoiceScorer:
-    """The scorer that a configuration names; the key comes from the environment.
+    """Make the scorer that the configuration names; the key comes from the environment.
 
     Raises:
         ChatError: the URL or the key cannot be used.

@@ -1,5 +1,4 @@
-"""Language models, with eyes or without, that run here from the ONNX files that others publish.
+"""Published language models, with or without image input, that run here from their ONNX files.
 
-What a model is fed and how is read from its own files; what it is asked is in
-`edge.perception.scoring.choice`.
+The model's own files define its input. The questions are in `edge.perception.scoring.choice`.
 """

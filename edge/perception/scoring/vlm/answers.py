@@ -1,4 +1,4 @@
-"""What of a model's next token is which answer (ViTL eq. 4 and 5): letters, Yes and No."""
+"""Probabilities of the answers from the next token's logits (ViTL eq. 4 and 5)."""
 
 from __future__ import annotations
 
@@ -11,24 +11,25 @@ from edge.errors import UserError
 
 YES_NO = ("Yes", "No")
 MISSING_NATS = 1.0
-"""How much less likely than the least likely token that the server told of an answer is taken to
-be which it did not tell of. At most as likely is known, and that all of them together have no more
-than what the told tokens leave of 1."""
-_LEAST_LEFT = 1e-9  # so that what is left has a logarithm, also where rounding leaves nothing
+"""Log-probability of an answer without a listed token: this much below the least likely listed one.
+
+The server lists only the likeliest tokens. The others are at most as likely as the last of them,
+and together have at most the probability that the list leaves of 1."""
+_LEAST_LEFT = 1e-9  # keeps the logarithm finite if rounding leaves 0
 
 _WRAPPING = " \t\r\n▁ĠĊ\"'`*_([{<>}]).,:;"
 
 
 class NoAnswerError(UserError):
-    """The model is about to say something else than any of the answers."""
+    """The model's next token is none of the answers."""
 
 
 def probabilities(tokens: Sequence[tuple[str, float]], answers: Sequence[str]) -> np.ndarray:
-    """Softmax over exactly the answers that were offered.
+    """Return the softmax over exactly the offered answers.
 
-    log-probabilities are logits up to a constant, which falls out. The tokens of one answer
+    Log-probabilities are logits up to a constant, which cancels out. The tokens of one answer
     ("A", " A", "(A") are one event, so their probabilities are added. Words are compared without
-    regard to case; single letters are not, since "a" begins a sentence about anything.
+    regard to case; single letters are not, since "a" begins many sentences.
 
     Args:
         tokens: the likeliest next tokens with their log-probabilities, at most 0.
@@ -47,9 +48,9 @@ def probabilities(tokens: Sequence[tuple[str, float]], answers: Sequence[str]) -
         if i is not None:
             logits[i] = np.logaddexp(logits[i], logprob)
     if not np.isfinite(logits).any():
-        said = ", ".join(repr(token) for token, _ in tokens[:3])
+        likeliest = ", ".join(repr(token) for token, _ in tokens[:3])
         raise NoAnswerError(
-            f"the model begins its answer with {said:.60}, not with {', '.join(answers)}; "
+            f"the model begins its answer with {likeliest:.60}, not with {', '.join(answers)}; "
             "use one that answers at once"
         )
     missing = np.isneginf(logits)
@@ -66,13 +67,14 @@ def _key(text: str) -> str:
 
 
 def spellings(vocabulary: Sequence[str], answers: Sequence[str]) -> list[np.ndarray]:
-    """Which tokens of a vocabulary are which answer, as `probabilities` reads them.
+    """Find the tokens of a vocabulary that mean each answer, as `probabilities` reads them.
 
     Args:
         vocabulary: the text of each token, by id.
+        answers: all different.
 
     Returns:
-        Ids of the tokens that say each answer, (k,) int64, of which there may be none.
+        For each answer, the ids of its tokens, (k,) int64; k may be 0.
 
     >>> [ids.tolist() for ids in spellings(["A", "b", " A", "B", "yes"], ("A", "B", "Yes"))]
     [[0, 2], [3], [4]]
@@ -87,7 +89,7 @@ def spellings(vocabulary: Sequence[str], answers: Sequence[str]) -> list[np.ndar
 
 
 def shares(logits: np.ndarray, ids: Sequence[np.ndarray]) -> np.ndarray:
-    """ViTL eq. 4: softmax over exactly the answers, where all logits are known.
+    """Return the softmax over exactly the answers, from all logits (ViTL eq. 4).
 
     Args:
         logits: (v,) of the next token.
@@ -95,7 +97,7 @@ def shares(logits: np.ndarray, ids: Sequence[np.ndarray]) -> np.ndarray:
             `probabilities`.
 
     Returns:
-        (n,) float32, sums to 1; NaN where a logit of an answer is not finite.
+        (n,) float32, sums to 1; NaN if a logit of an answer is not finite.
     """
     each = [logits[some].astype(np.float64) for some in ids]
     top = max(float(some.max()) for some in each)

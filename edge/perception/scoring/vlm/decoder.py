@@ -1,4 +1,4 @@
-"""The network that reads tokens: what it has read is kept, so that it reads nothing twice."""
+"""The decoder network with its key-value cache, so that no token is read twice."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _PAST, _PRESENT, _LOGITS = "past_key_values.", "present.", "logits"
 
 
 class Past(NamedTuple):
-    """Keys and values of what was read, by the names that they are fed by.
+    """Keys and values of the tokens read so far, by input name.
 
     Attributes:
-        length: how many tokens.
+        length: number of tokens.
         kept: (1, heads, length, d) each.
     """
 
@@ -27,7 +27,7 @@ class Past(NamedTuple):
     kept: dict[str, np.ndarray]
 
     def first(self, length: int) -> Past:
-        """Of no more than the first tokens."""
+        """Return the cache of the first tokens only."""
         if length >= self.length:
             return self
         cut = {name: np.ascontiguousarray(a[:, :, :length]) for name, a in self.kept.items()}
@@ -35,19 +35,25 @@ class Past(NamedTuple):
 
 
 class Decoder:
-    """A decoder with past keys and values in and out, and the embedding of its tokens.
+    """A decoder with its key-value cache as input and output, and the embedding of its tokens.
+
+    Args:
+        files: of the model.
+        session: of the decoder.
+        embedding: session of the token embedding; None: the decoder embeds tokens itself.
+        deadline: time limit of the runs.
 
     Attributes:
-        takes_ids: it embeds tokens itself.
+        takes_ids: True if it embeds tokens itself.
+        nothing: the empty cache.
+
+    Raises:
+        ModelError: its inputs and outputs are not those of a published decoder.
     """
 
     def __init__(
         self, files: ModelFiles, session: Any, embedding: Any | None, deadline: Deadline
     ) -> None:
-        """
-        Raises:
-            ModelError: its inputs and outputs are not those of a published decoder.
-        """
         self._files, self._session, self._embedding = files, session, embedding
         self._deadline = deadline
         self._inputs = {value.name: value for value in session.get_inputs()}
@@ -63,25 +69,25 @@ class Decoder:
         known = {first, "attention_mask", "position_ids", "num_logits_to_keep"} | pasts
         needed = {_LOGITS, *(_PRESENT + name.removeprefix(_PAST) for name in pasts)}
         if first not in self._inputs or not pasts:
-            amiss = f"has no input {first if pasts else _PAST + 'N.key'}"
+            fault = f"has no input {first if pasts else _PAST + 'N.key'}"
         elif unknown := sorted(self._inputs.keys() - known):
-            amiss = f"wants {unknown[0]!r:.40}"
+            fault = f"needs an unknown input {unknown[0]!r:.40}"
         elif lacking := sorted(needed - set(self._outputs)):
-            amiss = f"has no output {lacking[0]}"
+            fault = f"has no output {lacking[0]}"
         else:
             return
         raise ModelError(
-            f"{self._files.folder}: model {self._files.name}: its decoder {amiss}: take one of the "
+            f"{self._files.folder}: model {self._files.name}: its decoder {fault}: take one of the "
             "published layout (decoder_model_merged)"
         )
 
     def _no_past(self) -> Iterator[tuple[str, np.ndarray]]:
-        """An empty past of the shapes that the decoder declares, or else its configuration."""
-        told = self._files.text_config
-        heads = told.get("num_key_value_heads", told.get("num_attention_heads"))
-        size = told.get("head_dim")
-        if size is None and "hidden_size" in told and "num_attention_heads" in told:
-            size = told["hidden_size"] // told["num_attention_heads"]
+        """Yield an empty cache, shaped by the decoder or else by the configuration."""
+        config = self._files.text_config
+        heads = config.get("num_key_value_heads", config.get("num_attention_heads"))
+        size = config.get("head_dim")
+        if size is None and "hidden_size" in config and "num_attention_heads" in config:
+            size = config["hidden_size"] // config["num_attention_heads"]
         for name, value in self._inputs.items():
             if name.startswith(_PAST):
                 n, d = (
@@ -93,32 +99,32 @@ class Decoder:
                 if not (isinstance(n, int) and isinstance(d, int)):
                     raise ModelError(
                         f"{self._files.folder}: model {self._files.name}: neither the decoder nor "
-                        "config.json tells num_key_value_heads and head_dim"
+                        "config.json gives num_key_value_heads and head_dim"
                     )
                 yield name, np.empty((1, n, 0, d), DTYPES[value.type])
 
     def embed(self, ids: np.ndarray) -> np.ndarray:
-        """(n,) ids → (n, d) rows, or the ids themselves where the decoder takes them."""
+        """Embed (n,) ids as (n, d) rows; return the ids themselves if the decoder takes them."""
         if self._embedding is None:
             return ids
         name = self._embedding.get_inputs()[0].name
         return self._embedding.run(None, {name: ids[None]}, self._deadline.options)[0][0]
 
     def read(self, rows: np.ndarray, places: np.ndarray, past: Past) -> Past:
-        """Read on.
+        """Read more tokens.
 
         Args:
             rows: (n, d), or (n,) ids; at least one.
             places: (3, n) int64; see `pictures.positions`.
-            past: what was read before.
+            past: the tokens read before.
 
         Returns:
-            All that was read.
+            The cache with the new tokens.
         """
         return self._run(rows, places, past, self._presents)[0]
 
     def next_logits(self, rows: np.ndarray, places: np.ndarray, past: Past) -> np.ndarray:
-        """(v,) float32 for the token that comes after `rows`; see `read`."""
+        """Return (v,) float32 for the token that comes after `rows`; see `read`."""
         logits = self._run(rows, places, past, [_LOGITS])[1]
         return logits.reshape(-1, logits.shape[-1])[-1].astype(np.float32)
 
@@ -144,13 +150,13 @@ class Decoder:
         kept = {_PAST + name.removeprefix(_PRESENT): a for name, a in by_name.items()}
         if any(a.shape[2] != length for a in kept.values()):
             raise ModelError(
-                f"model {self._files.name}: its decoder kept another number of tokens than the "
-                f"{length} that it has read, {n} of them now"
+                f"model {self._files.name}: its decoder returns a cache of another length than "
+                f"the {length} tokens that it has read, {n} of them now"
             )
         return Past(length, kept), logits
 
     def _places(self, places: np.ndarray) -> np.ndarray:
-        """As the decoder takes them: (1, n), or (3, 1, n) where places have three numbers."""
+        """Return positions as the decoder takes them: (1, n), or (3, 1, n) for M-RoPE."""
         declared = self._inputs.get("position_ids")
         threefold = declared is not None and len(declared.shape) == 3
         return places[:, None] if threefold else places[:1]

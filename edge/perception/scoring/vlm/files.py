@@ -1,4 +1,4 @@
-"""The files beside a published model's networks: configuration, tokenizer, chat template."""
+"""Files of a published model next to its networks: configuration, tokenizer, chat template."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ TOKENIZER_CONFIG = "tokenizer_config.json"
 PREPROCESSOR = "preprocessor_config.json"
 PROCESSOR = "processor_config.json"
 TEMPLATES = ("chat_template.jinja", "chat_template.json")
-"""Where a chat template lies that is not in the tokenizer's configuration."""
+"""Files of a chat template that is not in the tokenizer's configuration."""
 EXTRA = "pip install 'edge-vln[choice]'"
 
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """What a model's folder says of it.
+    """The content of a model's folder.
 
     Attributes:
-        config: of the network, as `config.json` has it.
-        image: how images are prepared; None for a model without eyes.
-        processor: how texts and images are put together; often empty.
+        name: of the model's card.
+        config: `config.json` of the network.
+        image: preparation of images; None for a model that takes no images.
+        processor: combination of texts and images; often empty.
         special: texts that a template may name: `bos_token`, `eos_token` …
         template: the chat template's source, in Jinja.
     """
@@ -48,7 +49,7 @@ class ModelFiles:
 
     @property
     def text_config(self) -> dict[str, Any]:
-        """Of the language model within the network."""
+        """Configuration of the language model within the network."""
         inner = self.config.get("text_config")
         return inner if isinstance(inner, dict) else self.config
 
@@ -57,7 +58,7 @@ def read_files(card: ChoiceCard) -> ModelFiles:
     """Read the folder of a card's model.
 
     Raises:
-        ModelError: a file is missing or is not what it should be.
+        ModelError: a file is missing or invalid.
     """
     folder = card.path
     tokenizer = _read(card, TOKENIZER_CONFIG)
@@ -65,7 +66,7 @@ def read_files(card: ChoiceCard) -> ModelFiles:
     image = _read(card, PREPROCESSOR, needed=False) or processor.get("image_processor")
     if card.vision_encoder is not None and not isinstance(image, dict):
         raise ModelError(
-            f"{folder / PREPROCESSOR}: model {card.name}: says nothing of how images are prepared; "
+            f"{folder / PREPROCESSOR}: model {card.name}: no image preprocessing is configured; "
             "name that file among the card's others"
         )
     return ModelFiles(
@@ -80,7 +81,7 @@ def read_files(card: ChoiceCard) -> ModelFiles:
 
 
 def _read(card: ChoiceCard, name: str, needed: bool = True) -> dict[str, Any]:
-    """A JSON file of the model; empty where the card does not have it and it need not be there."""
+    """Read a JSON file of the model; {} if the card does not list it and it is optional."""
     path = card.path / name
     if not any(part.file == name for part in card.others):
         if needed:
@@ -93,7 +94,7 @@ def _read(card: ChoiceCard, name: str, needed: bool = True) -> dict[str, Any]:
 
 
 def _special(tokenizer: dict[str, Any]) -> dict[str, str]:
-    """Special tokens are texts, or objects that have one."""
+    """Return the special tokens; each is a text, or an object with one."""
     found = {}
     for key, value in tokenizer.items():
         text = value.get("content") if isinstance(value, dict) else value
@@ -103,7 +104,7 @@ def _special(tokenizer: dict[str, Any]) -> dict[str, str]:
 
 
 def _template(card: ChoiceCard, tokenizer: dict[str, Any]) -> str:
-    """The chat template: of a file of its own, else of the tokenizer's configuration."""
+    """Return the chat template: from its own file, else from the tokenizer's configuration."""
     here = {part.file for part in card.others}
     for name in TEMPLATES:
         if name not in here:
@@ -124,15 +125,15 @@ def _template(card: ChoiceCard, tokenizer: dict[str, Any]) -> str:
         ) from None
 
 
-def _text_of(told: Any) -> str:
-    """A template is a text, or one of several by name, of which `default` is meant."""
-    if isinstance(told, str):
-        return told
-    return str(next(one["template"] for one in told if one["name"] == "default"))
+def _text_of(template: Any) -> str:
+    """Return the text of a template, which is a text or a list of named ones with a `default`."""
+    if isinstance(template, str):
+        return template
+    return str(next(one["template"] for one in template if one["name"] == "default"))
 
 
 def open_tokenizer(files: ModelFiles) -> Any:
-    """The tokenizer of a model, which neither pads nor cuts off.
+    """Open the tokenizer of a model, without padding or truncation.
 
     Raises:
         ModelError: the package is not installed, or the file is no tokenizer.
@@ -141,13 +142,13 @@ def open_tokenizer(files: ModelFiles) -> Any:
 
 
 def vocabulary(tokenizer: Any) -> Sequence[str]:
-    """The text that each token stands for, by id; empty where there is none."""
+    """Return the text of each token, by id; "" if it has none."""
     size = tokenizer.get_vocab_size(with_added_tokens=True)
     return tokenizer.decode_batch([[i] for i in range(size)], skip_special_tokens=False)
 
 
 def common_prefix(a: np.ndarray, b: np.ndarray) -> int:
-    """How many elements two rows begin with alike.
+    """Return the length of the common prefix of two rows.
 
     >>> common_prefix(np.array([3, 1, 2]), np.array([3, 1, 4, 5]))
     2

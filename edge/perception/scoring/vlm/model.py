@@ -1,8 +1,8 @@
 """A published model that answers multiple-choice questions about one view.
 
 A choice needs no generation: the questions are read up to their last token, and the logits of the
-answers' tokens are looked at. What the questions begin with alike, the rules and the view, is read
-once; the rules are kept from one view to the next.
+answers' tokens are compared. The common beginning of the questions (the rules and the view) is
+read once; the rules stay in the cache from one view to the next.
 """
 
 from __future__ import annotations
@@ -29,18 +29,27 @@ _BLANK_PX = 64
 
 
 class Asked(NamedTuple):
-    """A question, and the answers that it offers."""
+    """A question and its possible answers."""
 
     question: str
     answers: tuple[str, ...]
 
 
 class LanguageModel:
-    """A model, loaded from the files of its card; `ask` is for one thread at a time.
+    """A model, loaded from the files of its card. Call `ask` from one thread at a time.
+
+    Args:
+        card: the model's card.
+        asked: questions with every answer that will ever be offered; asked once for a test.
+        providers, threads, device_id: see `open_session`.
 
     Attributes:
         name: its card.
-        sees: whether it is shown images; else it is told in words.
+        sees: True if it takes images, False if it takes text only.
+
+    Raises:
+        ModelError: a file is missing, damaged or not of the published layout, the files do not
+            match, an answer has no token, or the first run fails.
     """
 
     def __init__(
@@ -51,15 +60,6 @@ class LanguageModel:
         threads: int = 2,
         device_id: int = 0,
     ) -> None:
-        """
-        Args:
-            asked: with every answer that will ever be offered; put to it once.
-            providers, threads, device_id: see `open_session`.
-
-        Raises:
-            ModelError: a file is missing, damaged or not of the published layout, they do not
-                belong together, an answer has no token, or the first run fails.
-        """
         verify_parts(card, believe_cache=True)
         files = read_files(card)
 
@@ -99,19 +99,19 @@ class LanguageModel:
     def ask(
         self, rules: str, view: np.ndarray | str, asked: Sequence[Asked], limit_s: float
     ) -> list[np.ndarray]:
-        """Put questions about one view.
+        """Answer questions about one view.
 
         Args:
-            rules: what the model is told first.
-            view: (h, w, 3) uint8 RGB for a model that sees, else words.
+            rules: the system message.
+            view: (h, w, 3) uint8 RGB for a model that takes images, else text.
             asked: at least one.
-            limit_s: for all of them together.
+            limit_s: time limit of all questions together.
 
         Returns:
             For each question (n,) float32, the probability of each of its answers (ViTL eq. 4).
 
         Raises:
-            ModelError: it fails, takes too long, or returns what is not finite; one line.
+            ModelError: it fails, takes too long, or returns values that are not finite; one line.
         """
         with self._deadline.within(limit_s):
             return self._ask(rules, view, asked)
@@ -140,9 +140,9 @@ class LanguageModel:
     def _read(
         self, ids: np.ndarray, features: np.ndarray, grid: tuple[int, int, int] | None
     ) -> Past:
-        """What was read once `ids` are; of the last time's, what begins alike is not read again.
+        """Return the cache after `ids`; the common beginning with the last call is not read again.
 
-        An image's tokens are alike for all images, so only what comes before one is kept.
+        The image tokens of all images are alike, so only tokens before an image are kept.
         """
         image_id = self._prompter.image_id
         images = np.flatnonzero(ids == image_id) if len(features) else ids[:0]
@@ -157,7 +157,7 @@ class LanguageModel:
         return past
 
     def _rows(self, ids: np.ndarray, begin: int, features: np.ndarray) -> np.ndarray:
-        """What the decoder reads from token `begin` on, with features in the image's places."""
+        """Return the decoder's input from token `begin` on; image features replace image tokens."""
         rows = self._decoder.embed(ids[begin:])
         if len(features):
             is_image = ids == self._prompter.image_id
@@ -168,12 +168,12 @@ class LanguageModel:
         return rows
 
     def _look(self, feeds: dict[str, np.ndarray]) -> np.ndarray:
-        """(n, d) features of an image."""
+        """Return the (n, d) features of an image."""
         taken = {}
         for value in self._vision.get_inputs():
             if value.name not in feeds:
                 raise ModelError(
-                    f"model {self.name}: its vision encoder wants {value.name!r:.40}, which its "
+                    f"model {self.name}: its vision encoder needs {value.name!r:.40}, which its "
                     f"image processor does not make (it makes {', '.join(feeds)})"
                 )
             taken[value.name] = feeds[value.name].astype(DTYPES[value.type], copy=False)
@@ -199,7 +199,7 @@ class LanguageModel:
         ids = [self._ids[answer] for answer in answers]
         if max(int(some.max()) for some in ids) >= len(logits):
             raise ModelError(
-                f"model {self.name}: {len(logits)} logits, which is less than its tokenizer has "
+                f"model {self.name}: {len(logits)} logits, fewer than its tokenizer has "
                 "tokens: the files are of two models"
             )
         p = shares(logits, ids)
@@ -211,5 +211,5 @@ class LanguageModel:
         return p
 
     def close(self) -> None:
-        """Give up what is being asked, at once; nothing can be asked afterwards."""
+        """Abort the current run at once; do not call `ask` afterwards."""
         self._deadline.end()

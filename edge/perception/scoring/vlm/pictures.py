@@ -1,8 +1,8 @@
-"""Images as the vision encoders of published models want them, by their own configuration.
+"""Image preparation for the vision encoders of published models, by their own configuration.
 
-A family is one function: what `image_processor_type` names in `preprocessor_config.json`. Sizes,
-means and all else are read from there. What each does is that of transformers' processors of the
-same names, so that a model is shown what it was taught with.
+A family is one function, for each `image_processor_type` of `preprocessor_config.json`. Sizes,
+means and the rest are read from that file. Each function computes the same as the processor of
+that name in transformers, so that a model gets images as in its training.
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ from edge.perception.scoring.vlm.files import ModelFiles
 from edge.text import bounded_repr
 
 MAX_EDGE_PX = 4096
-"""No image is enlarged beyond, by Idefics3's processor, nor by a configuration that lies."""
+"""Longest side of an image, also if Idefics3's processor or an invalid configuration wants more."""
 _MAX_FRAMES = 16
 
 
 class Picture(NamedTuple):
-    """An image made ready.
+    """A prepared image.
 
     Attributes:
-        feeds: of the vision encoder, by the names that it may have there.
-        text: what takes the image token's place in the prompt.
-        grid: (time, rows, columns) of its tokens, where their places have three numbers; else None.
+        feeds: arrays for the vision encoder, by the input names that it may have.
+        text: replaces the image token in the prompt.
+        grid: (time, rows, columns) of its tokens for a model with 3-D positions (M-RoPE); else
+            None.
     """
 
     feeds: dict[str, np.ndarray]
@@ -38,50 +39,56 @@ class Picture(NamedTuple):
 
 
 Prepare = Callable[[np.ndarray], Picture]
-"""Of an image, (h, w, 3) uint8 RGB."""
+"""Prepares an image, (h, w, 3) uint8 RGB."""
 
 
 def make_prepare(files: ModelFiles, image_token: str, most_tokens: int) -> Prepare:
-    """How a model's images are prepared.
+    """Return the function that prepares a model's images.
 
     Args:
-        most_tokens: that an image may become. The more, the more it sees, and the longer it reads.
+        files: of the model.
+        image_token: text of the image token.
+        most_tokens: most tokens of an image. More tokens show more detail and take longer to read.
 
     Raises:
-        ModelError: its kind is not known here, or its configuration lacks something.
+        ModelError: the processor is not supported, or its configuration lacks something.
     """
-    told = files.image or {}
-    kind = str(told.get("image_processor_type", "")).removesuffix("Fast")
+    settings = files.image or {}
+    kind = str(settings.get("image_processor_type", "")).removesuffix("Fast")
     if kind not in FAMILIES:
         raise ModelError(
             f"{files.folder}: model {files.name}: image_processor_type {bounded_repr(kind, 60)} is "
-            f"not known here (choices: {', '.join(FAMILIES)})"
+            f"not supported (choices: {', '.join(FAMILIES)})"
         )
     try:
-        return FAMILIES[kind](told, files, image_token, most_tokens)
+        return FAMILIES[kind](settings, files, image_token, most_tokens)
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(
-            f"{files.folder}: model {files.name}: its image processor's configuration lacks or "
-            f"garbles {error}"
+            f"{files.folder}: model {files.name}: its image processor's configuration is "
+            f"incomplete or invalid: {error}"
         ) from None
 
 
 def _resize(rgb: np.ndarray, size_wh: tuple[int, int], resample: Image.Resampling) -> np.ndarray:
-    """Pillow's own, whose filters are those that the configurations number."""
+    """Resize with Pillow, whose filter numbers the configurations use."""
     if (rgb.shape[1], rgb.shape[0]) == size_wh:
         return rgb
     return np.asarray(Image.fromarray(rgb).resize(size_wh, resample))
 
 
 class _Normalise:
-    """Pixels → numbers: (3, h, w) float32."""
+    """Converts pixels to the encoder's numbers, (3, h, w) float32."""
 
-    def __init__(self, told: dict[str, Any]) -> None:
-        scale = float(told.get("rescale_factor", 1 / 255)) if told.get("do_rescale", True) else 1.0
+    def __init__(self, settings: dict[str, Any]) -> None:
+        scale = (
+            float(settings.get("rescale_factor", 1 / 255))
+            if settings.get("do_rescale", True)
+            else 1.0
+        )
         mean, std = np.zeros(3, np.float32), np.ones(3, np.float32)
-        if told.get("do_normalize", True):
-            mean = np.asarray(told["image_mean"], np.float32)
-            std = np.asarray(told["image_std"], np.float32)
+        if settings.get("do_normalize", True):
+            mean = np.asarray(settings["image_mean"], np.float32)
+            std = np.asarray(settings["image_std"], np.float32)
         if mean.shape != (3,) or std.shape != (3,) or not std.all():
             raise ValueError("image_mean or image_std")
         self._scale, self._shift = (scale / std).astype(np.float32), (mean / std).astype(np.float32)
@@ -90,25 +97,25 @@ class _Normalise:
         return (rgb.astype(np.float32) * self._scale - self._shift).transpose(2, 0, 1)
 
 
-def _size(told: dict[str, Any], key: str, most: int, default: int | None = None) -> int:
-    """A whole number of 1 to `most`; raises KeyError or ValueError."""
-    found = int(told[key] if default is None else told.get(key, default))
+def _size(settings: dict[str, Any], key: str, most: int, default: int | None = None) -> int:
+    """Return a whole number of 1 to `most`; raise KeyError or ValueError."""
+    found = int(settings[key] if default is None else settings.get(key, default))
     if not 1 <= found <= most:
         raise ValueError(f"{key} {found} (1 to {most})")
     return found
 
 
 def _idefics3(
-    told: dict[str, Any], files: ModelFiles, image_token: str, most_tokens: int
+    settings: dict[str, Any], files: ModelFiles, image_token: str, most_tokens: int
 ) -> Prepare:
-    """Idefics3 and SmolVLM: one square, and as many tiles beside it as may be."""
-    side = _size(told["max_image_size"], "longest_edge", MAX_EDGE_PX)
-    longest = min(_size(told["size"], "longest_edge", 1 << 30), MAX_EDGE_PX)
-    resample = Image.Resampling(told.get("resample", 1))
-    normalise = _Normalise(told)
+    """Prepare images for Idefics3 and SmolVLM: one square of the whole image, and tiles."""
+    side = _size(settings["max_image_size"], "longest_edge", MAX_EDGE_PX)
+    longest = min(_size(settings["size"], "longest_edge", 1 << 30), MAX_EDGE_PX)
+    resample = Image.Resampling(settings.get("resample", 1))
+    normalise = _Normalise(settings)
     length = _size(files.processor, "image_seq_len", 1 << 30, 169)
     _check_limit(most_tokens, length)
-    most_squares = most_tokens // length if told.get("do_image_splitting", True) else 1
+    most_squares = most_tokens // length if settings.get("do_image_splitting", True) else 1
     fake, whole, marks = "<fake_token_around_image>", "<global-img>", image_token * length
 
     def prepare(rgb: np.ndarray) -> Picture:
@@ -117,7 +124,7 @@ def _idefics3(
             edge = (math.ceil(edge / side) - 1) * side
         columns, rows = _tiling(rgb, edge, side)
         squares, text = [], ""
-        # Without tiles the original enlarges first all the same, and shrinks again: to no use.
+        # Without tiles, transformers enlarges the image and shrinks it again; skip that.
         if columns * rows > 1:
             rgb = _resize(
                 _resize(rgb, _to_longest(rgb, edge), resample),
@@ -143,7 +150,7 @@ def _check_limit(most_tokens: int, least: int) -> None:
 
 
 def _to_longest(rgb: np.ndarray, longest: int) -> tuple[int, int]:
-    """(width, height) with `longest` as the longer side, the shorter one even."""
+    """Return (width, height) with `longest` as the longer side, the shorter one even."""
     height, width = rgb.shape[:2]
     longest = min(longest, MAX_EDGE_PX)
     shorter = int(longest * min(width, height) / max(width, height))
@@ -152,7 +159,7 @@ def _to_longest(rgb: np.ndarray, longest: int) -> tuple[int, int]:
 
 
 def _tiling(rgb: np.ndarray, longest: int, side: int) -> tuple[int, int]:
-    """(columns, rows) of tiles of `side` for an image brought to `longest`."""
+    """Return (columns, rows) of tiles of `side` for an image scaled to `longest`."""
     width, height = _to_longest(rgb, longest)
     long, short = max(width, height), min(width, height)
     most = math.ceil(long / side)
@@ -161,29 +168,29 @@ def _tiling(rgb: np.ndarray, longest: int, side: int) -> tuple[int, int]:
 
 
 def _qwen2_vl(
-    told: dict[str, Any], files: ModelFiles, image_token: str, most_tokens: int
+    settings: dict[str, Any], files: ModelFiles, image_token: str, most_tokens: int
 ) -> Prepare:
-    """Qwen2-VL: patches of an image of about its own size, merged by the encoder."""
-    patch, merge = (_size(told, key, MAX_EDGE_PX) for key in ("patch_size", "merge_size"))
-    times = _size(told, "temporal_patch_size", _MAX_FRAMES, 2)
-    resample = Image.Resampling(told.get("resample", 3))
+    """Prepare images for Qwen2-VL: patches at about the image's own size, merged by the encoder."""
+    patch, merge = (_size(settings, key, MAX_EDGE_PX) for key in ("patch_size", "merge_size"))
+    times = _size(settings, "temporal_patch_size", _MAX_FRAMES, 2)
+    resample = Image.Resampling(settings.get("resample", 3))
     if patch * merge > MAX_EDGE_PX:
         raise ValueError(f"patch_size times merge_size {patch * merge} (1 to {MAX_EDGE_PX})")
-    size = told.get("size") or {}
-    least = int(told.get("min_pixels") or size["shortest_edge"])
-    most = int(told.get("max_pixels") or size["longest_edge"])
+    size = settings.get("size") or {}
+    least = int(settings.get("min_pixels") or size["shortest_edge"])
+    most = int(settings.get("max_pixels") or size["longest_edge"])
     per_token_px = (patch * merge) ** 2
     _check_limit(most_tokens, math.ceil(least / per_token_px))
     if max(least, per_token_px) > MAX_EDGE_PX**2 or most < per_token_px:
         raise ValueError(f"min_pixels {least} or max_pixels {most}")
     most = min(most, most_tokens * per_token_px, MAX_EDGE_PX**2)
-    normalise = _Normalise(told)
+    normalise = _Normalise(settings)
 
     def prepare(rgb: np.ndarray) -> Picture:
         height, width = smart_resize(rgb.shape[0], rgb.shape[1], patch * merge, least, most)
         planes = normalise(_resize(rgb, (width, height), resample))
         rows, columns = height // patch, width // patch
-        # A still image is a film in which nothing happens for `times` frames.
+        # A still image is a film of `times` equal frames.
         film = np.broadcast_to(planes, (times, *planes.shape))
         blocks = film.reshape(
             1, times, 3, rows // merge, merge, patch, columns // merge, merge, patch
@@ -198,7 +205,7 @@ def _qwen2_vl(
 
 
 def smart_resize(height: int, width: int, factor: int, least: int, most: int) -> tuple[int, int]:
-    """Multiples of `factor`, nearly in proportion, with `least` to `most` pixels between them.
+    """Return a size in multiples of `factor`, nearly in proportion, with `least` to `most` pixels.
 
     >>> smart_resize(480, 640, 28, 3136, 1003520), smart_resize(480, 640, 28, 3136, 78400)
     ((476, 644), (224, 308))
@@ -221,10 +228,10 @@ FAMILIES: dict[str, Callable[[dict[str, Any], ModelFiles, str, int], Prepare]] =
 
 
 def positions(ids: np.ndarray, image_id: int, grid: tuple[int, int, int] | None) -> np.ndarray:
-    """Places of tokens for the rotary embedding, (3, n) int64: time, row, column.
+    """Return the positions of tokens for the rotary embedding, (3, n) int64: time, row, column.
 
-    Text counts on in all three; an image's tokens with a grid have their places in it, and the
-    text behind goes on after the largest (M-RoPE, Qwen2-VL 2.1).
+    Text counts on in all three. An image's tokens with a grid have their positions in it; the text
+    after it continues after the largest one (M-RoPE, Qwen2-VL 2.1).
 
     >>> positions(np.array([5, 9, 9, 9, 9, 6]), 9, (1, 2, 2)).tolist()
     [[0, 1, 1, 1, 1, 3], [0, 1, 1, 2, 2, 3], [0, 1, 2, 1, 2, 3]]

@@ -1,4 +1,4 @@
-"""Questions as the tokens that a model was taught to read, by its own chat template."""
+"""Questions as the model's tokens, by its own chat template."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ Messages = list[dict[str, Any]]
 class Prompter:
     """Turns messages into token ids.
 
+    Args:
+        files: of the model.
+
     Attributes:
         tokenizer: the model's own.
-        image_id: id of the token whose place an image's features take; -1 without eyes.
+        image_id: id of the token that image features replace; -1 if the model takes no images.
         image_token: its text.
+
+    Raises:
+        ModelError: a package or file is missing or unusable.
     """
 
     def __init__(self, files: ModelFiles) -> None:
-        """
-        Raises:
-            ModelError: a package or file is missing or unusable.
-        """
         self._name, self._special = files.name, files.special
         self.tokenizer = open_tokenizer(files)
         self.image_id, self.image_token = -1, ""
@@ -37,14 +39,15 @@ class Prompter:
         self._render = _compile(files)
 
     def text(self, rules: str, view: str | None, question: str) -> str:
-        """What is put to the model, as it reads it; an image is one token.
+        """Return the text that the model reads; an image is one token.
 
         Args:
-            rules: the system's message.
-            view: what is seen, in words; None: an image is shown.
+            rules: the system message.
+            view: the view in words; None: an image is shown.
+            question: the question.
 
         Raises:
-            ModelError: the template fails, or leaves out any of it.
+            ModelError: the template fails, or leaves a part out.
         """
         if self.image_id >= 0:
             system: Any = [{"type": "text", "text": rules}]
@@ -58,18 +61,18 @@ class Prompter:
         if missing:
             raise ModelError(
                 f"model {self._name}: its chat template leaves out {one_line(missing[0], 40)!r}: "
-                f"it is another model's, or damaged ({', '.join(TEMPLATES)})"
+                f"it is of another model, or damaged ({', '.join(TEMPLATES)})"
             )
         images = text.count(self.image_token) if self.image_token else 0
         if images != (view is None):
             raise ModelError(
                 f"model {self._name}: its chat template shows {images} images "
-                f"({self.image_token or 'it has no eyes'}) in place of {int(view is None)}"
+                f"({self.image_token or 'it takes none'}) in place of {int(view is None)}"
             )
         return text
 
     def ids(self, text: str) -> np.ndarray:
-        """(n,) int64; the template has all special tokens in it."""
+        """Return token ids, (n,) int64; the template already has all special tokens."""
         return np.array(self.tokenizer.encode(text, add_special_tokens=False).ids, np.int64)
 
 
@@ -85,9 +88,9 @@ def _image_token(files: ModelFiles, tokenizer: Any) -> tuple[int, str]:
 
 
 def _compile(files: ModelFiles) -> Callable[[Messages], str]:
-    """The chat template as a function, in jinja's sandbox: it comes with the model's weights.
+    """Compile the chat template in jinja's sandbox, since it comes with the model's weights.
 
-    Set up as those who publish such templates do (transformers, `chat_template_utils`).
+    The environment is that of transformers (`chat_template_utils`).
     """
     try:
         from jinja2 import TemplateError
@@ -125,7 +128,7 @@ def _compile(files: ModelFiles) -> Callable[[Messages], str]:
             return template.render(
                 messages=messages, add_generation_prompt=True, tools=None, **files.special
             )
-        except Exception as error:  # it may do anything that a program may
+        except Exception as error:  # a template may raise anything
             raise failed(error) from None
 
     return render

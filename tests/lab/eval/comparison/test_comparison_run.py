@@ -85,4 +85,4 @@ def test_what_is_told_after_a_run():
 
 def test_older_outcomes_are_passed_over_aloud():
     comparison = run.compare(run.records.gather([record(column_id="old"), record()]), resamples=50)
-    assert "1 older outcomes are passed over" in run.text(comparison)
+    assert "1 older outcomes are ignored" in run.text(comparison)

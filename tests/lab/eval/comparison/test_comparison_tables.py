@@ -44,7 +44,9 @@ def test_what_was_not_measured_is_left_out_and_what_is_missing_is_a_dash():
     assert named(comparison_of(one), "conduct").rows[1][-2] == tables.DASH
 
 
-@pytest.mark.parametrize(("worlds", "words"), [(1, "of 1 world, so"), (12, "over 12 worlds")])
+@pytest.mark.parametrize(
+    ("worlds", "words"), [(1, "of 1 world; they do not"), (12, "over 12 worlds")]
+)
 def test_what_was_resampled_is_told(worlds, words):
     assert words in tables.unit_words(comparison_of(many({"a": 2.0}, worlds)))
 

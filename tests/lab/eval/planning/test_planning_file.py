@@ -29,12 +29,12 @@ def test_round_trip(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("\n \n", "holds no tasks"),
+        ("\n \n", ": no tasks"),
         (b"\xff\xfe", "not UTF-8"),
         ("{", "line 1: not JSON"),
-        ("3", "line 1: not a JSON object; every line is one task, with id, template"),
+        ("3", "line 1: not a JSON object; each line must be one task, with id, template"),
         (json.dumps(GOOD) + "\n{}", "line 2: id: expected int, got None"),
-        (json.dumps(GOOD) + "\n" + json.dumps(GOOD), "line 2: id 0 was there before"),
+        (json.dumps(GOOD) + "\n" + json.dumps(GOOD), "line 2: duplicate id 0"),
         ({**GOOD, "id": -1}, "id: must be between 0"),
         ({**GOOD, "formula": "F (bed"}, "formula, column"),
         ({**GOOD, "formula": "F bed & G !bed"}, "contradicts itself"),

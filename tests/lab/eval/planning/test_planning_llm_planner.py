@@ -233,7 +233,7 @@ def planning(*rules: tuple[str, str]):
 @pytest.mark.parametrize(
     ("said", "knowledge", "target", "reason"),
     [
-        ("TARGET: couch", Knowledge(), "sofa", "the language model says so"),
+        ("TARGET: couch", Knowledge(), "sofa", "chosen by the language model"),
         ("DONE", Knowledge(), None, "names no target"),
         ("TARGET: piano", Knowledge(), None, "names no target"),
         ("TARGET: bed", Knowledge(failed=frozenset({"bed"})), None, "asks for bed, which failed"),

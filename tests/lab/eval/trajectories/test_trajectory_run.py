@@ -108,7 +108,7 @@ def test_an_answer_that_comes_too_late_is_a_failure(tmp_path):
     [
         ("", "not understood"),
         ("streets", "forms: streets"),
-        ("streets[5:5]", "empty range"),
+        ("streets[5:5]", "range is empty"),
         ("kitti:", "not understood"),
         ("kitti:/nowhere", "no frame with image_2/"),
         ("house:/nowhere.yaml", "nowhere.yaml"),
@@ -124,8 +124,8 @@ def test_places_that_are_none_are_told_in_a_line(spec, words):
     ("options", "words"),
     [
         (["--methods", "our"], "no 'our' (there are: ours; "),
-        (["--methods", "llm_tg"], "the rules see no picture"),
-        (["--model", "x"], "say with --url"),
+        (["--methods", "llm_tg"], "the rules use no picture"),
+        (["--model", "x"], "give its server with --url"),
         (["--url", "nonsense"], "not the URL of a chat server"),
         (["--detector", "street"], "sim sees nothing in a real picture"),
     ],
@@ -139,7 +139,7 @@ def test_options_that_are_wrong_are_told_in_a_line(tmp_path, capsys, options, wo
 
 
 def test_a_place_that_is_known_is_seen_by_no_detector():
-    with pytest.raises(UserError, match=r"a detector sees kitti:FOLDER only"):
+    with pytest.raises(UserError, match=r"--detector works with kitti:FOLDER only"):
         next(episodes(["streets[0:1]"], chain=object()))
 
 

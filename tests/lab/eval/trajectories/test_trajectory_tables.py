@@ -75,5 +75,5 @@ def test_a_folder_of_something_else_is_told_in_a_line(tmp_path, name, line):
 
 
 def test_outcomes_of_no_episode_are_told():
-    with pytest.raises(UserError, match="lacks the episode e0"):
+    with pytest.raises(UserError, match="the episode e0 is missing"):
         gather(FACTS[1:], OURS)

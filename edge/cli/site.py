@@ -1,0 +1,152 @@
+"""`edge place` and `edge zone`: places and zones of a running service.
+
+Light to import, so that the command line can take its arguments from here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+
+from edge.cli.options import CONFIG, lazy
+
+ANSWER_S = 5.0
+
+
+def add_places(commands) -> None:  # type: ignore[no-untyped-def]
+    """Add `edge place`."""
+    place = commands.add_parser("place", help="name, list, remove, export and import places")
+    actions = place.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
+    add = _action(actions, "set", "name the robot's pose, or another")
+    add.add_argument("name", help="of the place")
+    add.add_argument(
+        "--at", type=_pose, metavar="X,Y,DEG",
+        help="metres in map and heading in degrees, instead of the robot's pose; "
+        "write --at=X,Y,DEG if X is negative",
+    )  # fmt: skip
+    add.add_argument(
+        "--room", action="store_true", help="name the room around the robot, not its pose"
+    )
+    _common(actions, "places, zones and room names")
+
+
+def add_zones(commands) -> None:  # type: ignore[no-untyped-def]
+    """Add `edge zone`."""
+    zone = commands.add_parser("zone", help="where the robot must not go, or must stay")
+    actions = zone.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
+    for kind, text in (
+        ("keep-out", "close the inside of a polygon"),
+        ("stay-inside", "close all but the inside of a polygon"),
+    ):
+        add = _action(actions, kind, text)
+        add.add_argument("name", help="of the zone")
+        add.add_argument(
+            "corners", nargs="+", type=_corner, metavar="X,Y",
+            help="three corners at least, metres in map; write -- before a negative X",
+        )  # fmt: skip
+    _common(actions, "places, zones and room names")
+
+
+def _action(actions, name: str, text: str):  # type: ignore[no-untyped-def]
+    action = actions.add_parser(name, help=text)
+    action.add_argument("config", help=CONFIG)
+    action.add_argument("--json", action="store_true", help="print the answer as GeoJSON")
+    action.set_defaults(handler=lazy("edge.cli.site", "run"))
+    return action
+
+
+def _common(actions, all_of_it: str) -> None:  # type: ignore[no-untyped-def]
+    _action(actions, "list", f"list {all_of_it}")
+    _action(actions, "remove", "remove one").add_argument("name")
+    _action(actions, "export", f"write {all_of_it} as GeoJSON").add_argument("file")
+    load = _action(actions, "import", f"read {all_of_it} from GeoJSON")
+    load.add_argument("file")
+    load.add_argument("--replace", action="store_true", help="remove all others first")
+
+
+def _numbers(text: str, count: int) -> tuple[float, ...]:
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = ()
+    if len(found) != count or not all(map(math.isfinite, found)):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected {count} numbers with commas between")
+    return found
+
+
+def _corner(text: str) -> tuple[float, ...]:
+    return _numbers(text, 2)
+
+
+def _pose(text: str) -> tuple[float, ...]:
+    return _numbers(text, 3)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge place` and `edge zone`.
+
+    Raises:
+        RequestError: no service is there, it does not answer, or it refuses.
+        SiteError: a file cannot be used.
+        ConfigError: the configuration cannot be read.
+    """
+    from edge.bus import client, topics
+    from edge.config import load
+    from edge.memory import read_site, site_of, write_site
+
+    settings = load(args.config).zenoh
+    path = Path(args.file) if args.do in ("export", "import") else None
+    if path is not None and args.do == "import" and not path.exists():
+        from edge.memory import SiteError
+
+        raise SiteError(f"{path}: no such file")
+    request = _request(args)
+    if path is not None and args.do == "import":
+        request["site"] = read_site(path).geojson()
+    with client.connect(settings, ANSWER_S, "service") as session:
+        key = settings.key(topics.SITE_REQUEST)
+        answer = client.ask(session, key, request, ANSWER_S, "service")
+    site = site_of(answer["site"], "the service's answer")
+    if path is not None and args.do == "export":
+        write_site(path, site)
+        print(f"{path}: {len(site.items)} places, zones and room names")
+    elif args.json:
+        print(json.dumps(answer["site"], indent=1))
+    elif args.do == "list":
+        from edge.loop.site_requests import describe_item
+
+        print("\n".join(map(describe_item, site.items)) or "none")
+    else:
+        print(answer["text"])
+    return 0
+
+
+def _request(args: argparse.Namespace) -> dict:
+    """Return the request of a command, without the site of a file."""
+    if args.do in ("keep-out", "stay-inside"):
+        ring = [list(corner) for corner in (*args.corners, args.corners[0])]
+        return {
+            "do": "set",
+            "feature": _feature(args, args.do.replace("-", "_"), "Polygon", [ring]),
+        }
+    if args.do == "set" and args.at is not None:
+        x_m, y_m, heading_deg = args.at
+        kind = "room" if args.room else "place"
+        feature = _feature(args, kind, "Point", [x_m, y_m])
+        feature["properties"]["heading_deg"] = heading_deg
+        return {"do": "set", "feature": feature}
+    if args.do == "set":
+        return {"do": "set", "name": args.name, "room": args.room}
+    if args.do == "remove":
+        return {"do": "remove", "name": args.name}
+    if args.do == "import":
+        return {"do": "import", "replace": args.replace}
+    return {"do": "list"}
+
+
+def _feature(args: argparse.Namespace, kind: str, shape: str, coordinates: list) -> dict:
+    geometry = {"type": shape, "coordinates": coordinates}
+    properties = {"kind": kind, "name": args.name}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}

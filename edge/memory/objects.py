@@ -1,0 +1,94 @@
+"""Questions to the object map: what was seen, where and when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from edge import names
+from edge.geometry import SE2
+from edge.perception.tracking.sightings import Sightings
+from edge.text import one_line
+
+_MOST_TOLD = 5
+
+
+@dataclass(frozen=True, slots=True)
+class KnownObject:
+    """An object of the map.
+
+    Attributes:
+        xyz_m: centre in `map`.
+        confidence: in [0, 1], mean over all looks at the place; see `Sightings`.
+        hits: number of images that it was detected in.
+        age_s: time since it was seen last.
+    """
+
+    id: int
+    name: str
+    xyz_m: tuple[float, float, float]
+    confidence: float
+    hits: int
+    age_s: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it JSON-ready."""
+        return {
+            "id": self.id, "name": self.name, "xyz": [round(v, 3) for v in self.xyz_m],
+            "confidence": round(self.confidence, 3), "hits": self.hits,
+            "age_s": round(self.age_s, 1),
+        }  # fmt: skip
+
+
+def known_objects(
+    sightings: Sightings, stamp_ns: int, min_hits: int, name: str = ""
+) -> list[KnownObject]:
+    """Return the objects of the map, the most confident first.
+
+    Args:
+        stamp_ns: now, on the sensors' clock.
+        min_hits: leave out what was detected in fewer images.
+        name: only these and kinds of them; empty for all.
+    """
+    s = sightings
+    wanted = [not name or names.is_kind_of(word, name) for word in s.words]
+    found = [
+        KnownObject(
+            int(s.id[i]), s.words[s.word[i]], (x_m, y_m, z_m), float(s.confidence[i]),
+            int(s.hits[i]), max(0.0, (stamp_ns - int(s.last_seen_ns[i])) * 1e-9),
+        )
+        for i, (x_m, y_m, z_m) in enumerate(s.xyz_m[: s.n].tolist())
+        if wanted[s.word[i]] and s.hits[i] >= min_hits
+    ]  # fmt: skip
+    return sorted(found, key=lambda one: (-one.confidence, one.id))
+
+
+def where_is(name: str, found: list[KnownObject], pose: SE2 | None, is_looked_for: bool) -> str:
+    """Return the answer to "where is the …?" in one line.
+
+    Args:
+        found: of this name.
+        pose: the robot's; None if it is not known.
+        is_looked_for: False if the detector is not asked for it, so it cannot have been seen.
+    """
+    name = one_line(name)
+    if not found:
+        hint = "" if is_looked_for else ": the detector is not looking for it"
+        return f"no {name} has been seen{hint}"
+    texts = [_place(one, pose) for one in found[:_MOST_TOLD]]
+    more = f"; {len(found) - _MOST_TOLD} more" if len(found) > _MOST_TOLD else ""
+    return f"{name}: {'; '.join(texts)}{more}"
+
+
+def _place(one: KnownObject, pose: SE2 | None) -> str:
+    x_m, y_m, _ = one.xyz_m
+    away = "" if pose is None else f", {pose.distance_to(x_m, y_m):.1f} m away"
+    seen = "now" if one.age_s < 1.0 else f"{_ago(one.age_s)} ago"
+    return f"at ({x_m:.1f}, {y_m:.1f}){away}, seen {seen}, confidence {one.confidence:.2f}"
+
+
+def _ago(age_s: float) -> str:
+    for limit_s, unit_s, unit in ((120, 1, "s"), (7200, 60, "min"), (172_800, 3600, "h")):
+        if age_s < limit_s:
+            return f"{age_s / unit_s:.0f} {unit}"
+    return f"{age_s / 86_400:.0f} days"

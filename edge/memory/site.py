@@ -1,0 +1,436 @@
+"""The site: places, zones and room names that people have given, as GeoJSON in metres of `map`.
+
+A `FeatureCollection` (RFC 7946) whose coordinates are x and y in `map`, not longitude and latitude:
+
+- a place is a `Point` with `{"kind": "place", "name": "dock", "heading_deg": 90}`;
+- a zone is a `Polygon` with `{"kind": "keep_out" | "stay_inside", "name": "stairs"}`;
+- a room's name is a `Point` in it with `{"kind": "room", "name": "office"}`.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    TypeAdapter,
+    ValidationError,
+)
+
+from edge import names
+from edge.errors import UserError
+from edge.geometry import FARTHEST_M, SE2
+from edge.host.files import read_regular, write_atomically
+from edge.host.worker import Worker
+from edge.text import bounded_repr, one_line
+
+log = logging.getLogger(__name__)
+
+MAX_FEATURES = 500
+MAX_CORNERS = 500
+MAX_FILE_BYTES = 4 << 20
+MAX_NAME_CHARS = 60
+START = "start"
+"""A place that is always known: the first pose of this run."""
+_ARTICLES = ("the", "a", "an", "my", "our", "your")
+ZONE_KINDS = ("keep_out", "stay_inside")
+
+Point = tuple[float, float]
+
+
+class SiteError(UserError):
+    """A place, zone or file that cannot be used; one line."""
+
+
+def name_of(text: str) -> str:
+    """Return a name as it is stored: lower case, single spaces, no article.
+
+    >>> name_of("The  Charging Dock")
+    'charging dock'
+    """
+    words = text.lower().split()
+    return " ".join(words[1:] if len(words) > 1 and words[0] in _ARTICLES else words)
+
+
+def is_same(name: str, other: str) -> bool:
+    """Return True if two names mean the same, however their numbers are written.
+
+    >>> is_same("Room 12", "the room twelve")
+    True
+    """
+    return names.normalise(name_of(name)) == names.normalise(name_of(other))
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A pose with a name."""
+
+    name: str
+    pose: SE2
+
+    @classmethod
+    def at(cls, name: str, pose: SE2) -> Place:
+        """Return a place whose heading is a whole hundredth of a degree, as a file keeps it."""
+        yaw_rad = math.radians(round(math.degrees(pose.yaw_rad), 2))
+        return cls(name, SE2(pose.x_m, pose.y_m, yaw_rad))
+
+    def feature(self) -> dict[str, Any]:
+        """Return the place as a GeoJSON feature."""
+        heading = {"heading_deg": round(math.degrees(self.pose.yaw_rad), 2)}
+        return _feature(self.name, "place", "Point", [self.pose.x_m, self.pose.y_m], heading)
+
+
+@dataclass(frozen=True, slots=True)
+class Zone:
+    """A polygon that the robot must keep out of, or stay inside of.
+
+    Attributes:
+        corners_m: in `map`, in order, the first not repeated; at least three.
+    """
+
+    name: str
+    kind: Literal["keep_out", "stay_inside"]
+    corners_m: tuple[Point, ...]
+
+    def feature(self) -> dict[str, Any]:
+        """Return the zone as a GeoJSON feature."""
+        ring = [list(corner) for corner in (*self.corners_m, self.corners_m[0])]
+        return _feature(self.name, self.kind, "Polygon", [ring])
+
+
+@dataclass(frozen=True, slots=True)
+class RoomName:
+    """A person's name for the room around a point."""
+
+    name: str
+    xy_m: Point
+
+    def feature(self) -> dict[str, Any]:
+        """Return the name as a GeoJSON feature."""
+        return _feature(self.name, "room", "Point", list(self.xy_m))
+
+
+Item = Union[Place, Zone, RoomName]
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """All places, zones and room names; immutable.
+
+    Example:
+        >>> site = Site().with_item(Place("dock", SE2(1.0, 2.0, 0.0)))
+        >>> site.place("the dock").pose.x_m
+        1.0
+        >>> site.without("dock").items
+        ()
+    """
+
+    items: tuple[Item, ...] = ()
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """The named places."""
+        return tuple(item for item in self.items if isinstance(item, Place))
+
+    @property
+    def zones(self) -> tuple[Zone, ...]:
+        """The zones."""
+        return tuple(item for item in self.items if isinstance(item, Zone))
+
+    @property
+    def room_names(self) -> tuple[RoomName, ...]:
+        """The names that people gave to rooms."""
+        return tuple(item for item in self.items if isinstance(item, RoomName))
+
+    def place(self, name: str) -> Place | None:
+        """Return the place of this name, or None."""
+        return next((place for place in self.places if is_same(place.name, name)), None)
+
+    def polygons_m(self, kind: str) -> list[np.ndarray]:
+        """Return the corners of all zones of a kind, each (n, 2) float64."""
+        return [np.array(zone.corners_m) for zone in self.zones if zone.kind == kind]
+
+    def with_item(self, item: Item) -> Site:
+        """Return the site with an item added; it replaces the one of the same name.
+
+        Raises:
+            SiteError: there are `MAX_FEATURES` already.
+        """
+        kept = tuple(each for each in self.items if not is_same(each.name, item.name))
+        if len(kept) >= MAX_FEATURES:
+            raise SiteError(f"site: {MAX_FEATURES} places and zones at most; remove one first")
+        return Site((*kept, item))
+
+    def without(self, name: str) -> Site:
+        """Return the site without the item of this name.
+
+        Raises:
+            SiteError: there is none.
+        """
+        kept = tuple(item for item in self.items if not is_same(item.name, name))
+        if len(kept) == len(self.items):
+            known = one_line(", ".join(item.name for item in self.items) or "none")
+            raise SiteError(f"site: no place or zone {bounded_repr(name)} (known: {known})")
+        return Site(kept)
+
+    def geojson(self) -> dict[str, Any]:
+        """Return the site as a GeoJSON `FeatureCollection`."""
+        return {
+            "type": "FeatureCollection",
+            "features": [item.feature() for item in self.items],
+        }
+
+
+def _feature(
+    name: str, kind: str, shape: str, coordinates: list, more: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    return {
+        "type": "Feature",
+        "properties": {"kind": kind, "name": name, **(more or {})},
+        "geometry": {"type": shape, "coordinates": coordinates},
+    }
+
+
+# -- reading GeoJSON, which is untrusted ----------------------------------------------------------
+
+
+def _named(text: str) -> str:
+    name = name_of(text)
+    if not name or any(not (c.isalnum() or c in " -_'.") for c in name):
+        raise ValueError("expected letters, digits, spaces and - _ '")
+    return name
+
+
+Name = Annotated[str, Field(max_length=MAX_NAME_CHARS), AfterValidator(_named)]
+Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
+Position = Annotated[list[Metres], Field(min_length=2, max_length=3)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class _Point(_Model):
+    type: Literal["Point"]
+    coordinates: Position
+
+
+class _Polygon(_Model):
+    type: Literal["Polygon"]
+    coordinates: Annotated[
+        list[Annotated[list[Position], Field(min_length=3, max_length=MAX_CORNERS + 1)]],
+        Field(min_length=1, max_length=1),
+    ]
+
+
+class _PlaceProperties(_Model):
+    kind: Literal["place"] = "place"
+    name: Name
+    heading_deg: Annotated[float, Field(allow_inf_nan=False, ge=-3600, le=3600)] = 0.0
+
+
+class _RoomProperties(_Model):
+    kind: Literal["room"]
+    name: Name
+
+
+class _ZoneProperties(_Model):
+    kind: Literal["keep_out", "stay_inside"]
+    name: Name
+
+
+class _PlaceFeature(_Model):
+    type: Literal["Feature"]
+    properties: _PlaceProperties
+    geometry: _Point
+
+    def item(self) -> Item:
+        x_m, y_m = self.geometry.coordinates[:2]
+        heading_rad = math.radians(self.properties.heading_deg)
+        return Place(self.properties.name, SE2(x_m, y_m, heading_rad))
+
+
+class _RoomFeature(_Model):
+    type: Literal["Feature"]
+    properties: _RoomProperties
+    geometry: _Point
+
+    def item(self) -> Item:
+        x_m, y_m = self.geometry.coordinates[:2]
+        return RoomName(self.properties.name, (x_m, y_m))
+
+
+class _ZoneFeature(_Model):
+    type: Literal["Feature"]
+    properties: _ZoneProperties
+    geometry: _Polygon
+
+    def item(self) -> Item:
+        ring = [(corner[0], corner[1]) for corner in self.geometry.coordinates[0]]
+        if ring[0] == ring[-1]:
+            del ring[-1]
+        if len(set(ring)) < 3:
+            raise SiteError(f"zone {self.properties.name}: three different corners at least")
+        return Zone(self.properties.name, self.properties.kind, tuple(ring))
+
+
+def _kind(value: Any) -> str:
+    properties = value.get("properties") if isinstance(value, dict) else None
+    kind = properties.get("kind", "place") if isinstance(properties, dict) else None
+    return "zone" if kind in ZONE_KINDS else "room" if kind == "room" else "place"
+
+
+_Feature = Annotated[
+    Union[
+        Annotated[_PlaceFeature, Tag("place")],
+        Annotated[_RoomFeature, Tag("room")],
+        Annotated[_ZoneFeature, Tag("zone")],
+    ],
+    Discriminator(_kind),
+]
+
+
+class _Collection(_Model):
+    type: Literal["FeatureCollection"]
+    features: Annotated[list[_Feature], Field(max_length=MAX_FEATURES)]
+
+
+_FEATURE: TypeAdapter = TypeAdapter(_Feature)
+
+
+def item_of(feature: object, where: str = "feature") -> Item:
+    """Return the place, zone or room name of a GeoJSON feature.
+
+    Raises:
+        SiteError: it is none; `where` begins the message.
+    """
+    try:
+        return _FEATURE.validate_python(feature).item()
+    except ValidationError as error:
+        raise SiteError(f"{where}: {_first(error)}") from None
+
+
+def site_of(geojson: object, where: str = "site") -> Site:
+    """Return the site of a GeoJSON `FeatureCollection`.
+
+    Raises:
+        SiteError: it is none, or a name is there twice; `where` begins the message.
+    """
+    try:
+        found = _Collection.model_validate(geojson)
+    except ValidationError as error:
+        raise SiteError(f"{where}: {_first(error)}") from None
+    items = tuple(feature.item() for feature in found.features)
+    seen: set[str] = set()
+    for item in items:
+        if item.name in seen:
+            raise SiteError(f"{where}: the name {bounded_repr(item.name)} is there twice")
+        seen.add(item.name)
+    return Site(items)
+
+
+def read_site(path: Path) -> Site:
+    """Return the site of a GeoJSON file; an empty one if there is no file.
+
+    Raises:
+        SiteError: the file cannot be read, or is no such GeoJSON.
+    """
+    try:
+        content = read_regular(path, MAX_FILE_BYTES)
+    except FileNotFoundError:
+        return Site()
+    except OSError as error:
+        raise SiteError(f"{one_line(path)}: {error.strerror}") from None
+    try:
+        data = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise SiteError(f"{one_line(path)}: no JSON: {one_line(error)}") from None
+    return site_of(data, one_line(path))
+
+
+def write_site(path: Path, site: Site) -> None:
+    """Write a site as GeoJSON: the whole file or nothing.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    write_atomically(path, (json.dumps(site.geojson(), indent=1) + "\n").encode())
+
+
+def _first(error: ValidationError) -> str:
+    """Return the first error in words, with its place in the data."""
+    first = error.errors(include_url=False)[0]
+    path = ".".join(str(part) for part in first["loc"] if part not in ("place", "zone", "room"))
+    text = first["msg"].removeprefix("Value error, ")
+    return one_line(f"{path}: {text}" if path else text)
+
+
+@dataclass(eq=False)
+class SiteFile:
+    """The site of a running service, saved in the background after each change.
+
+    Args:
+        path: of the GeoJSON file; None keeps the site for this run only.
+        on_error: called with one line when saving fails, on the thread that saves.
+        site: to begin with; None reads the file.
+
+    Attributes:
+        site: as it is now.
+        start: the first pose of this run; None before there was one.
+
+    Raises:
+        SiteError: the file is there and cannot be used.
+    """
+
+    path: Path | None = None
+    on_error: Callable[[str], None] = log.warning
+    site: Site = None  # type: ignore[assignment]
+    start: Place | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        if self.site is None:
+            self.site = Site() if self.path is None else read_site(self.path)
+        self._worker: Worker[Site, None] = Worker("site", self._save, finishes=True)
+
+    @property
+    def known(self) -> Site:
+        """The site with `start` among its places."""
+        if self.start is None or self.site.place(START) is not None:
+            return self.site
+        return replace(self.site, items=(*self.site.items, self.start))
+
+    def change(self, site: Site) -> None:
+        """Replace the site."""
+        self.site = site
+        if self.path is not None:
+            self._worker.submit(site)
+
+    def close(self, timeout_s: float = 2.0) -> None:
+        """Finish saving."""
+        self._worker.close(timeout_s=timeout_s)
+
+    def _save(self, site: Site) -> None:
+        assert self.path is not None
+        try:
+            write_site(self.path, site)
+        except OSError as error:
+            self.on_error(f"{one_line(self.path)}: not saved: {error.strerror}")
+
+
+def merged(site: Site, items: Iterable[Item]) -> Site:
+    """Return a site with items added; each replaces the one of its name."""
+    for item in items:
+        site = site.with_item(item)
+    return site

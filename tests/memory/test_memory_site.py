@@ -1,0 +1,144 @@
+"""Places, zones and room names: GeoJSON in and out, files, names."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from patience import eventually
+
+from edge.geometry import SE2
+from edge.memory import (
+    Place,
+    RoomName,
+    Site,
+    SiteError,
+    SiteFile,
+    Zone,
+    item_of,
+    read_site,
+    site_of,
+    write_site,
+)
+
+DOCK = Place("dock", SE2(1.0, -2.0, math.pi / 2))
+STAIRS = Zone("stairs", "keep_out", ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)))
+OFFICE = RoomName("office", (3.0, 4.0))
+NAME, AT = "here: features.0.properties.name", "here: features.0.geometry"
+ALL = Site((DOCK, STAIRS, OFFICE))
+
+
+def feature(kind="place", name="dock", shape="Point", coordinates=(1.0, 2.0), **properties):
+    return {
+        "type": "Feature",
+        "properties": {"kind": kind, "name": name, **properties},
+        "geometry": {"type": shape, "coordinates": coordinates},
+    }
+
+
+def collection(*features):
+    return {"type": "FeatureCollection", "features": list(features)}
+
+
+def test_an_empty_site(tmp_path):
+    assert read_site(tmp_path / "none.geojson") == Site() == site_of(collection())
+    assert Site().geojson() == collection()
+    assert Site().place("dock") is None
+    assert Site().polygons_m("keep_out") == []
+
+
+def test_all_kinds_come_back_from_a_file(tmp_path):
+    path = tmp_path / "folder" / "site.geojson"
+    write_site(path, ALL)
+    assert read_site(path) == ALL
+    assert json.loads(path.read_text())["type"] == "FeatureCollection"
+
+
+coordinate = st.floats(-1000, 1000).map(lambda v: round(v, 3))
+
+
+@given(
+    x=coordinate, y=coordinate, deg=st.integers(-180, 180),
+    name=st.from_regex(r"[b-z][a-z0-9]{0,20}( [a-z0-9]{1,9}){0,2}", fullmatch=True),
+)  # fmt: skip
+def test_a_place_comes_back_as_it_was(x, y, deg, name):
+    place = item_of(feature(name=name, coordinates=[x, y], heading_deg=deg))
+    assert item_of(place.feature()) == place
+    assert (place.pose.x_m, place.pose.y_m) == (x, y)
+    assert place.pose.yaw_rad == pytest.approx(math.radians(deg))
+
+
+@pytest.mark.parametrize("name", ["dock", "The Dock", " the  dock ", "my dock"])
+def test_a_place_is_found_by_its_name(name):
+    assert ALL.place(name) == DOCK
+
+
+def test_an_item_replaces_the_one_of_its_name():
+    there = Place("dock", SE2(5.0, 5.0, 0.0))
+    assert ALL.with_item(there).place("dock") == there
+    assert len(ALL.with_item(there).items) == 3
+    assert ALL.without("The Dock").places == ()
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ([], "here: Input should be a valid dictionary or instance of _Collection"),
+        (collection(feature(name="")), NAME + ": expected letters"),
+        (collection(feature(name="a\x1b[31m")), NAME + ": expected letters"),
+        (collection(feature(name="x" * 61)), NAME + ": String should"),
+        (collection(feature(coordinates=[math.nan, 0])), AT + ".coordinates.0:"),
+        (collection(feature(coordinates=[1e9, 0])), AT + ".coordinates.0:"),
+        (collection(feature(coordinates=[1])), AT + ".coordinates:"),
+        (collection(feature("keep_out")), AT + ".type: Input should be 'Polygon'"),
+        (collection(feature("keep_out", shape="Polygon", coordinates=[[[0, 0], [1, 0]]])),
+         AT + ".coordinates.0:"),
+        (collection(feature("keep_out", shape="Polygon", coordinates=[[[0, 0], [1, 0], [0, 0]]])),
+         "zone dock: three different corners at least"),
+        (collection(feature(), feature(name="The dock")), "here: the name 'dock' is there twice"),
+    ],
+)  # fmt: skip
+def test_what_is_no_site_is_refused_in_one_line(data, message):
+    with pytest.raises(SiteError) as error:
+        site_of(data, "here")
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[" * 100_000, b"\xff\xfe", b'{"type": 3}'])
+def test_a_damaged_file_is_named(tmp_path, content):
+    path = tmp_path / "site.geojson"
+    path.write_bytes(content)
+    with pytest.raises(SiteError, match=r"site\.geojson: "):
+        read_site(path)
+    assert path.read_bytes() == content
+
+
+def test_what_is_unknown_is_refused_with_what_there_is():
+    with pytest.raises(SiteError, match=r"no place or zone 'door' .known: dock, stairs, office"):
+        ALL.without("door")
+
+
+def test_changes_are_saved_and_start_is_not(tmp_path):
+    path = tmp_path / "site.geojson"
+    file = SiteFile(path)
+    file.start = Place("start", SE2(0.0, 0.0, 0.0))
+    file.change(ALL)
+    file.close()
+    assert read_site(path) == ALL
+    assert file.known.place("start") is file.start
+    assert SiteFile(path).site == ALL
+
+
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path):
+    (tmp_path / "file").write_text("")
+    problems: list[str] = []
+    file = SiteFile(tmp_path / "other", problems.append)
+    file.path = tmp_path / "file" / "site.geojson"
+    file.change(ALL)
+    eventually(lambda: problems)
+    file.close()
+    assert "site.geojson: not saved: " in problems[0]

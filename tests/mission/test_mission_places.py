@@ -1,0 +1,97 @@
+"""Places in instructions: by name, and by the words for where the robot was."""
+
+from __future__ import annotations
+
+import pytest
+
+from edge.config import Mission, parse
+from edge.errors import UserError
+from edge.geometry import SE2
+from edge.memory import Place, Site
+from edge.mission.brief import prepare
+from edge.mission.language.places import quote_places
+
+SITE = Site((Place("dock", SE2(1.0, 2.0, 0.0)), Place("loading bay 2", SE2(3.0, 4.0, 0.0))))
+NAMES = [place.name for place in SITE.places]
+
+
+@pytest.mark.parametrize(
+    ("instruction", "quoted"),
+    [
+        ("", ""),
+        ("go to the bed", "go to the bed"),
+        ("Go to the Dock.", 'Go to "dock".'),
+        ("go to loading  bay 2, then the dock", 'go to "loading bay 2", then "dock"'),
+        ("go to the docking table", "go to the docking table"),
+        ('go to "the dock of the bay"', 'go to "the dock of the bay"'),
+        ("return to the dock", 'go to "dock"'),
+        ("come back to where you started", 'go to "start"'),
+        ("go to the starting point", 'go to "start"'),
+        ("return to the start", 'go to "start"'),
+        ("at the start go to the bed", "at the start go to the bed"),
+        ("find the mug and come back", 'find the mug, then go to "here"'),
+        ("find the mug, then return.", 'find the mug, then go to "here".'),
+        ("go to the bed and return to the dock", 'go to the bed, then go to "dock"'),
+        ("go to the bed and then get back to the start", 'go to the bed, then go to "start"'),
+        ("Come back.", 'go to "here".'),
+        ("explore the whole house, then come back", 'go to "explored", then go to "here"'),
+        ("Explore.", 'go to "explored".'),
+        ("explore the kitchen", "explore the kitchen"),
+        ("patrol the dock and the bed twice", 'patrol "dock" and the bed twice'),
+        (
+            "patrol the dock and the bed 2 times.",
+            'go to "dock", then go to the bed, then go to "dock", then go to the bed.',
+        ),
+        (
+            "patrol between bed, sofa, and dock one times",
+            'go to bed, then go to sofa, then go to "dock"',
+        ),
+        ("patrol the dock and the bed 99 times", 'patrol "dock" and the bed 99 times'),
+        ("return the mug to the bed", "return the mug to the bed"),
+        ("go back to the bed", "go back to the bed"),
+    ],
+)
+def test_places_are_put_into_quotes(instruction, quoted):
+    assert quote_places(instruction, NAMES) == quoted
+
+
+def briefed(instruction: str):
+    return prepare(Mission(translator={"kind": "grammar"}), instruction, site=SITE)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "formula", "places", "prompts"),
+    [
+        ("go to the dock", "F dock", ["dock"], ("chair",)),
+        ("go to the bed, then to the dock", "F (bed & F dock)", ["dock"], ("bed",)),
+        ("find the mug and come back", "F (mug & F here)", ["here"], ("mug",)),
+        ("go to the loading bay 2 and then return to the start",
+         'F ("loading bay two" & F start)', ["loading bay two", "start"], ("chair",)),
+        ("explore the house and return to the dock", "F (explored & F dock)",
+         ["explored", "dock"], ("chair",)),
+        ("patrol the dock and the bed 2 times", "F (dock & F (bed & F (dock & F bed)))", ["dock"],
+         ("bed",)),
+        ("visit the sofa and the bed", "F sofa & F bed", [], ("sofa", "bed")),
+    ],
+)  # fmt: skip
+def test_a_place_is_a_target_that_the_detector_does_not_look_for(
+    instruction, formula, places, prompts
+):
+    brief = briefed(instruction)
+    assert str(brief.automaton.formula) == formula
+    assert list(brief.translation.places) == places
+    assert brief.prompts == prompts
+    assert brief.translation.instruction == instruction
+    assert '"' not in brief.translation.english.replace('"loading bay two"', "")
+
+
+def test_a_pose_that_is_not_known_yet_is_left_open():
+    places = briefed("go to the dock, then return to the start").translation.places
+    assert places == {"dock": SE2(1.0, 2.0, 0.0), "start": None}
+
+
+def test_a_file_of_places_needs_a_frame_that_lasts():
+    data = {"perception": {"detector": {"kind": "sim"}}, "mission": {"site": "a.geojson"}}
+    with pytest.raises(UserError, match=r"mission\.site: .*set source\.localised to true"):
+        parse(data)
+    assert parse({**data, "source": {"kind": "zenoh", "localised": True}}).mission.site
