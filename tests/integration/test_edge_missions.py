@@ -74,7 +74,7 @@ def test_a_mission_goes_on_where_kill_9_cut_it_off(edge, endpoint, tmp_path):
     assert restored, second.output
     assert int(restored[1]) > 10
     assert int(restored[2]) > 0
-    assert "going on with the mission" in second.output
+    assert "continuing the saved mission" in second.output
     assert "reached: sofa (" not in second.output, "what was reached stays reached"
     assert "reached: sofa, then television, then trash can" in second.output
 

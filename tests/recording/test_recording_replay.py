@@ -275,7 +275,7 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     ("localised", "boot", "elsewhere"),
     [
         (False, "this", [""]),
-        (False, "another", ["the computer was started anew, and its odometry with it"]),
+        (False, "another", ["the computer was rebooted, so its odometry restarted"]),
         (True, "another", ["", ""]),  # once more after the jump
     ],
 )
