@@ -96,13 +96,8 @@ class ServiceCheckpoint:
                      one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip
 
     def goes_on(self, mission: MissionRun, targets: Sequence[str]) -> bool:
-<<<<<<< HEAD
-        """Return whether this is the saved mission, and the map was saved with the same targets."""
-        return mission is self._resumed and tuple(targets) == mission.brief.prompts
-=======
         """Return True for the saved mission, if the map was saved with the same targets."""
-        return mission is self._resumed and tuple(targets) == mission.brief.targets
->>>>>>> w3
+        return mission is self._resumed and tuple(targets) == mission.brief.prompts
 
     def note(
         self,

@@ -106,13 +106,8 @@ AGO_NS = 3_600_000_000_000
 @pytest.mark.parametrize(
     ("change", "level", "says"),
     [
-<<<<<<< HEAD
         (put("depth_m", lambda d: d * 1000), "fail", "the depth cannot be in metres"),
         (put("depth_m", lambda d: d * 1.5), "warn", "floor: measured at -0.25 m, expected at 0"),
-=======
-        (put("depth_m", lambda d: d * 1000), "fail", "so they cannot be in metres"),
-        (put("depth_m", lambda d: d * 1.5), "warn", "floor: seen -0.25 m from where the mount"),
->>>>>>> w3
         (put("depth_m", np.zeros_like), "fail", "camera/depth: only 0.0% of the pixels"),
         (put("rgb", np.zeros_like), "fail", "camera/rgb: the image has one colour"),
         (put("rgb", lambda a: np.broadcast_to(np.arange(64, dtype=np.uint8)[:, None], a.shape)),
