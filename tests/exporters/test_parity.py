@@ -100,7 +100,7 @@ def report(**changed: float) -> ParityReport:
         ({"recall": 0.9}, {}, "recall 0.9 < 0.95"),
         ({"precision": 0.5}, {}, "precision 0.5 < 0.8"),
         ({"score_error": 0.2}, {"score_error": 0.1}, "score_error 0.2 > 0.1"),
-        ({"detections": 0}, {}, "sees nothing above 0.3"),
+        ({"detections": 0}, {}, "detects nothing above 0.3"),
         ({"recall": NAN}, {}, "recall nan < 0.95"),
         ({"score_error": NAN}, {"score_error": 0.1}, "score_error nan > 0.1"),
         ({"max_abs_diff": NAN}, {"max_abs_diff": 0.1}, "max_abs_diff nan > 0.1"),

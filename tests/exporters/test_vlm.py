@@ -304,7 +304,7 @@ def test_what_cannot_be_made_is_one_line(folders, tmp_path, capsys):
         assert not list((tmp_path / "cache").glob("*.yaml"))
         return capsys.readouterr().err.strip().splitlines()[-1]
 
-    assert "then `edge models export x-fp32 --quantize --precision P" in fails("--precision", "q4")
+    assert ": `edge models export x-fp32 --quantize --precision P" in fails("--precision", "q4")
 
 
 def test_a_vocabulary_without_letters_is_an_error(folders, tmp_path):
