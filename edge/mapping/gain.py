@@ -104,7 +104,7 @@ class Gain:
 
     def state_dict(self) -> Arrays:
         """Return the places and the directions that the camera saw from them."""
-        used = np.isfinite(self._at_m[:, 0])  # the first ones
+        used = np.isfinite(self._at_m[:, 0])  # used entries come first
         return {
             "at_m": self._at_m[used], "looked": self._looked[used], "next": np.array(self._next),
         }  # fmt: skip

@@ -446,7 +446,7 @@ def fit_floor(lowest_m, polar, sensor_z, step_m, search_m, floor):
         if total < LEAST_FLOOR_M2:
             break
         x, y, z = sx / total, sy / total, sz / total
-        # Of ground in one direction only the slope across it says little: a weak pull to level.
+        # Ground in only one direction hardly fixes the slope across it: pull that weakly to level.
         sxx, syy = sxx / total - x * x + 0.02, syy / total - y * y + 0.02
         sxy, sxz, syz = sxy / total - x * y, sxz / total - x * z, syz / total - y * z
         det = sxx * syy - sxy * sxy
