@@ -149,7 +149,7 @@ def test_no_secret_is_told(edge, config, tmp_path, environ, say):
         "config": '"password": "***"',
         "fault": "zenoh.prefix",
         "another fault": "not a YAML value",
-        "key in endpoint": "belongs in a file",
+        "key in endpoint": "put it into zenoh.file",
         "service": "zenoh",
     }.items():
         assert words in said[name], f"{name}: {said[name]}"
