@@ -303,7 +303,7 @@ def test_one_lidar_maps(tmp_path, cloud, used):
 def test_what_is_missing_is_told_with_what_is_there(tmp_path, sent, why):
     with pytest.raises(RecordingError, match=why) as caught:
         play(write_mcap(tmp_path / "robot.mcap", sent))
-    assert "looked for camera/rgb, camera/depth, camera/info, odom" in str(caught.value)
+    assert "searched for camera/rgb, camera/depth, camera/info, odom" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
