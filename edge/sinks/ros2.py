@@ -1,8 +1,7 @@
-"""Goals, map, the robot's way, a task's trajectory and what was found, into a robot's ROS 2 graph
-(`ros2.via`).
+"""Sink for a robot's ROS 2 graph (`ros2.via`): goals, map, path, trajectory and markers.
 
-Answers of the action NavigateToPose go out as `goal_status`, as any controller's do: whatever the
-source, it hears them.
+Answers of the action NavigateToPose are published as `goal_status`, as any controller does, so
+every source receives them.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ _CLOSE_S = 1.0
 
 
 class Ros2Sink:
-    """Speaks to the graph of `ros2`; no method blocks."""
+    """Publishes to the graph of `ros2`; no method blocks."""
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
         settings = self._settings = config.ros2
@@ -65,7 +64,7 @@ class Ros2Sink:
     # -- on the loop's thread -------------------------------------------------------------------
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
+        """Queue what changed; see `edge.loop.result.Sink`."""
         for goal in result.goals:
             self._driving = True
             self._worker.submit(("goal", goal), key="goal")
@@ -89,11 +88,11 @@ class Ros2Sink:
             self._worker.submit(("drawings", drawn), key="drawings")
 
     def status(self) -> dict[str, Any]:
-        """See `edge.loop.result.Sink`."""
+        """Return worker statistics; see `edge.loop.result.Sink`."""
         return self._worker.stats.status()
 
     def close(self) -> None:
-        """Take the goal back, and send what is left."""
+        """Cancel the goal, and send what is pending."""
         self._worker.submit(("goal", None), key="goal")
         if self._worker.close(_CLOSE_S):
             self._node.close()
@@ -131,7 +130,7 @@ class Ros2Sink:
         self._node.look()
         if self._navigator is not None:
             self._navigator.beat()
-        # To a planner each message is a new goal: it is sent once, when somebody hears it.
+        # A planner treats each message as a new goal: send once, when there is a subscriber.
         elif self._unheard is not None and self._goal is not None and self._goal.heard():
             goal, self._unheard = self._unheard, None
             self._goal.put(messages.encode_pose_stamped(goal.stamp_ns, goal.pose, self._frame))

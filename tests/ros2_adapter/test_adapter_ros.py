@@ -180,7 +180,7 @@ ON_ITS_WAY = [("accepted", ""), ("accepted", "1 recoveries, 2.5 m left")]
     ("x_m", "on_its_way", "end"),
     [
         (REACHED, ON_ITS_WAY, ("reached", "")),
-        (ABORTED, ON_ITS_WAY, ("failed", "given up by Nav2 (error 204): no valid path found")),
+        (ABORTED, ON_ITS_WAY, ("failed", "aborted by Nav2 (error 204): no valid path found")),
         (REJECTED, [], ("failed", "refused by navigate_to_pose")),
     ],
 )

@@ -125,7 +125,7 @@ def _check_chunks(payload: bytes, at: int, end: int) -> None:
         if not (name.isalpha() and (name[:1].islower() or name in _CRITICAL)):
             raise DecodeError(f"PNG with a chunk {name!r}")
         at += _CHUNK.size + length + _CHECKSUM
-    raise DecodeError("truncated PNG")
+    raise DecodeError("PNG that is cut off")
 
 
 def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:
@@ -148,7 +148,7 @@ def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:
                 raise DecodeError(f"JPEG of more than {_MOST_SCANS} scans")
             return size
         at += 2 + length
-    raise DecodeError("JPEG without a size, or truncated")
+    raise DecodeError("JPEG without a size, or cut off")
 
 
 def decode_compressed_into(
