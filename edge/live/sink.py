@@ -114,7 +114,7 @@ class LiveSink:
         self.moment: Moment | None = None
         self.shot: Shot | None = None
         self.ticked_s: float | None = None
-        self._looked_s = self._boxed_s = -math.inf
+        self._viewed_s = self._boxed_s = -math.inf
         self._due_s = self._shot_due_s = -math.inf
         self._trail = Trail(_TRAIL)
         self._events: tuple[Event, ...] = ()
@@ -126,8 +126,8 @@ class LiveSink:
 
     def look(self) -> float:
         """Record that somebody views the page; return the time on the sink's clock."""
-        self._looked_s = self._clock()
-        return self._looked_s
+        self._viewed_s = self._clock()
+        return self._viewed_s
 
     # -- on the loop's thread ------------------------------------------------------------------
 
@@ -143,7 +143,7 @@ class LiveSink:
         if now_s - self._beat[0] >= _BEAT_S:
             since_s, ticks, _ = self._beat
             self._beat = (now_s, self._n_ticks, (self._n_ticks - ticks) / (now_s - since_s))
-        if now_s - self._looked_s > WATCHED_S:
+        if now_s - self._viewed_s > WATCHED_S:
             self.moment = self.shot = None  # free the map that a moment holds
             return
         if now_s >= self._due_s:
@@ -201,8 +201,8 @@ class LiveSink:
 
 
 def _letters(choice: Choice) -> dict[int, tuple[str, float]]:
-    told = zip(choice.ids, LETTERS, choice.p.tolist(), strict=False)
-    return {candidate: (letter, p) for candidate, letter, p in told}
+    entries = zip(choice.ids, LETTERS, choice.p.tolist(), strict=False)
+    return {candidate: (letter, p) for candidate, letter, p in entries}
 
 
 def _boxes(detections: Detections, targets: Sequence[str]) -> tuple[Box, ...]:
@@ -210,11 +210,11 @@ def _boxes(detections: Detections, targets: Sequence[str]) -> tuple[Box, ...]:
     if rgb is None:
         return ()
     height, width = rgb.shape[:2]
-    for told in (detections, detections.around()):
-        if told is not None:
-            shares = (told.xyxy_px / np.float32([width, height, width, height])).tolist()
-            of = zip(told.class_id.tolist(), told.score.tolist(), shares, strict=True)
-            boxes += [(told.prompts[i], score, xyxy) for i, score, xyxy in list(of)[:MAX_BOXES]]
+    for entries in (detections, detections.around()):
+        if entries is not None:
+            shares = (entries.xyxy_px / np.float32([width, height, width, height])).tolist()
+            of = zip(entries.class_id.tolist(), entries.score.tolist(), shares, strict=True)
+            boxes += [(entries.prompts[i], score, xyxy) for i, score, xyxy in list(of)[:MAX_BOXES]]
     return tuple(
         Box(label, score, names.same_as_any(label, targets), tuple(xyxy))
         for label, score, xyxy in boxes

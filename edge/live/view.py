@@ -59,7 +59,7 @@ class LiveView:
         self.sink = LiveSink()
         self._config, self._vitals = config, vitals
         self._queues: Mapping[str, RequestQueue] = {}
-        self._hand = threading.Lock()  # one thread encodes, for all viewers
+        self._lock = threading.Lock()  # one thread encodes, for all viewers
         self._kept: dict[str, tuple[object, Page]] = {}
 
     def open(self, queues: Mapping[str, RequestQueue]) -> None:
@@ -102,36 +102,36 @@ class LiveView:
         )
 
     def _story(self) -> Page:
-        moment = self._looked()
+        moment = self._viewed_moment()
         if moment is None:
             return _json(None)
         return _json(story_of(moment, moment.result.latency(last=_LATENCY_TICKS)))
 
     def _task(self) -> Page:
-        moment = self._looked()
+        moment = self._viewed_moment()
         if moment is None or moment.task is None:
             return _json(None)
         task = moment.task
         return self._once("task", moment.n_tasks, lambda: _json(script_of(task, moment.n_tasks)))
 
     def _map(self) -> Page:
-        moment = self._looked()
+        moment = self._viewed_moment()
         if moment is None:
             return _json(None)
         return self._grid("map", partial(moment.result.snapshot, inflated=_TOO_CLOSE))
 
     def _layer(self, index: int) -> Page:
-        moment = self._looked()
+        moment = self._viewed_moment()
         layers = [] if moment is None else list(moment.layers.items())
         return self._grid(*layers[index]) if index < len(layers) else _json(None)
 
     def _camera(self) -> Page:
-        self._looked()
+        self._viewed_moment()
         if (shot := self.sink.shot) is None:
             return _json(None)
         return self._once("camera", shot.seq, lambda: _json(shot_of(shot)))
 
-    def _looked(self) -> Moment | None:
+    def _viewed_moment(self) -> Moment | None:
         self.sink.look()
         return self.sink.moment
 
@@ -144,7 +144,7 @@ class LiveView:
 
     def _once(self, name: str, version: object, make: Callable[[], Page]) -> Page:
         """Return a page that is encoded once per version, for all viewers."""
-        with self._hand:
+        with self._lock:
             kept = self._kept.get(name)
             if kept is None or kept[0] != version:
                 if len(self._kept) > MAX_LAYERS:  # layers of earlier missions

@@ -123,10 +123,10 @@ def _goal(goal: Goal, answer: GoalStatus | None) -> dict[str, Any]:
 
 
 def _candidates(moment: Moment) -> list[dict[str, Any]]:
-    told = []
+    rows = []
     for kind, i, xy_m, score, path_m, blocked in zip(*moment.candidates, strict=True):
         letter, p = moment.letters.get(int(i), ("", 0.0)) if kind == FRONTIER else ("", 0.0)
-        told.append(
+        rows.append(
             {
                 "kind": _KINDS.get(int(kind), "look"),
                 "id": int(i),
@@ -138,7 +138,7 @@ def _candidates(moment: Moment) -> list[dict[str, Any]]:
                 "p": _number(p),
             }
         )
-    return told
+    return rows
 
 
 def story_of(moment: Moment, latency: LatencyReport) -> dict[str, Any]:

@@ -96,13 +96,13 @@ def _bytes_of(observation: Observation) -> int:
     return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
 
 
-class _Beside:
+class _ReplayedWorker:
     """A stand-in for a worker: it gets questions and gives answers in the recorded ticks."""
 
     def __init__(
-        self, name: str, worker: Any, now: Now, take_up: Callable[[dict[str, Any], Any], Any]
+        self, name: str, worker: Any, now: Now, decode: Callable[[dict[str, Any], Any], Any]
     ) -> None:
-        self._name, self._worker, self._now, self._take_up = name, worker, now, take_up
+        self._name, self._worker, self._now, self._decode = name, worker, now, decode
         # In one tick an answer may come after the next question.
         self._asked: deque[Any] = deque(maxlen=2)
 
@@ -118,7 +118,7 @@ class _Beside:
 
     def poll(self) -> Any:
         said = self._now.found.get(self._name)
-        return None if said is None else self._take_up(said, self._asked)
+        return None if said is None else self._decode(said, self._asked)
 
     def forget(self) -> None:
         self._asked.clear()
@@ -139,7 +139,7 @@ class Replayed(Journal):
         super().__init__()
         self.unseen = 0
         self._now, self._anew, self._own = now, anew, own
-        self._take_up: dict[str, Callable[[dict[str, Any], Any], Any]] = {
+        self._decode: dict[str, Callable[[dict[str, Any], Any], Any]] = {
             "detector": self._detections,
             "surveyor": lambda said, asked: journal.survey_of(said),
             "prior": lambda said, asked: journal.rooms_of(said),
@@ -159,7 +159,7 @@ class Replayed(Journal):
     def beside(self, name: str, worker: Any) -> Any:
         if name in self._own:
             return worker
-        return _Beside(name, worker, self._now, self._take_up[name])
+        return _ReplayedWorker(name, worker, self._now, self._decode[name])
 
     def _detections(self, said: dict[str, Any], asked: Any) -> Detections | None:
         observation = self._now.frame(said["seq"])

@@ -306,16 +306,16 @@ _DO: dict[str, Callable[..., None]] = {
 
 def _actions(entries: Sequence[Input]) -> Iterator[tuple[Input, list[Input]]]:
     """Yield each input with the worker events and decisions that happened while it was handled."""
-    action, beside = None, []
+    action, events = None, []
     for entry in entries:
         if entry.kind in ("asked", "found", "decided", "images"):
-            beside.append(entry)
+            events.append(entry)
             continue
         if action is not None:
-            yield action, beside
-        action, beside = entry, []
+            yield action, events
+        action, events = entry, []
     if action is not None:
-        yield action, beside
+        yield action, events
 
 
 def replay(

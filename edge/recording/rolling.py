@@ -106,7 +106,7 @@ class Rolling:
             self._fresh += 1
         except OSError as error:
             self.lost += 1
-            self._give_up(error)
+            self._close_failed(error)
 
     def sync(self) -> None:
         """Write buffered messages to the disk if it is time."""
@@ -118,7 +118,7 @@ class Rolling:
             self._file.sync()
             self._fresh = 0
         except OSError as error:
-            self._give_up(error)
+            self._close_failed(error)
 
     def close(self) -> None:
         """Complete the file."""
@@ -133,7 +133,7 @@ class Rolling:
             make_room(self._folder, int((self._limits.keep_mb - self._limits.max_mb) * _MB))
             file.open()
         except OSError as error:
-            self._tell(error)
+            self._report(error)
             return
         if self.problem:
             log.warning("%s: recording again, in %s; %d messages are lost", self._folder, path.name,
@@ -147,18 +147,18 @@ class Rolling:
             self._file.finish()
             self._file, self._fresh = None, 0
         except OSError as error:
-            self._give_up(error)
+            self._close_failed(error)
 
-    def _give_up(self, error: OSError) -> None:
+    def _close_failed(self, error: OSError) -> None:
         """Close the file as it is; it can be read up to its end."""
         self._file.abandon()
         self._file = None
         self.messages -= self._fresh
         self.lost += self._fresh
         self._fresh = 0
-        self._tell(error)
+        self._report(error)
 
-    def _tell(self, error: OSError) -> None:
+    def _report(self, error: OSError) -> None:
         self._again_s = self._clock() + AGAIN_S
         why = error.strerror or str(error)
         if why != self.problem:

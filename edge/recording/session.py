@@ -145,12 +145,12 @@ class Session:
         Raises:
             RecordingError: the journal is damaged.
         """
-        beside: dict[str, Recorded] = {}
+        array_messages: dict[str, Recorded] = {}
         rig: dict[str, Any] = {}
         n = 0
         for m in self.messages():
-            if m.topic in _BESIDE:
-                beside[m.topic] = m
+            if m.topic in _ARRAY_TOPICS:
+                array_messages[m.topic] = m
             if m.topic not in (channels.JOURNAL.topic, channels.LATENCY.topic):
                 continue
             try:
@@ -158,14 +158,14 @@ class Session:
                     self.latency = _latency(m.payload)
                     continue
                 page = journal.decode_page(m.payload)
-                moment = _moment(page, beside, rig)
+                moment = _moment(page, array_messages, rig)
             except Exception as error:  # damaged data can raise anything
                 what = m.topic.lstrip("/")
                 raise RecordingError(
                     f"{self.head.path}: damaged {what}: {type(error).__name__}: "
                     f"{one_line(error, 120)}"
                 ) from None
-            beside.clear()
+            array_messages.clear()
             numbers = [entry.n for entry in page.entries]
             if numbers != list(range(n, n + len(numbers))):
                 self.gap = "the messages that follow were dropped while recording"
@@ -194,14 +194,14 @@ def _from(head: Head) -> list[Path]:
 
 
 _MOST_PIXELS = 1 << 26
-_BESIDE = {c.topic for c in (channels.PICTURE, channels.DEPTH, channels.CLOUD)}
+_ARRAY_TOPICS = {c.topic for c in (channels.PICTURE, channels.DEPTH, channels.CLOUD)}
 
 
-def _moment(page: Page, beside: dict[str, Recorded], rig: dict[str, Any]) -> Moment:
+def _moment(page: Page, array_messages: dict[str, Recorded], rig: dict[str, Any]) -> Moment:
     said = page.observation
     if said is None:
         return Moment(page, None, False, ())
-    depth_m, cloud_m, rgb = _depth(beside), _cloud(beside), _picture(beside)
+    depth_m, cloud_m, rgb = _depth(array_messages), _cloud(array_messages), _picture(array_messages)
     picture = rgb is not None
     if rgb is None and said["rgb_hw"] is not None:
         height, width = said["rgb_hw"]
@@ -226,8 +226,8 @@ def _latency(payload: bytes) -> dict[str, Any]:
     return said
 
 
-def _depth(beside: dict[str, Recorded]) -> np.ndarray | None:
-    if (m := beside.get(channels.DEPTH.topic)) is None:
+def _depth(array_messages: dict[str, Recorded]) -> np.ndarray | None:
+    if (m := array_messages.get(channels.DEPTH.topic)) is None:
         return None
     header = messages.decode_image_header(m.payload)
     # Exact millimetres from the sink: every value is valid, so do not decode as invalid depth.
@@ -237,15 +237,15 @@ def _depth(beside: dict[str, Recorded]) -> np.ndarray | None:
     return out * np.float32(0.001) if exact else out
 
 
-def _cloud(beside: dict[str, Recorded]) -> np.ndarray | None:
-    if (m := beside.get(channels.CLOUD.topic)) is None:
+def _cloud(array_messages: dict[str, Recorded]) -> np.ndarray | None:
+    if (m := array_messages.get(channels.CLOUD.topic)) is None:
         return None
     out = np.empty((len(m.payload) // 12, 3), np.float32)
     return out[: messages.decode_point_cloud_into(m.payload, out, whole=True)].copy()
 
 
-def _picture(beside: dict[str, Recorded]) -> np.ndarray | None:
-    if (m := beside.get(channels.PICTURE.topic)) is None:
+def _picture(array_messages: dict[str, Recorded]) -> np.ndarray | None:
+    if (m := array_messages.get(channels.PICTURE.topic)) is None:
         return None
     header = compressed.decode_compressed_header(m.payload)
     _check_pixels(header.height, header.width)

@@ -33,9 +33,9 @@ NODE, LAUNCH_FILE = HERE / "node", HERE / "edge_adapter.launch.py"
 
 _DEPTHS, _DEPTH = {"tf": 100, "tf_static": 100, "odom": 100, "map": 1}, 5
 _STOP_S = 5.0
-_LOOK_S = 0.2
+_POLL_S = 0.2
 _PAUSE_S, _LONGEST_PAUSE_S = 1.0, 30.0
-_SOUND_S = 60.0  # after this run time a restart begins with the short pause again
+_STABLE_S = 60.0  # after this run time a restart begins with the short pause again
 
 
 def run(args: argparse.Namespace) -> int:
@@ -121,7 +121,7 @@ def supervise(config: Config, stop: threading.Event) -> int:
         if code == os.EX_UNAVAILABLE:
             error = "ros2-adapter: the node cannot run here: see its error above"
             raise UnavailableError(error)
-        pause_s = _PAUSE_S if time.monotonic() - begun_s > _SOUND_S else pause_s
+        pause_s = _PAUSE_S if time.monotonic() - begun_s > _STABLE_S else pause_s
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
         log.warning("the node ended (%s): starting it again in %g s", how, pause_s)
         stop.wait(pause_s)
@@ -139,7 +139,7 @@ def _run_node(command: list[str], plan: dict[str, Any], stop: threading.Event) -
         with suppress(BrokenPipeError):
             node.stdin.write(json.dumps(plan).encode() + b"\n")
             node.stdin.flush()
-        while node.poll() is None and not stop.wait(_LOOK_S):
+        while node.poll() is None and not stop.wait(_POLL_S):
             pass
         node.terminate()
         with suppress(subprocess.TimeoutExpired):

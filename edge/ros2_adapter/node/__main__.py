@@ -115,13 +115,13 @@ def _open(zenoh: Any, plan: dict[str, Any], stop: threading.Event) -> Any:
     except zenoh.ZError as error:
         versions = f"written by eclipse-zenoh {plan['version']}"
         raise Unusable(f"zenoh: cannot read the session's settings ({versions}): {error}") from None
-    told = False
+    logged = False
     while not stop.is_set():
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
-            if not told:
-                told = True
+            if not logged:
+                logged = True
                 log.info("waiting for the service: %s", one_line(str(error).split(" at /")[0]))
             stop.wait(_OPEN_AGAIN_S)
     return None

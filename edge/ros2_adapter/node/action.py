@@ -34,7 +34,7 @@ class Service:
         self._client = ends.node.create_client(kind, place["ros"])
         self._inbox, self._queryable = Inbox(_KEPT, ends.wake), None
         self._waiting: dict[Any, Any] = {}  # future: query
-        self._told = False
+        self._warned = False
 
     def look(self) -> None:
         """Offer the service while it has a server; otherwise drop pending requests."""
@@ -66,8 +66,8 @@ class Service:
             payload = cdr_of(query.payload, _REQUEST_BYTES)
             request = deserialize_message(payload, self._kind.Request)
         except Exception as error:  # errors depend on the ROS middleware
-            if not self._told:
-                self._told = True
+            if not self._warned:
+                self._warned = True
                 said = "%s: a request was dropped: %s (further ones are not logged)"
                 log.warning(said, self._key, one_line(error))
             query.drop()

@@ -112,7 +112,7 @@ class FromRos:
     ) -> None:
         self.wanted = False
         self._node, self._passed, self._kind = ends.node, passed, kind
-        self._patience_s, self._due_s, self._heard = patience_s, math.inf, 0
+        self._patience_s, self._due_s, self._received = patience_s, math.inf, 0
         self._subscription: Any = None
         self._keeps = passed["latched"]
         key, drop = passed["key"], ends.zenoh.CongestionControl.DROP
@@ -128,26 +128,26 @@ class FromRos:
     def look(self) -> None:
         """Subscribe or unsubscribe as needed; log once why a topic may be silent."""
         self.wanted = not self._keeps and self._publisher.matching_status.matching
-        is_taken, now_s = self._subscription is not None, time.monotonic()
-        if is_taken != (self.wanted or self._keeps):
-            self._let_go() if is_taken else self._take(now_s)
-        elif self._heard == 0 and now_s > self._due_s:
+        is_subscribed, now_s = self._subscription is not None, time.monotonic()
+        if is_subscribed != (self.wanted or self._keeps):
+            self._unsubscribe() if is_subscribed else self._subscribe(now_s)
+        elif self._received == 0 and now_s > self._due_s:
             self._due_s = math.inf
             log.warning("%s: no message yet: %s", self._passed["ros"], self._reason())
 
-    def _take(self, now_s: float) -> None:
-        self._heard, self._due_s = 0, now_s + self._patience_s
+    def _subscribe(self, now_s: float) -> None:
+        self._received, self._due_s = 0, now_s + self._patience_s
         self._subscription = self._node.create_subscription(
             self._kind, self._passed["ros"], self._pass, make_qos(self._passed), raw=True
         )
 
-    def _let_go(self) -> None:
+    def _unsubscribe(self) -> None:
         self._node.destroy_subscription(self._subscription)
         self._subscription, self._due_s = None, math.inf
 
     def _pass(self, message: bytes) -> None:
         self._publisher.put(message)
-        self._heard += 1
+        self._received += 1
 
     def _reason(self) -> str:
         """Return the likely reason of silence: mostly a wrong name or type."""
@@ -164,7 +164,7 @@ class ToRos:
     """A Zenoh key, published as a ROS topic; the first invalid message is logged."""
 
     def __init__(self, ends: Ends, passed: dict[str, Any], max_bytes: int) -> None:
-        self._key, self._max_bytes, self._told = passed["key"], max_bytes, False
+        self._key, self._max_bytes, self._warned = passed["key"], max_bytes, False
         self._inbox = Inbox(passed["depth"], ends.wake)
         self._subscriber = ends.session.declare_subscriber(self._key, self._inbox)
         self._publisher = ends.node.create_publisher(
@@ -176,8 +176,8 @@ class ToRos:
             try:
                 self._publisher.publish(cdr_of(sample.payload, self._max_bytes))
             except ValueError as error:
-                if not self._told:
-                    self._told = True
+                if not self._warned:
+                    self._warned = True
                     log.warning("%s: dropped: %s (further ones are not logged)", self._key, error)
 
 
