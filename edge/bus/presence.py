@@ -24,9 +24,9 @@ log = logging.getLogger("edge.bus.presence")
 
 ANSWER_S = 5.0
 _REFUSED = "refused"
-_TELL_S = 60.0
+_WARN_PERIOD_S = 60.0
 _YIELD_S = 3.0
-_LOOK_S = 0.1
+_POLL_S = 0.1
 _SETTLE_S = 0.25  # until all sessions see a new token
 
 
@@ -61,8 +61,8 @@ class Presence:
         self._own = str(session.zid())
         self._key = f"{settings.prefix}/{topics.ALIVE}/{self._own}"
         self._token: zenoh.LivelinessToken | None = None
-        self._told_s = -_TELL_S
-        self._heard: zenoh.Subscriber | None = None
+        self._warned_s = -_WARN_PERIOD_S
+        self._subscriber: zenoh.Subscriber | None = None
         if self._others():
             self._refuse()
 
@@ -82,15 +82,15 @@ class Presence:
             if min(others) < self._own or time.monotonic() >= until_s:
                 self._token.undeclare()
                 self._refuse()
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)
         # Subscribe only now: a session that has this subscription while it queries the tokens can
         # miss one of them.
-        self._heard = self._session.liveliness().declare_subscriber(
-            f"{self._settings.prefix}/{topics.ALIVE}/**", self._hear, history=True
+        self._subscriber = self._session.liveliness().declare_subscriber(
+            f"{self._settings.prefix}/{topics.ALIVE}/**", self._on_token, history=True
         )
 
     def close(self) -> None:
-        for declared in (self._heard, self._token):
+        for declared in (self._subscriber, self._token):
             if declared is not None:
                 declared.undeclare()
 
@@ -106,12 +106,12 @@ class Presence:
             f"{self._settings.address}: stop it, or set another zenoh.prefix for this one"
         )
 
-    def _hear(self, sample: zenoh.Sample) -> None:
+    def _on_token(self, sample: zenoh.Sample) -> None:
         """Log that there is another service, at most once a minute. Zenoh calls this method."""
         if sample.kind != zenoh.SampleKind.PUT or self._own in str(sample.key_expr):
             return
-        if time.monotonic() - self._told_s >= _TELL_S:
-            self._told_s = time.monotonic()
+        if time.monotonic() - self._warned_s >= _WARN_PERIOD_S:
+            self._warned_s = time.monotonic()
             refused = str(sample.key_expr).endswith(f"/{_REFUSED}")
             log.warning("zenoh.prefix: another service wants to be %s: %s", self._settings.prefix,
                         "it was refused" if refused else "stop one of the two")  # fmt: skip

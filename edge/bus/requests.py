@@ -24,7 +24,7 @@ from edge.bus.verbs import Request, Verb, error_of
 log = logging.getLogger("edge.bus.requests")
 
 _ARRIVED = 1024  # queries that Zenoh buffers: enough for 6,400 a second
-_A_LOOK = 128
+_MOST_PER_POLL = 128
 _RECEIVE_S = 0.02
 _SENDERS = 4
 
@@ -59,7 +59,7 @@ class RequestServer:
         self._closing = threading.Event()
         # A full ring drops the oldest query; a full FIFO would block the session.
         self._ring = QueryRing(session, key, _ARRIVED)
-        self._looked: deque[zenoh.Query] = deque()  # taken from the ring, not handled yet
+        self._polled: deque[zenoh.Query] = deque()  # taken from the ring, not handled yet
         tasks = [self._receive_all, *[self._send_all] * _SENDERS]
         self._threads = [
             threading.Thread(target=task, name=f"{key}{task.__name__}", daemon=True)
@@ -85,7 +85,7 @@ class RequestServer:
     def _receive_all(self) -> None:
         try:
             while not self._closing.wait(_RECEIVE_S):
-                for query in self._arrived(_A_LOOK):
+                for query in self._arrived(_MOST_PER_POLL):
                     self._receive(query)
                 self.queue.give_up()
             self.queue.close()
@@ -104,11 +104,11 @@ class RequestServer:
 
     def _arrived(self, most: int) -> Iterator[zenoh.Query]:
         for _ in range(most):
-            if not self._looked:
-                self._looked.extend(self._ring.take())
-            if not self._looked:
+            if not self._polled:
+                self._polled.extend(self._ring.take())
+            if not self._polled:
                 return
-            yield self._looked.popleft()
+            yield self._polled.popleft()
 
     def _receive(self, query: zenoh.Query) -> None:
         reply = partial(self._reply, query)

@@ -216,7 +216,7 @@ def open_session(
         log.warning("zenoh.endpoint: %s", OPEN.format(address))
     if role != "route" and shuts_all_out(found, settings.prefix):
         log.warning("%s: %s", key, SHUT.format(settings.prefix))
-    told: set[str | None] = set()
+    logged: set[str | None] = set()
     before: str | None = None
     known_s = time.monotonic()  # when the host name was last resolved
     while True:
@@ -244,8 +244,8 @@ def open_session(
         tell(what)
         # Log a reason only the second time: a server that starts or is busy refuses once.
         why = unknown or refused
-        if why not in told and why == before:
-            told.add(why)
+        if why not in logged and why == before:
+            logged.add(why)
             log.log(level, what)
         before = why
         if stop.wait(_PAUSE_S):

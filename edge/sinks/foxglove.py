@@ -72,7 +72,7 @@ class FoxgloveSink:
         if not is_loopback(host):
             log.warning("foxglove: anyone who reaches %s port %d sees what the robot sees", host,
                         self.port)  # fmt: skip
-        self._teller = Teller(config, rgb_hz, self._wanted)
+        self._encoder = Teller(config, rgb_hz, self._wanted)
         self._worker: Worker[Moment, None] = Worker("foxglove-sink", self._send)
 
     @staticmethod
@@ -86,7 +86,7 @@ class FoxgloveSink:
 
     def tick(self, result: TickResult) -> None:
         """Copy the subscribed data; see `edge.loop.result.Sink`."""
-        moment = self._teller.take(result)
+        moment = self._encoder.take(result)
         if moment.messages:
             self._worker.queue(moment)
 
@@ -103,10 +103,10 @@ class FoxgloveSink:
         return bool(self._channels[channel].has_sinks())
 
     def _send(self, moment: Moment) -> None:
-        for told in self._teller.tell(moment):
-            payload = b"".join(told.payload)
-            self._channels[told.channel].log(payload, log_time=max(0, moment.now_ns))
-        self._teller.let_go(moment)
+        for message in self._encoder.tell(moment):
+            payload = b"".join(message.payload)
+            self._channels[message.channel].log(payload, log_time=max(0, moment.now_ns))
+        self._encoder.let_go(moment)
 
 
 def _sdk() -> Any:

@@ -89,13 +89,13 @@ class McapSink:
             where, Limits(max_mb, max_s, keep_mb, sync_s), compression,
             self._metadata,
         )  # fmt: skip
-        self._teller = Teller(config, rgb_hz)
+        self._encoder = Teller(config, rgb_hz)
         self._inputs: list[Input] = []
         self._page_ns: int | None = None  # start of the current page
         self._held_back: TickResult | None = None  # its last result
         self._rig: dict[str, Any] = {}  # as last written
         self._most_bytes, self._pending_bytes = int(pending_mb * 1e6), 0
-        self._hand = threading.Lock()  # for pending bytes
+        self._lock = threading.Lock()  # for pending bytes
         self._dropped = {"arrays": 0, "moments": 0}
         # In lockstep the simulated time waits for writing, so nothing is dropped.
         self._lockstep = config.loop.lockstep
@@ -128,10 +128,10 @@ class McapSink:
 
     def _queue(self, result: TickResult) -> None:
         room = self._pending_bytes < self._most_bytes
-        moment = self._teller.take(result, arrays=room)
+        moment = self._encoder.take(result, arrays=room)
         self._dropped["arrays"] += result.observation is not None and not room
         size = moment.bytes
-        with self._hand:
+        with self._lock:
             self._pending_bytes += size
         self._batch.append(_Item(moment, tuple(self._inputs), result, size))
         self._inputs, self._page_ns, self._held_back = [], None, None
@@ -168,10 +168,10 @@ class McapSink:
 
     def _drop(self, batch: list[_Item]) -> None:
         self._dropped["moments"] += len(batch)
-        self._let_go(sum(item.bytes for item in batch))
+        self._release(sum(item.bytes for item in batch))
 
-    def _let_go(self, size: int) -> None:
-        with self._hand:
+    def _release(self, size: int) -> None:
+        with self._lock:
             self._pending_bytes -= size
 
     # -- on the worker's thread ------------------------------------------------------------------
@@ -183,28 +183,28 @@ class McapSink:
         """
         made = [list(self._made(item)) for item in batch]
         for item, messages in zip(batch, made, strict=True):
-            with self._outlived():
+            with self._contained():
                 self._files.ready()
-                for told in messages:
+                for message in messages:
                     self._files.add(
-                        told.channel, item.moment.now_ns, told.stamp_ns, *told.payload,
-                        sequence=told.sequence,
+                        message.channel, item.moment.now_ns, message.stamp_ns, *message.payload,
+                        sequence=message.sequence,
                     )  # fmt: skip
-            self._teller.let_go(item.moment)
-            self._let_go(item.bytes)
+            self._encoder.let_go(item.moment)
+            self._release(item.bytes)
         self._files.sync()
 
     def _made(self, item: _Item) -> Iterator[Told]:
         """Yield the messages of a tick, the journal's page last, since its arrays come first."""
         moment = item.moment
-        with self._outlived():  # an error of the display must not lose data for the replay
-            yield from self._teller.tell(moment)
-        with self._outlived():
+        with self._contained():  # an error of the display must not lose data for the replay
+            yield from self._encoder.tell(moment)
+        with self._contained():
             page = journal.encode_page(item.inputs, item.result, moment.seen, self._rig)
             yield Told(channels.JOURNAL, moment.now_ns, (page,))
 
     @contextmanager
-    def _outlived(self) -> Iterator[None]:
+    def _contained(self) -> Iterator[None]:
         """Count an error and continue with what follows."""
         try:
             yield

@@ -77,7 +77,7 @@ class Navigator:
     def __init__(
         self, node: Node, action: str, frame_id: str, tell: Callable[[GoalStatus], None]
     ) -> None:
-        self._action, self._frame_id, self._tell = action, frame_id, tell
+        self._action, self._frame_id, self._report = action, frame_id, tell
         below = f"{action}/_action"
         kind = NAVIGATE_TO_POSE
         self._send = node.client(f"{below}/send_goal", f"{kind}_SendGoal", _ACCEPT_S)
@@ -89,7 +89,7 @@ class Navigator:
         )
         self._driven: _Driven | None = None
         self._replaced: deque[bytes] = deque(maxlen=_KEPT)  # goals replaced by newer ones
-        self._let_go_s = math.inf  # when to cancel those that are still active
+        self._cancel_replaced_s = math.inf  # when to cancel those that are still active
         self._malformed = 0
         self._waiting_told = False
 
@@ -101,13 +101,13 @@ class Navigator:
         """Drive to this goal, and no longer to the previous one."""
         if self._driven is not None and self._driven.stage != "waiting":
             self._replaced.append(self._driven.goal_id)
-            self._let_go_s = math.inf
+            self._cancel_replaced_s = math.inf
         self._driven = _Driven(goal)
         self.beat()
 
     def cancel(self) -> None:
         """Cancel the current goal."""
-        self._let_go()
+        self._cancel_replaced()
         driven = self._driven
         if driven is None:
             return
@@ -123,15 +123,15 @@ class Navigator:
     def beat(self) -> None:
         """Process what arrived; request again if no reply is pending."""
         for _, payload in self._feedback.take():
-            self._attempt(self._feed_back, payload.to_bytes())
+            self._guarded(self._feed_back, payload.to_bytes())
         for _, payload in self._status.take():
-            self._attempt(self._note_status, payload.to_bytes())
+            self._guarded(self._note_status, payload.to_bytes())
         if self._driven is not None:
-            self._attempt(_STEPS[self._driven.stage], self, self._driven)
-        if time.monotonic() >= self._let_go_s:
-            self._let_go()
+            self._guarded(_STEPS[self._driven.stage], self, self._driven)
+        if time.monotonic() >= self._cancel_replaced_s:
+            self._cancel_replaced()
 
-    def _attempt(self, step: Callable[..., None], *arguments: object) -> None:
+    def _guarded(self, step: Callable[..., None], *arguments: object) -> None:
         """Run a step; count a malformed message, so that it affects no other."""
         try:
             step(*arguments)
@@ -166,7 +166,7 @@ class Navigator:
                 driven.stage = "waiting"
                 self._driven = None if driven.unwanted else driven
             return
-        self._let_go_s = time.monotonic() + REPLACED_S
+        self._cancel_replaced_s = time.monotonic() + REPLACED_S
         if not navigation.decode_send_goal_answer(payload):
             self._settle(driven, "failed", "refused by navigate_to_pose")
             return
@@ -175,7 +175,7 @@ class Navigator:
         if driven.unwanted:
             self._take_back(driven)
             return
-        self._tell(GoalStatus(driven.goal.stamp_ns, "accepted"))
+        self._report(GoalStatus(driven.goal.stamp_ns, "accepted"))
         self._step_driving(driven)
 
     def _step_driving(self, driven: _Driven) -> None:
@@ -206,7 +206,7 @@ class Navigator:
         if said.recoveries > driven.recoveries:
             driven.recoveries = said.recoveries
             reason = f"{said.recoveries} recoveries, {said.distance_m:.1f} m left"
-            self._tell(GoalStatus(driven.goal.stamp_ns, "accepted", reason))
+            self._report(GoalStatus(driven.goal.stamp_ns, "accepted", reason))
 
     def _note_status(self, payload: bytes) -> None:
         driven = self._driven
@@ -230,19 +230,19 @@ class Navigator:
     def _settle(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
         self._driven = None
         if not driven.unwanted:
-            self._tell(GoalStatus(driven.goal.stamp_ns, state, reason))
+            self._report(GoalStatus(driven.goal.stamp_ns, state, reason))
 
     def _take_back(self, driven: _Driven) -> None:
         """Cancel a goal without waiting for the answer: poses show if the robot drives on."""
         self._driven = None
         self._call_off(driven.goal_id)
 
-    def _let_go(self) -> None:
+    def _cancel_replaced(self) -> None:
         """Cancel replaced goals that may still be active."""
         for goal_id in self._replaced:
             self._call_off(goal_id)
         self._replaced.clear()
-        self._let_go_s = math.inf
+        self._cancel_replaced_s = math.inf
 
     def _call_off(self, goal_id: bytes) -> None:
         self._cancel.ask(navigation.encode_cancel(goal_id))

@@ -50,8 +50,8 @@ class Ros2Sink:
         else:
             self._answers = declare_publisher(session, topics.GOAL_STATUS, config.zenoh)
             action = settings.topic("navigate_to_pose")
-            self._navigator = Navigator(self._node, action, self._frame, self._tell)
-        self._unheard: Goal | None = None
+            self._navigator = Navigator(self._node, action, self._frame, self._send_status)
+        self._pending_goal: Goal | None = None
         self._way = Way()
         self._driving = False
         self._trajectory: Refined | None = None
@@ -119,7 +119,7 @@ class Ros2Sink:
 
     def _drive(self, goal: Goal | None) -> None:
         if self._navigator is None:
-            self._unheard = goal
+            self._pending_goal = goal
         elif goal is None:
             self._navigator.cancel()
         else:
@@ -131,11 +131,11 @@ class Ros2Sink:
         if self._navigator is not None:
             self._navigator.beat()
         # A planner treats each message as a new goal: send once, when there is a subscriber.
-        elif self._unheard is not None and self._goal is not None and self._goal.heard():
-            goal, self._unheard = self._unheard, None
+        elif self._pending_goal is not None and self._goal is not None and self._goal.heard():
+            goal, self._pending_goal = self._pending_goal, None
             self._goal.put(messages.encode_pose_stamped(goal.stamp_ns, goal.pose, self._frame))
 
-    def _tell(self, answer: GoalStatus) -> None:
+    def _send_status(self, answer: GoalStatus) -> None:
         said = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
         self._answers.put(json.dumps(said).encode())
 

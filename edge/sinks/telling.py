@@ -131,20 +131,20 @@ class Teller:
         """
         if result.pose is not None:
             self._way.add(result.pose)
-        told: list[_Later] = []
+        pending: list[_Later] = []
         seen, kept = result.observation, {}
         if seen is not None:
             kept = self._arrays(seen, result.now_ns) if arrays else {}
             seen = replace(seen, slot=None, **_NO_ARRAYS)
             if self._pace.is_due("pose", result.now_ns) or "rgb" in kept:
-                told += _of_pose(seen, "cloud_m" in kept)
+                pending += _of_pose(seen, "cloud_m" in kept)
             if seen.camera is not None and self._pace.is_due("info", result.now_ns):
-                told.append(_of_camera(seen.stamp_ns, seen.camera))
-            told += _of_arrays(seen, kept)
+                pending.append(_of_camera(seen.stamp_ns, seen.camera))
+            pending += _of_arrays(seen, kept)
         if result.detections is not None and self._pace.is_due("boxes", result.now_ns):
-            told.append(_of_detections(result.detections))
-        told += self._of_result(result, result.now_ns)
-        return Moment(result.now_ns, seen, kept, told)
+            pending.append(_of_detections(result.detections))
+        pending += self._of_result(result, result.now_ns)
+        return Moment(result.now_ns, seen, kept, pending)
 
     def _arrays(self, seen: Observation, now_ns: int) -> dict[str, np.ndarray]:
         """Return copies of the wanted arrays; see `Moment.arrays`."""

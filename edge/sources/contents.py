@@ -145,12 +145,12 @@ class Contents:
 
     def there(self) -> str:
         """List the topics in one line."""
-        told = [
+        shown = [
             f"{one_line(name, 80)} ({_of_type(facts)}, {facts.count})"
             for name, facts in sorted(self.topics.items())
         ]
-        left = len(told) - _SHOWN
-        return ", ".join(told[:_SHOWN] + [f"{left} more"] * (left > 0)) or "no topics"
+        left = len(shown) - _SHOWN
+        return ", ".join(shown[:_SHOWN] + [f"{left} more"] * (left > 0)) or "no topics"
 
 
 def _of_type(facts: TopicFacts) -> str:

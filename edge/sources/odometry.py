@@ -29,6 +29,11 @@ class StampGuard:
     Attributes:
         newest_ns: the last accepted stamp.
         behind_since_ns: the first stamp of the series that led to the last `clock_reset`.
+
+    Example:
+        >>> guard = StampGuard()
+        >>> [guard.judge(stamp_ns) for stamp_ns in (10, 20, 20, 5)]
+        ['ok', 'ok', 'repeated', 'backward']
     """
 
     def __init__(self) -> None:
@@ -156,7 +161,7 @@ class OdometryRing:
         self._max_turn_radps = max_turn_radps
         self._poses = StampedPoses(capacity, apart_ns)
         self._guard = StampGuard()
-        self._heard: np.ndarray | None = None  # the pose that arrived last, with any stamp
+        self._latest: np.ndarray | None = None  # the pose that arrived last, with any stamp
 
     def __len__(self) -> int:
         return len(self._poses)
@@ -172,7 +177,7 @@ class OdometryRing:
         A pose with a rejected stamp still is the robot's place now. A robot that must hold at an
         older pose would drive back there.
         """
-        return None if self._heard is None else se2_of(self._heard)
+        return None if self._latest is None else se2_of(self._latest)
 
     def push(self, stamp_ns: int, T_map_base: np.ndarray, age_ns: int = 0) -> str:
         """Append a pose; `age_ns` is the age of the transforms that converted it into `map`.
@@ -181,7 +186,7 @@ class OdometryRing:
             "" or what was unusual. `repeated` and `backward` poses are rejected; after
             `clock_reset` the new clock is used; `pose_jump` begins a new epoch.
         """
-        self._heard = T_map_base
+        self._latest = T_map_base
         last_ns = self._guard.newest_ns
         verdict: str = self._guard.judge(stamp_ns)
         if verdict in ("repeated", "backward"):

@@ -52,6 +52,13 @@ class FramePool:
         image_hw: size of rgb and depth; None for a robot without a camera.
         cloud_points: capacity for points, 0 for none.
         depth: True if slots have `depth_m`.
+
+    Example:
+        >>> pool = FramePool(1, image_hw=(480, 640))
+        >>> slot = pool.acquire()
+        >>> slot.rgb.shape, pool.acquire()
+        ((480, 640, 3), None)
+        >>> slot.release()
     """
 
     def __init__(

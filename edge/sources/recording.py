@@ -56,6 +56,15 @@ def record_messages(
 
     Returns:
         The number of messages written.
+
+    Example:
+        >>> from edge.bus.wire.messages import encode_pose_stamped
+        >>> from edge.geometry import SE2
+        >>> goal = encode_pose_stamped(0, SE2(1.0, 2.0, 0.0))
+        >>> record_messages("/tmp/edge-example.mcap", [(topics.GOAL, 0, goal)])
+        1
+        >>> [message.topic.key for message in read("/tmp/edge-example.mcap")]
+        ['goal']
     """
     with McapFile(path, "zstd") as file:
         for topic, stamp_ns, payload in messages:
@@ -166,7 +175,7 @@ class _Ros2Tap:
             )
             for name in HEARD
         }  # fmt: skip
-        self._told: set[str] = set()
+        self._warned: set[str] = set()
 
     def take(self) -> Iterator[tuple[Channel, bytes]]:
         self._node.look()
@@ -174,8 +183,8 @@ class _Ros2Tap:
             for type_name, payload in subscription.take():
                 if type_name in subscription.types:
                     yield _channel_of(name, subscription.topic, type_name), payload.to_bytes()
-                elif name not in self._told:
-                    self._told.add(name)
+                elif name not in self._warned:
+                    self._warned.add(name)
                     log.warning(
                         "%s: not recorded: its type is %s, expected %s", subscription.topic,
                         type_name or "unknown", " or ".join(subscription.types),

@@ -170,7 +170,7 @@ class TimeSynchronizer:
         self._lens = LensPlan()
         self._pool: FramePool | None = None
         self._seq = 0
-        self._told: set[tuple[str, str]] = set()
+        self._logged: set[tuple[str, str]] = set()
         # Some drivers send the end of the range in place of "no return".
         self._beyond_m = float(np.nextafter(np.float32(config.farthest_depth_m), np.float32(0)))
         camera, lidar = config.sensors.camera, config.sensors.lidar
@@ -188,8 +188,8 @@ class TimeSynchronizer:
         limit = f"the limit is {_LIMITS[reason]}" if reason in _LIMITS else ""
         detail = ", ".join(filter(None, (one_line(detail), limit)))
         self.inputs.dropped(topic, reason, detail)
-        if reason != "superseded" and (topic, reason) not in self._told:
-            self._told.add((topic, reason))
+        if reason != "superseded" and (topic, reason) not in self._logged:
+            self._logged.add((topic, reason))
             said = f"({detail}) " if detail else ""
             log.warning("%s: dropped: %s %s(further ones are only counted)", topic, reason, said)
 
@@ -207,8 +207,8 @@ class TimeSynchronizer:
             late = self._late(leader, topic, self._pose_delay_ns) if topic == "odom" else ""
             said = f"mapped with {what} {age_ns / 1e6:.0f} ms old{late}"
             self.inputs.doubted(topic, said)
-            if (topic, "old") not in self._told:
-                self._told.add((topic, "old"))
+            if (topic, "old") not in self._logged:
+                self._logged.add((topic, "old"))
                 log.warning("%s: %s (further ones are only counted)", topic, said)
 
     # -- messages in --------------------------------------------------------------------------
@@ -246,7 +246,9 @@ class TimeSynchronizer:
             return
         self._info, self._camera, self._pool = message, None, None
         if message.cut:
-            self._tell(message, f"{message.cut}: images of {camera.width_px}x{camera.height_px}")
+            self._log_once(
+                message, f"{message.cut}: images of {camera.width_px}x{camera.height_px}"
+            )
         where, listens = self.inputs.where, DepthImage.field in self.streams
         try:
             self._lens = plan_for(
@@ -258,14 +260,14 @@ class TimeSynchronizer:
             return
         if message.lens is not None:
             guess = self._lens.distortion == "rectified"
-            self._tell(message, self._lens.text, logging.WARNING if guess else logging.INFO)
+            self._log_once(message, self._lens.text, logging.WARNING if guess else logging.INFO)
         self._camera = camera
         self.inputs.used(message.topic)
 
-    def _tell(self, message: CameraInfo, text: str, level: int = logging.WARNING) -> None:
+    def _log_once(self, message: CameraInfo, text: str, level: int = logging.WARNING) -> None:
         """Log once how camera info is used."""
-        if (message.topic, text) not in self._told:
-            self._told.add((message.topic, text))
+        if (message.topic, text) not in self._logged:
+            self._logged.add((message.topic, text))
             log.log(level, "%s: %s", message.topic, text)
 
     # -- observations out ---------------------------------------------------------------------

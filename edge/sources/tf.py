@@ -76,6 +76,15 @@ class TfBuffer:
 
     Args:
         wait_ns: how long a sensor frame waits for a transform. History covers four times as much.
+
+    Example:
+        >>> tf = TfBuffer(wait_ns=100_000_000)
+        >>> tf.offer(Transform(0, "map", "base_link", np.eye(4)), static=True)
+        True
+        >>> tf.lookup("map", "base_link", 1_000).T.shape
+        (4, 4)
+        >>> tf.lookup("map", "camera", 1_000).why
+        "no transform from 'camera' to 'map' in tf, which has no 'camera'"
     """
 
     def __init__(self, wait_ns: int) -> None:

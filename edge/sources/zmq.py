@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("edge.sources.zmq")
 
 MAX_HEADER = 4096
-_LOOK_S = 1.0
+_CHECK_S = 1.0
 _FRAME_ID = "camera"
 _MOST_PX = 1e7
 _BYTES_PX = {
@@ -148,14 +148,14 @@ class ZmqSource(ZenohSource):
         self._address = address
         self._depth_unit_m = config.source.depth_unit_m
         super().__init__(config, session)
-        self._look_s = 0.0
+        self._check_s = 0.0
         self.check_options(config, address)
         self._zmq, self._context, self._camera = _socket(config, self._max_bytes)
         # Connect at the first poll: earlier messages would wait in ZeroMQ's queues.
         self._connected = False
-        start_unjoined("camera-name", _tell_of_no_address, address)
-        self._hung_up = self._camera.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
-        self._hung_up_told = False
+        start_unjoined("camera-name", _warn_unresolved, address)
+        self._disconnects = self._camera.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
+        self._disconnect_warned = False
 
     @staticmethod
     def check_options(config: Config, address: str, **options: Any) -> None:
@@ -187,7 +187,7 @@ class ZmqSource(ZenohSource):
             try:
                 parts = self._camera.recv_multipart(self._zmq.NOBLOCK, copy=False)
             except self._zmq.Again:
-                self._look_after()
+                self._reconnect_if_lost()
                 return n
             self._offer(parts)
         return KEPT
@@ -214,24 +214,24 @@ class ZmqSource(ZenohSource):
         )
         self._synchronizer.offer(frame)
 
-    def _look_after(self) -> None:
+    def _reconnect_if_lost(self) -> None:
         """Check once a second for a lost connection, and connect again.
 
         ZeroMQ does not connect again to a camera that sent too large a message.
         """
         now_s = time.monotonic()
-        if now_s < self._look_s:
+        if now_s < self._check_s:
             return
-        self._look_s = now_s + _LOOK_S
-        if not self._hung_up.poll(0):
+        self._check_s = now_s + _CHECK_S
+        if not self._disconnects.poll(0):
             return
-        while self._hung_up.poll(0):
-            self._hung_up.recv_multipart()
+        while self._disconnects.poll(0):
+            self._disconnects.recv_multipart()
         with suppress(self._zmq.ZMQError):  # it is disconnected already
             self._camera.disconnect(self._address)
         self._camera.connect(self._address)
-        if not self._hung_up_told:
-            self._hung_up_told = True
+        if not self._disconnect_warned:
+            self._disconnect_warned = True
             log.warning(
                 "%s: the camera disconnected, or sent more than %g MB (source.max_message_mb); "
                 "connecting again (further times are not logged)",
@@ -251,7 +251,7 @@ class ZmqTap:
         max_bytes = int(config.source.max_message_mb * 1e6)
         self._zmq, self._context, self._camera = _socket(config, max_bytes)
         _connect(config, self._camera, address)
-        self._told = False
+        self._warned = False
 
     def take(self) -> Iterator[tuple[Channel, bytes]]:
         """Yield the messages since the last poll."""
@@ -263,8 +263,8 @@ class ZmqTap:
             try:
                 yield from _as_on_the_bus(*parts)
             except (ValueError, TypeError) as error:
-                if not self._told:
-                    self._told = True
+                if not self._warned:
+                    self._warned = True
                     log.warning("not recorded: %s; further ones are not logged", one_line(error))
 
     def close(self) -> None:
@@ -302,7 +302,7 @@ def _socket(config: Config, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socke
     return zmq, context, camera
 
 
-def _tell_of_no_address(address: str) -> None:
+def _warn_unresolved(address: str) -> None:
     """Log if the camera's host name cannot be resolved: ZeroMQ retries without a message."""
     host = urlsplit(address).hostname
     if not address.startswith("tcp://") or host is None:

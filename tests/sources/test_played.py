@@ -396,8 +396,8 @@ def _bytes(data: bytes):
     [
         (lambda path: path, "no such file"),
         (_bytes(b""), "empty"),
-        (_bytes(b"junk" * 100), "neither an MCAP file nor rosbag2's"),
-        (_bytes(b"#ROSBAG V2.0\n"), "a bag of ROS 1: convert it first"),
+        (_bytes(b"junk" * 100), "neither an MCAP file nor a rosbag2 file"),
+        (_bytes(b"#ROSBAG V2.0\n"), "a ROS 1 bag: convert it first"),
         (_bytes(b"SQLite format 3\0" + bytes(200)), "not a rosbag2 file"),
         (_bytes(b"\x28\xb5\x2f\xfdjunk"), "empty"),
         (_folder, "no recording in this folder"),
@@ -421,7 +421,7 @@ def test_a_folder_plays_without_the_files_that_are_missing(tmp_path):
     metadata.write_text(metadata.read_text().replace(f"- {name}", f"- ../{name}\n  - gone.db3"))
     seen = play(folder)
     assert seen.stamps == EVERY
-    assert "names gone.db3, which is not there" in seen.lines
+    assert "names gone.db3, but there is no such file" in seen.lines
 
 
 @pytest.mark.parametrize("data", [b"", b"SQLite format 3\0" + bytes(500)])

@@ -25,7 +25,7 @@ class Graph:
         self._there: dict[str, Endpoint] = {}
         self._by_topic: dict[tuple[Kind, str], list[Endpoint]] = {}
         self._hashes: dict[str, str] = {}
-        self._told = False
+        self._warned = False
         self._tokens = session.liveliness().declare_subscriber(
             every_token(domain), zenoh.handlers.RingChannel(_MOST), history=True
         )
@@ -38,8 +38,8 @@ class Graph:
             self._take(str(sample.key_expr), sample.kind == zenoh.SampleKind.DELETE)
         if changes == 0:
             return False
-        if changes == _MOST and not self._told:
-            self._told = True
+        if changes == _MOST and not self._warned:
+            self._warned = True
             log.warning("ros2: more than %d endpoints: some are ignored", _MOST)
         self._index()
         return True

@@ -24,7 +24,7 @@ from edge.bus.session import Ring
 from edge.config import Config
 
 _IDS = itertools.count()  # of nodes and endpoints, in this process
-_LOOK_S = 0.2
+_POLL_S = 0.2
 
 
 class Node:
@@ -47,7 +47,7 @@ class Node:
         self.zid = str(session.info.zid())
         self.nid = next(_IDS)
         self.graph = Graph(session, domain) if dialect.has_tokens else None
-        self._looked_s = 0.0
+        self._polled_s = 0.0
         self._endpoints: list[_Declared] = []
         self._token: zenoh.LivelinessToken | None = None
         if dialect.has_tokens:
@@ -59,9 +59,9 @@ class Node:
         if self.graph is None:
             return
         now_s = time.monotonic()
-        if now_s - self._looked_s < _LOOK_S:
+        if now_s - self._polled_s < _POLL_S:
             return
-        self._looked_s = now_s
+        self._polled_s = now_s
         if self.graph.look():
             for endpoint in self._endpoints:
                 endpoint.settle()

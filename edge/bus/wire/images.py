@@ -52,6 +52,12 @@ def encode_image(stamp_ns: int, frame_id: str, array: np.ndarray) -> bytes:
 
     Raises:
         ValueError: the array has another type or shape.
+
+    Example:
+        >>> payload = encode_image(0, "camera", np.zeros((2, 3), np.uint16))
+        >>> header = decode_image_header(payload)
+        >>> header.encoding, header.height, header.width
+        ('16UC1', 2, 3)
     """
     return b"".join(image_parts(stamp_ns, frame_id, array))
 
