@@ -26,10 +26,7 @@ def add_places(commands) -> None:  # type: ignore[no-untyped-def]
         help="metres in map and heading in degrees, instead of the robot's pose; "
         "write --at=X,Y,DEG if X is negative",
     )  # fmt: skip
-    add.add_argument(
-        "--room", action="store_true", help="name the room around the robot, not its pose"
-    )
-    _common(actions, "places, zones and room names")
+    _common(actions, "places and zones")
 
 
 def add_zones(commands) -> None:  # type: ignore[no-untyped-def]
@@ -46,7 +43,7 @@ def add_zones(commands) -> None:  # type: ignore[no-untyped-def]
             "corners", nargs="+", type=_corner, metavar="X,Y",
             help="three corners at least, metres in map; write -- before a negative X",
         )  # fmt: skip
-    _common(actions, "places, zones and room names")
+    _common(actions, "places and zones")
 
 
 def _action(actions, name: str, text: str):  # type: ignore[no-untyped-def]
@@ -111,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
     site = site_of(answer["site"], "the service's answer")
     if path is not None and args.do == "export":
         write_site(path, site)
-        print(f"{path}: {len(site.items)} places, zones and room names")
+        print(f"{path}: {len(site.items)} places and zones")
     elif args.json:
         print(json.dumps(answer["site"], indent=1))
     elif args.do == "list":
@@ -133,12 +130,11 @@ def _request(args: argparse.Namespace) -> dict:
         }
     if args.do == "set" and args.at is not None:
         x_m, y_m, heading_deg = args.at
-        kind = "room" if args.room else "place"
-        feature = _feature(args, kind, "Point", [x_m, y_m])
+        feature = _feature(args, "place", "Point", [x_m, y_m])
         feature["properties"]["heading_deg"] = heading_deg
         return {"do": "set", "feature": feature}
     if args.do == "set":
-        return {"do": "set", "name": args.name, "room": args.room}
+        return {"do": "set", "name": args.name}
     if args.do == "remove":
         return {"do": "remove", "name": args.name}
     if args.do == "import":

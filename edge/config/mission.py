@@ -132,7 +132,7 @@ class Mission(Section):
         max_targets: most different objects in a mission.
         checkpoint: file to continue the mission from after a restart. Map and objects are saved
             next to it, as `<checkpoint>.map` (docs/service.md). null: nothing is saved.
-        site: GeoJSON file of places, zones and room names, read at the start and written when one
+        site: GeoJSON file of places and zones, read at the start and written when one
             changes (docs/places.md). null: they last until the service stops.
         on_request: true: start without a mission and wait for `edge mission new`, unless the
             command line gives a mission.

@@ -453,7 +453,7 @@ class Service:
             self.scorers.feeds = config.value_source
 
     def change_site(self, site: Site, now_ns: int) -> None:
-        """Replace places, zones and room names; a zone closes cells from the next tick on."""
+        """Replace places and zones; a zone closes cells from the next tick on."""
         self._journal.note("site", site=site, now_ns=now_ns)
         self.site.change(site)
         self.map.set_site(site)

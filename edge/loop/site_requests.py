@@ -1,4 +1,4 @@
-"""Requests about places, zones and room names."""
+"""Requests about places and zones."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from edge.bus.verbs import Request, Verb, check_flag, check_text
 from edge.errors import UserError
-from edge.memory import Place, RoomName, Site, Zone, item_of, merged, site_of
+from edge.memory import Place, Site, Zone, item_of, merged, site_of
 from edge.memory.site import MAX_NAME_CHARS, name_of
 from edge.text import one_line
 
@@ -21,8 +21,7 @@ def _set(fields: dict) -> dict:
         return {"item": item_of(fields["feature"])}
     here = {"type": "Point", "coordinates": [0.0, 0.0]}
     name = check_text("name", fields["name"], MAX_NAME_CHARS)
-    kind = "room" if check_flag("room", fields) else "place"
-    properties = {"kind": kind, "name": name}
+    properties = {"kind": "place", "name": name}
     feature = {"type": "Feature", "properties": properties, "geometry": here}
     return {"item": item_of(feature), "here": True}
 
@@ -32,12 +31,12 @@ def _import(fields: dict) -> dict:
 
 
 SITE_VERBS = {
-    "set": Verb(("name", "room", "feature"), _set),
+    "set": Verb(("name", "feature"), _set),
     "remove": Verb(("name",), lambda fields: {"name": check_text("name", fields.get("name"))}),
     "import": Verb(("site", "replace"), _import),
     "list": Verb(reads=True),
 }
-"""`{"do": "set", "name": NAME}` names the robot's pose, with `"room": true` the room around it;
+"""`{"do": "set", "name": NAME}` names the robot's pose;
 `{"do": "set", "feature": FEATURE}` adds a GeoJSON feature (see `edge.memory.site`);
 `{"do": "remove", "name": NAME}`; `{"do": "import", "site": COLLECTION, "replace": BOOL}`;
 `{"do": "list"}`. Each answers with the site."""
@@ -55,9 +54,7 @@ def handle_site(service: Service, request: Request, now_ns: int) -> dict:
         if fields.get("here"):
             if service.pose is None:
                 raise UserError("the robot's pose is not known yet: wait for the first observation")
-            xy_m = (service.pose.x_m, service.pose.y_m)
-            is_place = isinstance(item, Place)
-            item = Place.at(item.name, service.pose) if is_place else RoomName(item.name, xy_m)
+            item = Place.at(item.name, service.pose)
         service.change_site(site.with_item(item), now_ns)
         done = describe_item(item)
     elif request.do == "remove":
@@ -66,18 +63,16 @@ def handle_site(service: Service, request: Request, now_ns: int) -> dict:
     elif request.do == "import":
         start = Site() if fields["replace"] else site
         service.change_site(merged(start, fields["site"].items), now_ns)
-        done = f"imported: {len(fields['site'].items)} places, zones and room names"
+        done = f"imported: {len(fields['site'].items)} places and zones"
     if done:
         service.event(done, now_ns)
     return {"text": done, "site": service.site.known.geojson()}
 
 
-def describe_item(item: Place | Zone | RoomName) -> str:
-    """Return one line about a place, zone or room name."""
+def describe_item(item: Place | Zone) -> str:
+    """Return one line about a place or zone."""
     name = one_line(item.name)
     if isinstance(item, Zone):
         words = "keep out of" if item.kind == "keep_out" else "stay inside"
         return f"zone: {words} {name} ({len(item.corners_m)} corners)"
-    if isinstance(item, RoomName):
-        return f"room: {name} is the one around ({item.xy_m[0]:.2f}, {item.xy_m[1]:.2f})"
     return f"place: {name} is ({item.pose.x_m:.2f}, {item.pose.y_m:.2f})"

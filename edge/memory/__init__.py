@@ -1,11 +1,10 @@
-"""What is remembered: objects that were seen; places, zones and room names that people gave."""
+"""What is remembered: objects that were seen; places and zones that people gave."""
 
 from edge.memory.objects import KnownObject, known_objects, where_is
 from edge.memory.site import (
     START,
     Item,
     Place,
-    RoomName,
     Site,
     SiteError,
     SiteFile,
@@ -18,6 +17,6 @@ from edge.memory.site import (
 )
 
 __all__ = [
-    "START", "Item", "KnownObject", "Place", "RoomName", "Site", "SiteError", "SiteFile", "Zone",
+    "START", "Item", "KnownObject", "Place", "Site", "SiteError", "SiteFile", "Zone",
     "item_of", "known_objects", "merged", "read_site", "site_of", "where_is", "write_site",
 ]  # fmt: skip

@@ -21,7 +21,7 @@ from edge.mission.logic.diagnosis import Diagnosis, diagnose
 from edge.mission.logic.ltl import Formula
 from edge.mission.planning.planner import make_planner
 from edge.mission.task_step import TaskStep
-from edge.mission.translate import Translation, make_translator
+from edge.mission.translate import Translation, TranslationError, make_translator
 from edge.text import one_line
 
 _NO_SITE = Site()
@@ -112,22 +112,31 @@ def prepare(
     if formula is not None:
         translation = make_translator(TranslatorLtl()).translate(formula)
     elif instruction is not None or config.instruction is not None:
+        ask = instruction is not None
+        text = instruction if ask else config.instruction
+        reading = reading if ask else config.reading
         translator = make_translator(config.translator)
-        if instruction is not None:
-            said = quote_places(instruction, names_of_places)
-            translation = translator.translate(said, reading)
-        else:
-            instruction = config.instruction
-            said = quote_places(instruction, names_of_places)
-            translation = translator.translate(said, config.reading, ask=False)
+        try:
+            translation = translator.translate(quote_places(text, names_of_places), reading, ask)
+        except TranslationError as error:
+            raise _placed(error, text) from None
         english = translation.english
         for name, plain in _IN_ENGLISH.items():
             english = english.replace(f'"{name}"', plain)
-        translation = replace(translation, instruction=instruction, english=english)
+        translation = replace(translation, instruction=text, english=english)
     else:
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")
     return brief_of(config, located(translation, site))
+
+
+def _placed(error: TranslationError, instruction: str) -> TranslationError:
+    """Return the error with the position of its part in the instruction as it was given."""
+    at = instruction.find(error.part) + 1 if error.part else 0
+    if not at or at == error.position:
+        return error
+    message = str(error).replace(f"character {error.position}:", f"character {at}:", 1)
+    return type(error)(message, error.part, at)
 
 
 def located(translation: Translation, site: Site) -> Translation:

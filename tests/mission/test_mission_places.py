@@ -10,6 +10,7 @@ from edge.geometry import SE2
 from edge.memory import Place, Site
 from edge.mission.brief import prepare
 from edge.mission.language.places import quote_places
+from edge.mission.translate import TranslationError
 
 SITE = Site((Place("dock", SE2(1.0, 2.0, 0.0)), Place("loading bay 2", SE2(3.0, 4.0, 0.0))))
 NAMES = [place.name for place in SITE.places]
@@ -88,6 +89,17 @@ def test_a_place_is_a_target_that_the_detector_does_not_look_for(
 def test_a_pose_that_is_not_known_yet_is_left_open():
     places = briefed("go to the dock, then return to the start").translation.places
     assert places == {"dock": SE2(1.0, 2.0, 0.0), "start": None}
+
+
+@pytest.mark.parametrize(
+    "instruction",
+    ["go to the dock, then frobnicate the chair", "go to the chair, then frobnicate the dock"],
+)
+def test_what_is_not_understood_is_where_it_was_written(instruction):
+    position = instruction.index("frobnicate") + 1
+    with pytest.raises(TranslationError, match=f"character {position}: ") as error:
+        briefed(instruction)
+    assert error.value.position == position
 
 
 def test_a_file_of_places_needs_a_frame_that_lasts():
