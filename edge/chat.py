@@ -1,8 +1,8 @@
-"""A client for any OpenAI-compatible chat server.
+"""Client for OpenAI-compatible chat servers.
 
-Neither redirects nor the environment's proxies are followed: the API key goes to the configured
-server alone. Our own, since the package `openai` limits each read of a socket, but neither the
-length of an answer nor the time that it takes in all.
+It follows no redirects and no proxy settings of the environment, so the API key goes to the
+configured server only. The package `openai` is not used because it limits only each read of a
+socket, not the size of an answer or its total time.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from edge.host.http import Exchange, GivenUpError, Reply, explanation, failure
 from edge.text import bounded_repr, one_line, split_url
 
 MAX_ANSWER_BYTES = 256 * 1024
-MOST_TOKENS = 20  # OpenAI and vLLM give no more log-probabilities for one place
-ROUNDING = 1e-3  # how far above 0 a log-probability may be
-LEAST = -1e4  # where OpenAI and vLLM say -9999, llama.cpp may say -3e38
+MOST_TOKENS = 20  # most log-probabilities that OpenAI and vLLM return for one position
+ROUNDING = 1e-3  # tolerance of a log-probability above 0
+LEAST = -1e4  # lower bound; for "impossible", OpenAI and vLLM return -9999, llama.cpp -3e38
 
 
 class ChatError(UnavailableError):
-    """A chat server that gave no usable answer: which one, what happened, what to do."""
+    """An error of a chat server; the message has the server, the problem and the remedy."""
 
 
 class CutOffError(ChatError):
-    """The model ran into the limit of tokens before it came to an end.
+    """The model reached the token limit before the end of its answer.
 
     Attributes:
-        answer: what it had said until then.
+        answer: the text up to the limit.
     """
 
     def __init__(self, message: str, answer: str) -> None:
@@ -45,21 +45,29 @@ class CutOffError(ChatError):
 
 
 class LateError(ChatError):
-    """No whole answer came within the time limit."""
+    """The complete answer did not arrive within the time limit."""
 
 
 class ChatClient:
-    """Asks one model on one server.
+    """Client for one model on one server.
 
     Args:
-        url: base of the API, as `http://127.0.0.1:8080/v1`; requests go to
+        url: base URL of the API, such as `http://127.0.0.1:8080/v1`; requests go to
             `{url}/chat/completions`.
-        api_key: sent as a bearer token, shown nowhere; None or empty sends none.
-        time_limit_s: for one question in all: finding and reaching the server, and its answer.
-        max_answer_bytes: of the HTTP body; a longer answer is cut off and refused.
+        model: name of the model.
+        api_key: sent as a bearer token and never shown; None or empty sends none.
+        time_limit_s: limit for one request in total: name lookup, connection and answer.
+        max_answer_bytes: limit of the HTTP body; a longer answer is refused.
 
     Raises:
         ChatError: the URL or the key cannot be used.
+
+    Example:
+        >>> client = ChatClient("http://127.0.0.1:8080/v1", "my-model", time_limit_s=5.0)
+        >>> client
+        ChatClient('http://127.0.0.1:8080/v1', 'my-model')
+        >>> answer = client.ask([{"role": "user", "content": "Hello"}])  # doctest: +SKIP
+        >>> client.close()
     """
 
     def __init__(
@@ -75,45 +83,49 @@ class ChatClient:
         self.model, self.time_limit_s, self.max_answer_bytes = model, time_limit_s, max_answer_bytes
         self._parts, self._api_key = parts, (api_key or "").strip()
         self._lock, self._closed = threading.Lock(), False
-        # Reading the certificates takes longer than a short answer.
+        # Reading the certificates takes longer than a short answer, so it is done only once.
         verify = ssl.create_default_context() if parts.scheme == "https" else False
         limits = httpx.Limits(max_keepalive_connections=0)
         self._http = httpx.Client(verify=verify, trust_env=False, limits=limits)
         self._under_way: set[Exchange] = set()
         if not re.fullmatch(r"[\x21-\x7e]*", self._api_key):
             raise ChatError(
-                f"{self.url}: the API key has characters that no header can carry; set it anew"
+                f"{self.url}: the API key has characters that no HTTP header can have; "
+                "set a valid key"
             )
 
     def ask(
         self, messages: list[dict[str, Any]], left_s: float | None = None, **options: Any
     ) -> str:
-        """The model's answer to a conversation.
+        """Return the model's answer to a conversation.
 
         Args:
-            messages: `{"role": "system" | "user" | "assistant", "content": …}` each; the content
+            messages: dicts `{"role": "system" | "user" | "assistant", "content": …}`. The content
                 is a text, or a list of parts: texts, and images as `image_url`.
-            left_s: of the client's time limit, where earlier questions took some; None: all.
-            options: further fields of the request, as `temperature`.
+            left_s: remaining time, if earlier requests used part of the time limit; None: all of
+                it.
+            options: further fields of the request, such as `temperature`.
 
         Raises:
-            ChatError: no usable answer within the limits; `CutOffError` when the answer was
-                ended by the limit of tokens.
+            ChatError: no usable answer within the limits; `CutOffError` if the token limit ended
+            it.
         """
         return self._content(self._reply(messages, left_s, options))
 
     def next_tokens(
         self, messages: list[dict[str, Any]], left_s: float | None = None, **options: Any
     ) -> list[tuple[str, float]]:
-        """The tokens that the answer most likely begins with, and their log-probabilities.
+        """Return the most likely first tokens of the answer, with their log-probabilities.
 
-        One token is asked for. The temperature is 1, so that whether a server takes logits before
-        or after it divides by that, they are the model's own. Nothing asks the server to keep what
-        it computed for the messages: vLLM and llama.cpp do so by themselves, and hosted servers
-        refuse requests with fields that they do not know.
+        One token is requested, with temperature 1. So the logits are the model's own, even if a
+        server
+        divides them by the temperature before it reports them. The request has no field for prompt
+        caching: vLLM and llama.cpp cache without one, and hosted servers refuse unknown fields.
 
         Args:
-            messages, left_s, options: see `ask`.
+            messages: see `ask`.
+            left_s: see `ask`.
+            options: see `ask`.
 
         Returns:
             At most about `MOST_TOKENS` pairs; the log-probabilities are at most 0, not NaN.
@@ -125,7 +137,7 @@ class ChatClient:
         return self._likeliest(self._reply(messages, left_s, {**wanted, **options}))
 
     def close(self) -> None:
-        """Give up at once what is being asked; nothing can be asked afterwards."""
+        """Cancel running requests at once; later requests fail."""
         with self._lock:
             self._closed, exchanges = True, tuple(self._under_way)
         for exchange in exchanges:
@@ -146,7 +158,7 @@ class ChatClient:
             raise self._error(f"answered HTTP {reply.status}{self._explanation(reply.body)}")
         if len(reply.body) > self.max_answer_bytes:
             limit_kb = self.max_answer_bytes / 1024
-            raise self._error(f"the answer has more than {limit_kb:g} KB; check what runs there")
+            raise self._error(f"the answer has more than {limit_kb:g} KB; is it a chat server?")
         return reply
 
     def _exchange(self, body: bytes, left_s: float) -> Reply:
@@ -191,7 +203,7 @@ class ChatClient:
                 f"the answer has no choices[0].message.content: {shown!r}; is it a chat server?"
             )
         if ended_by == "length":
-            error = f"{self.url}: the model did not end within its tokens; try another"
+            error = f"{self.url}: the answer was cut off at the token limit; use another model"
             raise CutOffError(error, content or "")
         if not content or not content.strip():
             raise self._error("the answer is empty; try another model")
@@ -207,13 +219,13 @@ class ChatClient:
         if not pairs:
             raise self._error(
                 "the answer has no logprobs (choices[0].logprobs.content[0].top_logprobs); "
-                "use a server and a model that give them"
+                "use a server and a model that support them"
             )
         for token, logprob in pairs:
             number = isinstance(logprob, (int, float)) and not isinstance(logprob, bool)
             if not (isinstance(token, str) and number and logprob <= ROUNDING):  # false for NaN
                 shown = self._quote(f"{bounded_repr(token, 40)}: {bounded_repr(logprob, 40)}")
-                raise self._error(f"the answer has a logprob that is none, {shown}; check it")
+                raise self._error(f"the answer has an invalid logprob, {shown}; check the server")
         return [(token, float(max(logprob, LEAST))) for token, logprob in pairs]
 
     def _json(self, reply: Reply) -> Any:
@@ -221,18 +233,18 @@ class ChatClient:
             return json.loads(reply.body)
         except (ValueError, RecursionError):
             shown = self._quote(reply.body)
-            kind = self._quote(reply.headers.get("Content-Type", "of no type"))
+            kind = self._quote(reply.headers.get("Content-Type", "no Content-Type"))
             raise self._error(
                 f"the answer is not JSON ({kind}): {shown!r}; is it a chat server?"
             ) from None
 
     def _explanation(self, body: bytes) -> str:
-        """What the server says about an HTTP error, where it says something."""
+        """Return the server's explanation of an HTTP error, or advice if there is none."""
         shown = self._quote(explanation(body))
         return f": {shown}" if shown else "; see the server's log"
 
     def _quote(self, text: str | bytes) -> str:
-        """One short printable line of what the server said, which may have quoted the key."""
+        """Return one short printable line of the server's text, with the API key masked."""
         text = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
         text = text.replace(self._api_key, "***") if self._api_key else text
         return one_line(text)
@@ -258,17 +270,17 @@ def _split(url: str) -> SplitResult:
 
 
 def _reason(error: Exception) -> str:
-    """What went wrong, and what to do."""
+    """Return the problem and the remedy."""
     match error:
         case GivenUpError():
-            return "no longer waited for"
+            return "cancelled: the client is closed"
         case httpx.HTTPError() | UnicodeError():
             return failure(error)
     raise error
 
 
 def client_of(config: TranslatorLlm | WriterModel) -> ChatClient:
-    """The client that a configuration describes; the key comes from the environment.
+    """Return the client that a configuration describes; the API key comes from the environment.
 
     Raises:
         ChatError: the URL or the key cannot be used.

@@ -1,4 +1,4 @@
-"""Puts a service together from a configuration, and starts `edge` commands beside it."""
+"""Builder of the service from a configuration, and starter of `edge` child processes."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ from edge.tasks.brief import prepared
 log = logging.getLogger("edge")
 _SWITCH_S = 2e-4
 _CHILD_STOP_S = 5.0
-_CHILD_LOOK_S = 0.2
+_CHILD_CHECK_S = 0.2
 
 
 @dataclass
 class Launched(Running):
-    """A running service, its session on the bus, and its sinks."""
+    """A running service with its Zenoh session and its sinks."""
 
     session: zenoh.Session
     sinks: Sequence[Sink]
@@ -78,39 +78,46 @@ def open_service(
     amiss: Callable[[], Sequence[str]] = tuple,
     make_source: Callable[..., Source] | None = None,
 ) -> Iterator[Launched]:
-    """Prepare the mission, open Zenoh, load the detector, compile kernels; all closed at exit.
+    """Prepare the mission, open Zenoh, load the detector and compile kernels; close all at exit.
 
-    Zenoh comes before what takes long: where another service has the endpoint, that is known at
-    once. Who connects early finds nobody to take requests until all is ready.
+    Zenoh is opened before the slow steps. If another service has the endpoint, the start fails at
+    once. Requests are answered only when the service is ready.
 
     Args:
-        sinks: take the results besides those that the configuration names.
-        asked: the configuration's mission, where the command line named it.
-        formula: the mission, in place of the configuration's; so `task` (`edge.tasks.brief`).
-            With none of them a checkpoint's unfinished mission goes on, whatever the configuration
-            says.
-        stop: once set, the start is broken off. What cannot be, as compiling, is left to a thread
-            (`edge.host.interruptible`).
-        progress: told what is begun, by any thread: each takes minutes at most, and what takes
-            longer is told again and again.
-        amiss: why nobody can count on the service now, for whoever asks on the bus.
-        make_source: makes another source than the configuration names; see `find_source`.
+        config: The configuration.
+        sinks: Sinks in addition to those of the configuration.
+        asked: The mission of the configuration, if the command line set it.
+        formula: A formula that replaces the mission of the configuration.
+        task: A task that replaces the mission of the configuration (`edge.tasks.brief`). If
+            `asked`, `formula` and `task` are all None, the unfinished mission of a checkpoint
+            continues. It then takes precedence over the configuration.
+        stop: Event that cancels the start. A step that cannot be interrupted, such as compiling,
+            is left to a background thread (`edge.host.interruptible`).
+        progress: Function that is called, by any thread, with the step that begins. A step that
+            takes several minutes calls it again and again.
+        amiss: Function that returns the reasons why the service is not ready, for requests on the
+            bus.
+        make_source: Function that makes a source other than that of the configuration; see
+            `find_source`.
+
+    Yields:
+        The service, ready for `edge.loop.runner.loop`.
 
     Raises:
         Stopped: `stop` was set before the service was ready.
-        ConfigError: there is no such source, sink or policy, or it cannot be made.
-        UserError: the mission is not understood or cannot be done.
+        ConfigError: A source, sink or policy does not exist or cannot be made.
+        UserError: The mission is not understood or cannot be done.
         CheckpointError: `mission.checkpoint` cannot be read or written.
-        ModelError: the detector's or a scorer's model is missing or unusable.
-        ChatError: the URL of a scorer's server cannot be used.
-        BusError: the endpoint cannot be listened on, or another service has the prefix.
+        ModelError: The model of the detector or of a scorer is missing or unusable.
+        ChatError: The URL of a scorer's server cannot be used.
+        BusError: The endpoint cannot be listened on, or another service has the prefix.
     """
     stop = stop or threading.Event()
     make_source, make_sinks = make_source or find_source(config), find_sinks(config)
     make_policy = find_policy(config.policy, config.origin("policy"))
     if not any(sink.kind in ("zenoh", "ros2") or ":" in sink.kind for sink in config.sinks):
-        log.warning("%s: neither zenoh nor ros2: no motion controller hears a goal",
-                    config.at("sinks"))  # fmt: skip
+        log.warning("%s: no zenoh or ros2 sink: no motion controller receives goals; add one to "
+                    "drive a robot", config.at("sinks"))  # fmt: skip
     with ExitStack() as stack:
         mission, checkpoint, brief = config.mission, None, None
         site = SiteFile(None if mission.site is None else resources.expand(mission.site))
@@ -138,7 +145,7 @@ def open_service(
         presence = Presence(session, config.zenoh)
         stack.callback(presence.close)
         policy = unless_stopped(make_policy, stop)
-        # Made before what takes long: a port may be taken, and one's own may fail.
+        # Sinks are made before the slow steps: a port may be in use, and a plugin may fail.
         every = [*(make(config=config, session=session) for make in make_sinks), *sinks]
         for sink in every:
             stack.callback(sink.close)
@@ -159,7 +166,7 @@ def open_service(
         servers: dict[str, RequestServer] = {}
 
         def overruns() -> dict[str, int]:
-            """Looks that found a ring full once more (see `edge.bus.session.Ring`)."""
+            """Return the number of reads that found a ring full (see `edge.bus.session.Ring`)."""
             return {
                 "sensors": source.counters.get("overrun", 0),
                 "goal_status": source.inbox.overruns,
@@ -180,12 +187,13 @@ def open_service(
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
             stack.callback(servers[key].close)
         presence.announce()
-        # What start-up made stays for good; the collector need not walk it again in the loop.
+        # Objects of the start-up are never freed, so the collector need not scan them in the loop.
         gc.collect()
         gc.freeze()
         stack.callback(gc.unfreeze)
-        # Kernels give the interpreter lock away; by default the loop then waits up to 5 ms for the
-        # detector's or the sink's thread to give it back, more than a whole tick's budget.
+        # Kernels release the interpreter lock. With the default switch interval, the loop would
+        # wait up to 5 ms for the detector's or a sink's thread to return it: more than the budget
+        # of a tick.
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_S)
         if not lockstep:
@@ -200,13 +208,13 @@ def _load(
     stop: threading.Event,
     progress: Callable[[str], None],
 ) -> Detector:
-    """See `make_detector`; raises Stopped once `stop` is set."""
+    """Make the detector (see `make_detector`). Raise Stopped once `stop` is set."""
 
-    def tell(health: Health) -> None:
+    def report(health: Health) -> None:
         log_progress(health)
         progress(f"{health.state}: {health.detail}")
 
-    make = partial(make_detector, config.perception, targets, tell, cancelled=stop, truth=truth)
+    make = partial(make_detector, config.perception, targets, report, cancelled=stop, truth=truth)
     if config.perception.isolation == "thread":
         return unless_stopped(make, stop)
     try:
@@ -217,8 +225,10 @@ def _load(
 
 
 def on_a_free_port(config: Config) -> Config:
-    """The configuration, with an endpoint on this machine that nobody has. It needs no router, and
-    none of the certificates that `zenoh.file` may ask for."""
+    """Return the configuration with a free local endpoint.
+
+    It needs no router, and no certificate of `zenoh.file`.
+    """
     change = {
         "endpoint": f"tcp/127.0.0.1:{free_port()}", "mode": "peer", "file": None,
         "client_file": None,
@@ -230,16 +240,23 @@ def on_a_free_port(config: Config) -> Config:
 def children(
     config: Config, stop: threading.Event, *commands: tuple[str, ...]
 ) -> Iterator[list[subprocess.Popen[bytes]]]:
-    """`edge COMMAND` processes with this configuration; they end with the block.
+    """Run `edge COMMAND` processes with this configuration until the block ends.
 
-    A child gets the whole configuration in a file, since the environment's overrides and `--target`
-    are already in it. Variables of the environment that nothing reads were told of here.
+    A child reads the whole configuration from a file, which already includes `--target` and the
+    overrides of the environment. Unknown EDGE variables are not passed on, because this process
+    has already warned about them.
 
     Args:
-        stop: set when a child ends before the block does: there is nothing to go on with.
+        config: The configuration of the children.
+        stop: Event that is set when a child ends before the block does, because the block cannot
+            continue without it.
+        *commands: Command and options of each child.
+
+    Yields:
+        The processes, in the order of `commands`.
 
     Raises:
-        UserError: a child could not be started, or ended by itself.
+        UserError: A child could not be started, or ended by itself.
     """
     environ = {k: v for k, v in os.environ.items() if k in READ or not is_ours(k)}
     started: list[subprocess.Popen[bytes]] = []
@@ -250,14 +267,14 @@ def children(
                 arguments = [*python_module("edge.cli"), "--log-level", "warning"]
                 arguments += [command, path, "--with-parent", str(os.getpid()), *options]
                 try:
-                    # A session of its own keeps the terminal's Ctrl-C for the parent, which
-                    # stops its children in order.
+                    # In a new session, Ctrl-C reaches only the parent, which stops its children
+                    # in order.
                     child = subprocess.Popen(
                         arguments, env=environ, start_new_session=True, pass_fds=(file.fileno(),)
                     )
                 except OSError as error:
                     named = " ".join([command, *options])
-                    raise UserError(f"cannot start edge {named}: {error.strerror}") from None
+                    raise UserError(f"cannot start `edge {named}`: {error.strerror}") from None
                 started.append(child)
             with _watched(started, stop):
                 yield started
@@ -267,8 +284,10 @@ def children(
 
 
 def _in_memory(config: Config) -> BinaryIO:
-    """A file with the configuration and no name: nothing is left of it however this process ends,
-    and none but children can read what secrets it holds."""
+    """Return an unnamed in-memory file with the configuration.
+
+    Nothing of it remains after the process ends, and only the children can read its secrets.
+    """
     file = open(os.memfd_create("edge-config"), "wb")  # noqa: SIM115
     file.write(config.model_dump_json(exclude={"path"}).encode())
     file.flush()
@@ -278,22 +297,22 @@ def _in_memory(config: Config) -> BinaryIO:
 def _watched(
     started: list[subprocess.Popen[bytes]], stop: threading.Event
 ) -> AbstractContextManager[None]:
-    """Sets `stop` as soon as one of the processes ends."""
+    """Set `stop` as soon as one of the processes ends."""
 
-    def look() -> None:
+    def check() -> None:
         if any(child.poll() is not None for child in started):
             stop.set()
 
-    return repeated("children", _CHILD_LOOK_S, look)
+    return repeated("children", _CHILD_CHECK_S, check)
 
 
 def _check(names: list[str], started: list[subprocess.Popen[bytes]]) -> None:
-    """Raises UserError for the first process that has ended by itself."""
+    """Raise UserError for the first process that has ended by itself."""
     for name, child in zip(names, started, strict=True):
         code = child.poll()
         if code is not None:
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
-            error = UserError(f"edge {name} ended before its time ({how}): see what it said above")
+            error = UserError(f"`edge {name}` ended too early ({how}): see its messages above")
             error.exit_code = code if code > 0 else os.EX_SOFTWARE
             raise error
 

@@ -1,4 +1,4 @@
-"""One word for one thing: the alias table that prompts, formulas and worlds share.
+"""Canonical names of objects: the alias table for prompts, formulas and worlds.
 
 >>> canonical("the TV set"), canonical("SofaC_01"), canonical("dining_tables")
 ('television', 'sofa', 'dining table')
@@ -134,7 +134,7 @@ ALIASES: dict[str, tuple[str, ...]] = {
     "window": ("room window",),
     "wine glass": ("wineglass",),
 }  # fmt: skip
-"""Canonical name → other names for the same thing. A name stands in one place only."""
+"""Canonical name → other names for the same object. No name appears twice."""
 
 BROADER: dict[str, tuple[str, ...]] = {
     "armchair": ("chair",),
@@ -153,7 +153,7 @@ BROADER: dict[str, tuple[str, ...]] = {
     "truck": ("vehicle",),
     "van": ("vehicle",),
 }
-"""Canonical name → what it is a kind of, where its last word does not say so."""
+"""Canonical name → broader kinds of object, if they are not its last word."""
 
 NEAR: dict[str, tuple[str, ...]] = {
     "cabinet": ("chest of drawers", "nightstand", "shelf", "tv stand", "wardrobe"),
@@ -163,18 +163,18 @@ NEAR: dict[str, tuple[str, ...]] = {
     "nightstand": ("side table", "table"),
     "ottoman": ("stool",),
 }
-"""Canonical name → other things that one view does not tell from it: many views may."""
+"""Canonical name → other objects that look alike in one view; several views may separate them."""
 
 _PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch"}
 _NO_PLURAL = ("ss", "us", "is")
 _ARTICLES = ("a ", "an ", "the ", "some ", "any ", "my ", "our ")
-# Words after which a phrase no longer names the thing but says where or how it is.
+# Words that end the name in a phrase: the rest describes where or how the object is.
 _AFTER_HEAD = re.compile(
     r"\s+(?:near|next to|beside|behind|in|inside|on|under|below|above|by|at|with|without|from|"
     r"to|that|which|where|between|against|opposite|close to|in front of)\s+"
 )
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
-# A number behind a space belongs to the name ("room 12"); these do not: "Sofa_01", "SofaC".
+# A number after a space belongs to the name ("room 12"). These suffixes do not: "Sofa_01", "SofaC".
 _VARIANT = re.compile(r"(?:(?:_|(?<!\w)\s)+(?:[A-Z]|\d+))+$")
 _VARIANT_LETTER = re.compile(r"(?<=[a-z])[A-Z]$")
 
@@ -196,19 +196,22 @@ for _name, _others in ALIASES.items():
 
 
 class NotANameError(UserError, ValueError):
-    """A text that names nothing: the message shows it and says why."""
+    """A text that is no object name; the message shows the text and the reason."""
 
 
 def normalise(word: str) -> str:
-    """Lower case, single spaces, no article, no model suffix: `SofaC_01` becomes `sofa`.
+    """Return the name in lower case, with single spaces, no article and no model suffix.
 
-    A number at the end is part of the name: up to ten it is spelled, above it is written in digits
-    ("room 2" and "room two" are "room two", "room twelve" is "room 12"). "Floor 2" is "second
-    floor". What this takes is a name, everywhere: in prompts, formulas, worlds and vocabularies.
+    `SofaC_01` becomes `sofa`. A number at the end is part of the name. Numbers up to ten become
+    words,
+    larger ones digits: "room 2" becomes "room two", "room twelve" becomes "room 12". "Floor 2"
+    becomes
+    "second floor". All parts of the program accept exactly these names: prompts, formulas, worlds
+    and vocabularies.
 
     Raises:
-        NotANameError: no letter or digit is left, a character does not print (line breaks,
-            escapes, what turns the direction of writing), or there are more than `MAX_CHARS`.
+        NotANameError: there is no letter or digit, there is a non-printing character (line break,
+            escape, change of writing direction), or there are more than `MAX_CHARS` characters.
     """
     if len(word) > MAX_CHARS:
         raise NotANameError(f"{_shown(word)} is no name: it has more than {MAX_CHARS} characters")
@@ -218,7 +221,7 @@ def normalise(word: str) -> str:
             f"{_shown(word)} is no name: character {at + 1} (U+{ord(word[at]):04X}) does not print"
         )
     text = _tidied(word)
-    while (again := _tidied(text)) != text:  # what one pass uncovers may be for the next to take
+    while (again := _tidied(text)) != text:  # one pass may expose more to remove
         text = again
     if not any(map(str.isalnum, text)):
         raise NotANameError(f"{_shown(word)} is no name: it needs a letter or a digit")
@@ -236,7 +239,7 @@ def _tidied(word: str) -> str:
 
 
 def _numbered(text: str) -> str:
-    """The name with its number in the one way that `normalise` names."""
+    """Return the name with its number in the form that `normalise` documents."""
     words = text.split(" ")
     if len(words) < 2:
         return text
@@ -257,7 +260,7 @@ def _numbered(text: str) -> str:
 
 
 def number(words: Sequence[str]) -> int | None:
-    """The number that one or two words write; None if they write none.
+    """Return the number that one or two words spell; None if they spell none.
 
     >>> number(["12"]), number(["twelve"]), number(["twenty", "one"]), number(["chair"])
     (12, 12, 21, None)
@@ -280,7 +283,7 @@ _TEENTHS = {"eleventh": 11, "twelfth": 12, "twentieth": 20}
 
 
 def ordinal(word: str) -> int | None:
-    """The number of "12th", "twelfth", "second"; None of other words."""
+    """Return the number of "12th", "twelfth" or "second"; None for other words."""
     if found := _NTH.fullmatch(word):
         return int(found[1])
     if word in ORDINALS:
@@ -295,7 +298,7 @@ def _shown(word: str) -> str:
 
 
 def singular(phrase: str) -> str:
-    """The phrase with its last word in the singular, by the regular English endings.
+    """Return the phrase with its last word in the singular, by regular English endings.
 
     >>> singular("dining chairs"), singular("boxes"), singular("glass")
     ('dining chair', 'box', 'glass')
@@ -315,7 +318,7 @@ def singular(phrase: str) -> str:
 
 
 def is_name(text: str) -> bool:
-    """Whether a text names anything at all, see `normalise`."""
+    """Return True if a text is an object name; see `normalise`."""
     try:
         return bool(normalise(text))
     except NotANameError:
@@ -323,7 +326,7 @@ def is_name(text: str) -> bool:
 
 
 def is_known(word: str) -> bool:
-    """Whether the alias table has the word (singular or plural); false of what is no name."""
+    """Return True if the alias table has the word, in the singular or plural."""
     if not is_name(word):
         return False
     text = normalise(word)
@@ -331,13 +334,13 @@ def is_known(word: str) -> bool:
 
 
 def is_alias(word: str) -> bool:
-    """Whether the alias table has just this word, in this number."""
+    """Return True if the alias table has exactly this word."""
     return word in _CANONICAL
 
 
 @lru_cache(maxsize=4096)
 def canonical(word: str) -> str:
-    """The one name for a thing; a word outside the table is its own, normalised and singular."""
+    """Return the canonical name; an unknown word is normalised and made singular."""
     text = normalise(word)
     if text in _CANONICAL:
         return _CANONICAL[text]
@@ -345,23 +348,23 @@ def canonical(word: str) -> str:
 
 
 def same(a: str, b: str) -> bool:
-    """Whether two words name the same thing."""
+    """Return True if two words are names of the same object."""
     return canonical(a) == canonical(b)
 
 
 def same_as_any(name: str, others: Iterable[str]) -> bool:
-    """Return whether a name is another word for one of `others`."""
+    """Return True if a name is another word for one of `others`."""
     return any(same(name, other) for other in others)
 
 
 def names_of(word: str) -> tuple[str, ...]:
-    """Everything a thing is called: the word itself, its canonical name, then the aliases."""
+    """Return all names of an object: the word, its canonical name, then the aliases."""
     text, name = normalise(word), canonical(word)
     return tuple(dict.fromkeys((text, singular(text), name, *ALIASES.get(name, ()))))
 
 
 def is_kind_of(word: str, broader: str) -> bool:
-    """Whether one word names the same thing as another, or a kind of it.
+    """Return True if a word names the same object as `broader`, or a kind of it.
 
     >>> is_kind_of("folding chair", "chair"), is_kind_of("armchair", "chair")
     (True, True)
@@ -374,7 +377,7 @@ def is_kind_of(word: str, broader: str) -> bool:
 
 
 def akin(a: str, b: str) -> bool:
-    """Whether two words may be said of one thing: they name the same, or a kind of the other.
+    """Return True if two words may name one object: the same name, or a kind of the other.
 
     >>> akin("armchair", "chair"), akin("chair", "armchair"), akin("sofa", "armchair")
     (True, True, False)
@@ -383,7 +386,7 @@ def akin(a: str, b: str) -> bool:
 
 
 def near(a: str, b: str) -> bool:
-    """Whether one view hardly tells two words' things apart: `akin` ones, and those of `NEAR`.
+    """Return True if two objects are hard to tell apart in one view: `akin`, or listed in `NEAR`.
 
     >>> near("wardrobe", "cabinet"), near("cabinet", "wardrobe"), near("bed", "sofa")
     (True, True, False)
@@ -393,8 +396,7 @@ def near(a: str, b: str) -> bool:
 
 
 def outside(words: Iterable[str], targets: Sequence[str]) -> tuple[str, ...]:
-    """What of some words is no target: canonical names, each once, without the targets' own and
-    those of kinds of them.
+    """Return the canonical names that are no target and no kind of a target, each once.
 
     >>> outside(("couch", "sofa", "armchair", "lamp"), ("chair",))
     ('sofa', 'table lamp')
@@ -407,22 +409,24 @@ def outside(words: Iterable[str], targets: Sequence[str]) -> tuple[str, ...]:
 
 
 def head_phrase(phrase: str) -> str:
-    """The part of a phrase that names the thing.
+    """Return the part of a phrase that names the object.
 
     Raises:
-        NotANameError: the phrase is none, or has no such part.
+        NotANameError: the phrase is no name, or has no such part.
 
     >>> head_phrase("the tall white trash bin next to the sofa")
     'tall white trash bin'
     """
     head = _AFTER_HEAD.split(normalise(phrase), maxsplit=1)[0]
     if not is_name(head):
-        raise NotANameError(f"{_shown(phrase)} is no name: it says where a thing is, not which")
+        raise NotANameError(f"{_shown(phrase)} is no name: it has a place but no object")
     return head
 
 
 def head_nouns(phrase: str) -> Iterator[str]:
-    """Ever shorter endings of the phrase's head that are names: the first known one is its noun.
+    """Yield shorter and shorter endings of the head phrase that are names.
+
+    The first known one is the noun of the phrase.
 
     >>> list(head_nouns("tall white trash bin"))
     ['tall white trash bin', 'white trash bin', 'trash bin', 'bin']

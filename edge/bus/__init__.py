@@ -1,3 +1,4 @@
-"""The bus: Zenoh sessions, every key with its type and quality of service, what lies on the wire,
-and requests with their answers. What a message means to the robot is nobody's business here.
+"""Zenoh sessions, keys with their type and quality of service, wire formats, requests and answers.
+
+This package does not interpret messages: it does not know what they mean to the robot.
 """

@@ -1,6 +1,6 @@
-"""The client of `edge.bus.requests`: reach the running service, ask it for something.
+"""Client of `edge.bus.requests`: connect to the running service and send it a request.
 
-Light to import, so that the command line can take its error from here.
+Cheap to import, because the command line imports its errors from here.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from edge.config import Zenoh
 
 CONNECT_S = 5.0
-_REASON_CHARS = 1000  # what a server sends at most, see `edge.bus.requests`
-_ZENOH_TIMEOUT = b"Timeout"  # what Zenoh itself puts in the place of an answer
+_REASON_CHARS = 1000  # the longest error of a server, see `edge.bus.requests`
+_ZENOH_TIMEOUT = b"Timeout"  # Zenoh's own payload if no answer came in time
 
 
 class RequestError(UnavailableError):
-    """Nobody took the request; one line."""
+    """The service cannot be reached or does not answer; the message is one line."""
 
 
 class RefusedError(RequestError):
-    """The service refused it, in its own words."""
+    """The service refused the request; the message quotes its reason."""
 
     exit_code = os.EX_DATAERR
 
@@ -36,16 +36,17 @@ class RefusedError(RequestError):
 def connect(
     settings: Zenoh, patience_s: float, what: str, whom: str = "service", start: str = "edge run"
 ) -> zenoh.Session:
-    """A session with the service; the caller closes it.
+    """Open a session with the service. The caller closes it.
 
     Args:
-        patience_s: how long to look for it, `CONNECT_S` at most.
-        what: the command, for the error's line.
-        whom: who should be there, for the message.
-        start: the command that starts it, for the message.
+        settings: `zenoh` of the configuration.
+        patience_s: how long to try, at most `CONNECT_S`.
+        what: the command's name, for the error message.
+        whom: the process that should answer, for the error message.
+        start: the command that starts this process, for the error message.
 
     Raises:
-        RequestError: nobody is there, or it does not take us in.
+        RequestError: nothing listens there, or the session is refused.
     """
     from edge.bus.session import NotTakenIn, open_session
 
@@ -67,14 +68,18 @@ def connect(
 
 
 def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float, what: str) -> dict:
-    """The answer of the service whose requests go to `key`, such as `edge/mission/request`.
+    """Send a request to the service and return its answer.
 
     Args:
-        what: the command, for the error's line.
+        session: an open session.
+        key: where requests go, such as `edge/mission/request`.
+        request: the request, such as `{"do": "status"}`.
+        timeout_s: how long to wait for the answer.
+        what: the command's name, for the error message.
 
     Raises:
-        RefusedError: it refused (its own words).
-        RequestError: none answered within `timeout_s`.
+        RefusedError: the service refused the request.
+        RequestError: no answer within `timeout_s`.
     """
     import zenoh
 
@@ -91,8 +96,8 @@ def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float, what:
         reason = one_line(_object(key, content, what).get("error"), _REASON_CHARS)
         raise RefusedError(f"{what}: refused: {reason}")
     raise RequestError(
-        f"{what}: no service answers at {key}; start one with `edge run`, or, where one runs, let "
-        "its access rules permit us to ask"
+        f"{what}: no service answers at {key}; start one with `edge run`. If one runs, its access "
+        "rules must allow this client to send requests"
     )
 
 
@@ -101,4 +106,4 @@ def _object(key: str, content: bytes, what: str) -> dict:
         return read_json_object(content)
     except ValueError:
         shown = f"{content[:60]!r}"
-        raise RequestError(f"{what}: {key}: not the answer of a service: {shown}") from None
+        raise RequestError(f"{what}: {key}: the answer is not a JSON object: {shown}") from None

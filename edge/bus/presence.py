@@ -1,10 +1,11 @@
-"""Who is there: every service holds a liveliness token below its prefix, `alive/<session>`.
+"""Detection of a second service with the same prefix, by liveliness tokens.
 
-Zenoh takes it back as soon as the service's connection is gone, however it went: at once where its
-process ended, after ten seconds where its computer or its network did.
+Every service holds the token `alive/<session>` below its prefix. Zenoh removes the token when the
+service's connection is lost: at once if its process ended, after ten seconds if its computer or
+network failed.
 
-Two services of one prefix would both drive the robot. The one that comes second is refused, and
-lets the first know by another token, `alive/<session>/refused`.
+Two services with one prefix would both drive the robot. The second one is refused. It informs the
+first with another token, `alive/<session>/refused`.
 """
 
 from __future__ import annotations
@@ -23,35 +24,36 @@ log = logging.getLogger("edge.bus.presence")
 
 ANSWER_S = 5.0
 _REFUSED = "refused"
-_TELL_S = 60.0
+_WARN_PERIOD_S = 60.0
 _YIELD_S = 3.0
-_LOOK_S = 0.1
-_SETTLE_S = 0.25  # a token takes a moment to be seen by all
+_POLL_S = 0.1
+_SETTLE_S = 0.25  # until all sessions see a new token
 
 
 def prefixes(session: zenoh.Session, pattern: str) -> dict[str, set[str]]:
-    """The services that are there, as their sessions, by prefix.
+    """Return the sessions of the services that are online, by prefix.
 
     Args:
-        pattern: of prefixes, a key expression such as `robots/*`.
+        session: an open session.
+        pattern: key expression of prefixes, such as `robots/*`.
 
     Raises:
-        BusError: the router did not say it in time: some may be missing.
+        BusError: the router did not answer in time, so services may be missing.
     """
     found: dict[str, set[str]] = {}
     for reply in session.liveliness().get(f"{pattern}/{topics.ALIVE}/*", timeout=ANSWER_S):
         if reply.ok is None:
-            raise BusError(f"{pattern}: the router did not say within {ANSWER_S:g} s who is there")
+            raise BusError(f"{pattern}: the router did not list the services in {ANSWER_S:g} s")
         prefix, _, who = str(reply.ok.key_expr).rpartition(f"/{topics.ALIVE}/")
         found.setdefault(prefix, set()).add(who)
     return found
 
 
 class Presence:
-    """A service's own.
+    """The liveliness token of one service, and a watch for others with the same prefix.
 
     Raises:
-        BusError: another service of this prefix is there already.
+        BusError: another service with this prefix is online already.
     """
 
     def __init__(self, session: zenoh.Session, settings: Zenoh) -> None:
@@ -59,34 +61,36 @@ class Presence:
         self._own = str(session.zid())
         self._key = f"{settings.prefix}/{topics.ALIVE}/{self._own}"
         self._token: zenoh.LivelinessToken | None = None
-        self._told_s = -_TELL_S
-        self._heard: zenoh.Subscriber | None = None
+        self._warned_s = -_WARN_PERIOD_S
+        self._subscriber: zenoh.Subscriber | None = None
         if self._others():
             self._refuse()
 
     def announce(self) -> None:
-        """From now on the service takes requests.
+        """Declare the token: from now on the service accepts requests.
 
         Raises:
-            BusError: another one got there first.
+            BusError: another service with this prefix was faster.
         """
         self._token = self._session.liveliness().declare_token(self._key)
-        # Of two that came at the same moment, and see each other, the lower session stays, once the
-        # other has gone; one that looked before it could see us does not go.
+        # If two services start at the same moment, each sees the other. The one with the lower
+        # session id waits until the other has left. If the other looked too early to see this
+        # token, it stays; then this one leaves after `_YIELD_S`.
         until_s = time.monotonic() + _YIELD_S
         time.sleep(_SETTLE_S)
         while others := self._others():
             if min(others) < self._own or time.monotonic() >= until_s:
                 self._token.undeclare()
                 self._refuse()
-            time.sleep(_LOOK_S)
-        # Not before: a session that listens now and then misses one when it looks.
-        self._heard = self._session.liveliness().declare_subscriber(
-            f"{self._settings.prefix}/{topics.ALIVE}/**", self._hear, history=True
+            time.sleep(_POLL_S)
+        # Subscribe only now: a session that has this subscription while it queries the tokens can
+        # miss one of them.
+        self._subscriber = self._session.liveliness().declare_subscriber(
+            f"{self._settings.prefix}/{topics.ALIVE}/**", self._on_token, history=True
         )
 
     def close(self) -> None:
-        for declared in (self._heard, self._token):
+        for declared in (self._subscriber, self._token):
             if declared is not None:
                 declared.undeclare()
 
@@ -95,19 +99,19 @@ class Presence:
         return there.get(self._settings.prefix, set()) - {self._own}
 
     def _refuse(self) -> NoReturn:
-        """Let the other know, by a token that is gone with the session, and so with our start."""
+        """Inform the other service by a token, which vanishes with this session, and raise."""
         self._token = self._session.liveliness().declare_token(f"{self._key}/{_REFUSED}")
         raise BusError(
             f"zenoh.prefix: another service is {self._settings.prefix} at "
-            f"{self._settings.address}: stop it, or give this one a prefix of its own"
+            f"{self._settings.address}: stop it, or set another zenoh.prefix for this one"
         )
 
-    def _hear(self, sample: zenoh.Sample) -> None:
-        """Called by Zenoh; says once a minute at most that there is another one."""
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        """Log that there is another service, at most once a minute. Zenoh calls this method."""
         if sample.kind != zenoh.SampleKind.PUT or self._own in str(sample.key_expr):
             return
-        if time.monotonic() - self._told_s >= _TELL_S:
-            self._told_s = time.monotonic()
+        if time.monotonic() - self._warned_s >= _WARN_PERIOD_S:
+            self._warned_s = time.monotonic()
             refused = str(sample.key_expr).endswith(f"/{_REFUSED}")
             log.warning("zenoh.prefix: another service wants to be %s: %s", self._settings.prefix,
                         "it was refused" if refused else "stop one of the two")  # fmt: skip

@@ -1,6 +1,6 @@
-"""Why nobody took us in: Zenoh only says that it could not connect.
+"""Diagnosis of a refused connection: Zenoh only reports that it could not connect.
 
-After an attempt that failed, the endpoint is tried with Python's own sockets and TLS, with the
+After a failed attempt, the endpoint is probed with Python's own sockets and TLS, with the
 certificates that Zenoh was given.
 """
 
@@ -17,69 +17,69 @@ from edge.host.interruptible import start_unjoined
 from edge.text import one_line
 
 PROBE_S = 0.5
-_NAME_S = 1.0  # to find the address of a name; the resolver's own patience is longer
+_NAME_S = 1.0  # to resolve a host name; the resolver's own timeout is longer
 
 _CLIENTS = "root_ca_certificate", "connect_certificate", "connect_private_key"
 _IN_PLACE = "_base64"
 
-# What a TLS peer's alert means to us: RFC 8446, section 6.2. OpenSSL puts the protocol before it.
+# TLS alerts of the peer: RFC 8446, section 6.2. OpenSSL puts the protocol before the name.
 _ALERTS = {
-    "CERTIFICATE_REQUIRED": "it wants a certificate, and {file} names none "
+    "CERTIFICATE_REQUIRED": "it requires a client certificate, and {file} names none "
     "(transport/link/tls: enable_mtls, connect_certificate, connect_private_key)",
-    "UNKNOWN_CA": "it does not trust who signed our certificate",
-    "DECRYPT_ERROR": "it does not trust who signed our certificate",
-    "BAD_CERTIFICATE": "it does not take our certificate",
+    "UNKNOWN_CA": "it does not trust the issuer of our certificate",
+    "DECRYPT_ERROR": "it does not trust the issuer of our certificate",
+    "BAD_CERTIFICATE": "it rejects our certificate",
     "CERTIFICATE_EXPIRED": "our certificate is out of date, or the clock there is wrong ({file})",
     "CERTIFICATE_REVOKED": "our certificate was revoked",
-    "CERTIFICATE_UNKNOWN": "it does not take our certificate",
-    "ACCESS_DENIED": "it does not take our certificate",
+    "CERTIFICATE_UNKNOWN": "it rejects our certificate",
+    "ACCESS_DENIED": "it rejects our certificate",
 }
 _OUT_OF_DATE = (9, 10)  # X509_V_ERR_CERT_NOT_YET_VALID, …_HAS_EXPIRED
 _NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "UNEXPECTED_EOF_WHILE_READING")
 _NOT_TAKEN_IN = (
-    "somebody is there and takes no session: either it asks for a user and a password, or for "
-    "others than {file} gives (transport/auth/usrpwd), or it is full, or it speaks TLS or no Zenoh"
+    "a server is there but refuses the session: it asks for a user and a password, or {file} has "
+    "wrong ones (transport/auth/usrpwd), or it is full, or it speaks TLS, or it is no Zenoh"
 )
 _NOT_TAKEN_IN_BY_TLS = (
-    "somebody is there and takes no session: of the certificates in {file}, one is not trusted "
-    "(what they are is not looked at here, since they are written in place), or a user is asked for"
+    "a server is there but refuses the session: a certificate in {file} is not trusted (inline "
+    "certificates are not checked here), or it asks for a user and a password"
 )
 _NOT_TAKEN_IN_TLS = (
-    "TLS is agreed on, and no session is taken: either it asks for a user and a password, or for "
-    "others than {file} gives (transport/auth/usrpwd), or it is full"
+    "TLS works, but the server refuses the session: it asks for a user and a password, or {file} "
+    "has wrong ones (transport/auth/usrpwd), or it is full"
 )
 
 
 class UnknownHostError(Exception):
-    """No address is known for the host of an endpoint; its message says for which, and why."""
+    """The host name of an endpoint cannot be resolved; the message has the name and the reason."""
 
 
 def why_refused(endpoint: str, found: zenoh.Config, file: str) -> str | None:
-    """Why there is no session with who is at an endpoint; None: nobody is there.
+    """Return why the server at an endpoint refuses a session; None if no server is there.
 
-    Waits for `_NAME_S` and twice `PROBE_S` at most.
+    Waits for at most `_NAME_S` + 2 `PROBE_S`.
 
     Args:
         endpoint: such as `tls/robot.local:7447`.
-        found: what the session was to be opened with.
-        file: where its user would look, for the line: a path, or the key that would name one.
+        found: the configuration of the failed session.
+        file: the file or configuration key that the user should check, for the message.
 
     Raises:
-        UnknownHostError: no address is known for the endpoint's host.
+        UnknownHostError: the endpoint's host name cannot be resolved.
     """
     if (lacks := unreadable(found, listens=False)) is not None:
         return lacks
     if protocol(endpoint) not in ("tcp", "tls") or not host_and_port(endpoint)[1]:
         return None
     said: list[str | UnknownHostError | None] = []
-    # A name that nobody knows may be looked for during half a minute.
+    # The resolver may search for an unknown name for half a minute.
     known = threading.Event()
     probe = start_unjoined("probe", lambda: said.append(_probe(endpoint, found, file, known)))
     probe.join(_NAME_S + 2 * PROBE_S)
     answer = said[0] if said else None
     if not said and not known.is_set():
         host = one_line(host_and_port(endpoint)[0])
-        answer = UnknownHostError(f"no address is known for {host!r}: the name service is silent")
+        answer = UnknownHostError(f"no address is known for {host!r}: the name server is silent")
     if isinstance(answer, UnknownHostError):
         raise answer
     return answer
@@ -97,8 +97,8 @@ def _probe(
             if protocol(endpoint) == "tcp":
                 return _NOT_TAKEN_IN.format(file=file)
             return _tls_refusal(plain, host, endpoint, found, file)
-    except (socket.gaierror, UnicodeError) as error:  # UnicodeError: a label no name may have
-        why = getattr(error, "strerror", None) or "no such name can be"
+    except (socket.gaierror, UnicodeError) as error:  # UnicodeError: not a valid host name
+        why = getattr(error, "strerror", None) or "not a valid host name"
         return UnknownHostError(f"no address is known for {one_line(host)!r} ({one_line(why)})")
     except OSError:
         return None
@@ -115,7 +115,7 @@ def _tls_refusal(
         return f"its certificates cannot be used: {one_line(error)}"
     try:
         with context.wrap_socket(plain, server_hostname=host) as secure:
-            # Under TLS 1.3 our certificate is judged when we are through with the handshake.
+            # With TLS 1.3 the server checks our certificate after our side of the handshake.
             secure.recv(1)
     except ssl.SSLCertVerificationError as error:
         if error.verify_code in _OUT_OF_DATE:
@@ -133,13 +133,13 @@ def _tls_refusal(
         if reason in _NO_TLS:
             return "it does not speak TLS: give its endpoint as tcp/…"
         return f"TLS is not agreed on ({one_line(reason or error)})"
-    except OSError:  # it says nothing, as a Zenoh that waits for us does, or hangs up
+    except OSError:  # no answer yet, as from a Zenoh that waits for us, or connection closed
         pass
     return _NOT_TAKEN_IN_TLS.format(file=file)
 
 
 def _context(endpoint: str, found: zenoh.Config) -> ssl.SSLContext:
-    """As Zenoh would have it; what the endpoint itself says counts more than the file."""
+    """Return the TLS context Zenoh would use. The endpoint's own parameters override the file."""
     said = parameters(endpoint)
 
     def setting(key: str, parameter: str) -> object:

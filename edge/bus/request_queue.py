@@ -1,12 +1,15 @@
-"""Requests on their way to the loop, whichever transport brought them; JSON in, JSON out.
+"""Queue of requests to the loop, independent of the transport; JSON in, JSON out.
 
-One thread prepares requests that take a while to understand. The loop only looks into two lanes,
-so neither a slow preparation nor a slow client holds up the robot.
+There are two lanes. Requests in the first need no preparation. Requests in the second are prepared
+by a thread first, for example translated. The loop only polls the lanes, so neither a slow
+preparation nor a slow client blocks the robot.
 
-Nobody tells whose a query is, so a flood is limited by what it asks for, not by who asks:
-requests that need no preparation pass all others, equal ones are one for the loop, and those that
-stop the robot always find a place. These also end whatever was asked for before and is still to be
-prepared or begun: once a stop was answered, only a later request sets the robot going.
+The sender of a query is unknown, so a flood is limited by content, not by sender:
+
+- Requests of the first lane are served before those of the second.
+- Equal requests are merged: the loop handles them once.
+- A request that stops the robot always finds a place, at the end of the first lane. It also refuses
+  all requests in the second lane: after the answer to a stop, only a later request moves the robot.
 """
 
 from __future__ import annotations
@@ -26,12 +29,12 @@ log = logging.getLogger("edge.bus.request_queue")
 MAX_BYTES = 65536
 PATIENCE_S = 2.0
 
-_SERVED = 12  # a look of the loop: more than wait in the first lane
-_WAITING_NEW = 2  # to be prepared, besides the one that is being worked on
+_SERVED = 12  # requests a poll of the loop: more than fit into the first lane
+_WAITING_NEW = 2  # requests that wait for preparation, besides the one in preparation
 _WAITING = 8  # requests in each lane
-_SAME = 256  # queries of one request, which may take minutes to prepare
+_SAME = 256  # queries merged into one request, whose preparation may take minutes
 _BUSY = "busy with other requests; try again later"
-_STOPPED = "stopped meanwhile: give it again"
+_STOPPED = "cancelled by a stop request that came later: send it again"
 _STOPPING = "the service is stopping"
 
 
@@ -40,8 +43,8 @@ class Query:
     """One query of a client.
 
     Attributes:
-        reply: sends the answer, or with True an error; called once, by any thread. Never blocks.
-        until_s: when the client has waited long enough.
+        reply: called once with (payload, is_error), from any thread. Must not block.
+        until_s: monotonic time at which the client has waited long enough.
     """
 
     reply: Callable[[bytes, bool], None]
@@ -49,13 +52,13 @@ class Query:
 
 
 class RequestQueue:
-    """Takes requests until it is closed.
+    """Accepts requests until it is closed.
 
     Args:
-        name: of the thread that prepares.
-        verbs: what can be asked for.
-        handle: does what a request asks for, at the loop's time; called by `serve`. Returns the
-            answer; raises UserError to refuse and change nothing.
+        name: prefix of the name of the preparation thread.
+        verbs: the known requests, by name.
+        handle: carries out a request at the loop's time in nanoseconds; called by `serve`. Returns
+            the answer. Raises UserError to refuse the request and change nothing.
         patience_s: how long the loop may take to answer.
     """
 
@@ -68,10 +71,10 @@ class RequestQueue:
     ) -> None:
         self._verbs, self._handle = verbs, handle
         self._patience_s = patience_s
-        self._lock = threading.Lock()  # for the two lanes and what is open
+        self._lock = threading.Lock()  # for both lanes and the open queries
         self._to_prepare = threading.Condition(self._lock)
         self._first: list[Request] = []
-        self._second: list[Request] = []  # prepared, or to be prepared
+        self._second: list[Request] = []  # prepared, or waiting for preparation
         self._open: set[Query] = set()
         self._polled_s = -math.inf
         self._closed = False
@@ -80,17 +83,19 @@ class RequestQueue:
         )
         self._thread.start()
 
-    # -- for the loop --------------------------------------------------------------------------
+    # -- called by the loop --------------------------------------------------------------------
 
     def serve(self, now_ns: int) -> int:
-        """Do what waits, for one look: a few, of which one was prepared, since a new mission takes
-        a while to begin. For the loop: never blocks.
+        """Handle waiting requests; called by the loop, never blocks.
+
+        At most one prepared request is handled per call, since a new mission takes a while to
+        start.
 
         Returns:
-            How many there were.
+            The number of requests that were handled.
 
         Raises:
-            Exception: a handler failed; who asked was told.
+            Exception: a handler failed; its clients got an error.
         """
         for served in range(_SERVED):
             if (request := self.poll()) is None:
@@ -107,7 +112,7 @@ class RequestQueue:
         return _SERVED
 
     def poll(self) -> Request | None:
-        """The next request, if there is one; a prepared one when no other waits."""
+        """Return the next ready request, or None. The first lane comes before the second."""
         self._polled_s = time.monotonic()
         if not self._first and not self._second:
             return None
@@ -117,13 +122,13 @@ class RequestQueue:
                     return lane.pop(0)
         return None
 
-    # -- for those who bring queries -----------------------------------------------------------
+    # -- called by transports ------------------------------------------------------------------
 
     def take(self, payload: bytes, reply: Callable[[bytes, bool], None]) -> None:
-        """One query; it is answered once, whatever becomes of it.
+        """Accept one query. It is answered exactly once in every case.
 
         Args:
-            payload: JSON, of at most `MAX_BYTES`.
+            payload: JSON, at most `MAX_BYTES`.
             reply: see `Query`.
         """
         query = Query(reply)
@@ -154,7 +159,7 @@ class RequestQueue:
             self._finish((query,), error_of(_BUSY), True)
 
     def give_up(self) -> None:
-        """Tell those who have waited long enough; for a thread that comes by now and then."""
+        """Answer queries that have waited too long with an error; call this periodically."""
         now_s, waiting = time.monotonic(), set[Query]()
         with self._lock:
             late = {query for query in self._open if now_s >= query.until_s}
@@ -165,15 +170,15 @@ class RequestQueue:
                 lane[:] = [request for request in lane if request.queries]
             polled_s = self._polled_s
         limit = f"within {self._patience_s:g} s"
-        why = f"the loop is not running: not taken {limit}"
+        why = f"the loop is not running: request not handled {limit}"
         if now_s - polled_s < self._patience_s:
-            why = f"busy with other requests: not taken {limit}; try again later"
+            why = f"busy with other requests: not handled {limit}; try again later"
         self._finish(waiting, error_of(why), True)
-        taken = f"taken, but not answered {limit}; ask for the status"
+        taken = f"request accepted, but not answered {limit}; ask for the status"
         self._finish(late - waiting, error_of(taken), True)
 
     def close(self) -> None:
-        """Refuse what is open, and whatever still comes; waits for nothing."""
+        """Refuse all open and future queries; does not wait."""
         with self._lock:
             self._closed = True
             left = tuple(self._open)
@@ -181,16 +186,16 @@ class RequestQueue:
         self._finish(left, error_of(_STOPPING), True)
 
     def join(self, timeout_s: float) -> None:
-        """Wait for the thread that prepares, once closed; one that goes on is abandoned."""
+        """Wait for the preparation thread after `close`; after the timeout it is abandoned."""
         self._thread.join(timeout_s)
 
     def _place(self, do: str, fields: dict) -> Request | None:
-        """The request that a query joins, or a new one in its lane; None: too many wait.
+        """Return the request that a query joins, or a new one in its lane; None if it is full.
 
-        A query joins the last request, if that asks for the same, however far it is. It passes no
-        other, or the other would have the last word. Only what stops the robot joins an equal one
-        even past other stops, so however many come, only few of them wait, and none is ever turned
-        away.
+        A query joins the last request of its lane if both are equal. It does not pass a different
+        request, or that one would take effect last. A request that stops the robot may pass other
+        stops and requests that only read. So few stops wait however many arrive, and a stop is
+        never refused.
         """
         verb = self._verbs[do]
         lane = self._first if verb.prepare is None else self._second
@@ -207,28 +212,28 @@ class RequestQueue:
         return lane[-1]
 
     def _finish(self, queries: Iterable[Query], reply: bytes, is_error: bool) -> None:
-        """See `edge.bus.verbs.Finish`."""
+        """Send a reply to each query that has none yet; see `edge.bus.verbs.Finish`."""
         with self._lock:
             finished = self._open.intersection(queries)
             self._open -= finished
         for query in finished:
             query.reply(reply, is_error)
 
-    # -- the thread that prepares. What it works on may be overtaken, and its queries refused. Then
-    # what follows changes nothing: it is in no lane, and a query's first answer counts.
+    # -- preparation thread. A stop may refuse the request in preparation. Its result then has no
+    # effect: the request is in no lane, and only a query's first answer counts.
 
     def _prepare_all(self) -> None:
         while (request := self._wait_for_work()) is not None:
             self._prepare(request)
 
     def _wait_for_work(self) -> Request | None:
-        """The next request to prepare; None when the queue is closed."""
+        """Wait for the next request to prepare; None if the queue is closed."""
         with self._to_prepare:
             self._to_prepare.wait_for(lambda: self._closed or self._unready())
             return None if self._closed else self._unready()[0]
 
     def _unready(self) -> list[Request]:
-        """Requests to prepare: the first is worked on, others wait for that."""
+        """Return the requests that need preparation; the first is in preparation."""
         return [request for request in self._second if not request.ready]
 
     def _prepare(self, request: Request) -> None:

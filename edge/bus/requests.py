@@ -1,8 +1,8 @@
-"""Requests to the running service over Zenoh: JSON in, one answer out, nobody waits.
+"""Server of requests to the running service over Zenoh: JSON in, one JSON answer out.
 
-A server is a queryable: `{"do": VERB, …}` comes in, a JSON object or an error
-`{"error": <one line>}` goes out, for every query. One thread receives and keeps time, a few send
-the answers; between them is a `RequestQueue`, which others may bring queries to as well.
+The server is a queryable. A query is `{"do": VERB, …}`; the answer is a JSON object, or the error
+`{"error": <one line>}`. One thread receives queries and checks timeouts, a few threads send the
+answers. Between them is a `RequestQueue`, which also accepts queries from other transports.
 """
 
 from __future__ import annotations
@@ -23,21 +23,24 @@ from edge.bus.verbs import Request, Verb, error_of
 
 log = logging.getLogger("edge.bus.requests")
 
-_ARRIVED = 1024  # kept by Zenoh until as many before them are received: 6,400 a second
-_A_LOOK = 128
+_ARRIVED = 1024  # queries that Zenoh buffers: enough for 6,400 a second
+_MOST_PER_POLL = 128
 _RECEIVE_S = 0.02
 _SENDERS = 4
 
 
 class RequestServer:
-    """Takes requests until it is closed.
+    """Accepts requests over Zenoh until it is closed.
 
     Args:
-        key: of the queryable.
-        verbs, handle, patience_s: see `RequestQueue`.
+        session: an open session.
+        key: key of the queryable.
+        verbs: see `RequestQueue`.
+        handle: see `RequestQueue`.
+        patience_s: see `RequestQueue`.
 
     Attributes:
-        queue: what is asked for; the same for whoever else brings queries.
+        queue: the queue of requests; other transports may add queries to it.
     """
 
     def __init__(
@@ -54,9 +57,9 @@ class RequestServer:
         self._replies: queue.SimpleQueue[tuple[zenoh.Query, bytes, bool] | None]
         self._replies = queue.SimpleQueue()
         self._closing = threading.Event()
-        # A ring lets the oldest go when it is full; a FIFO would block the session.
+        # A full ring drops the oldest query; a full FIFO would block the session.
         self._ring = QueryRing(session, key, _ARRIVED)
-        self._looked: deque[zenoh.Query] = deque()  # taken from the ring, and yet to be received
+        self._polled: deque[zenoh.Query] = deque()  # taken from the ring, not handled yet
         tasks = [self._receive_all, *[self._send_all] * _SENDERS]
         self._threads = [
             threading.Thread(target=task, name=f"{key}{task.__name__}", daemon=True)
@@ -67,23 +70,22 @@ class RequestServer:
 
     @property
     def overruns(self) -> int:
-        """Looks that found more queries come than are received, so that some may have been let go
-        unanswered (see `Ring.overruns`)."""
+        """Number of polls at which the ring was full, so queries may be lost (`Ring.overruns`)."""
         return self._ring.overruns
 
     def close(self, timeout_s: float = 1.0) -> None:
-        """Refuse what is open and take nothing more; a preparation that goes on is abandoned."""
+        """Refuse open queries and accept no more; a running preparation is abandoned."""
         self._closing.set()
         until_s = time.monotonic() + timeout_s
         for thread in (*self._threads, self.queue):
             thread.join(max(until_s - time.monotonic(), 0.0))
 
-    # The thread that receives.
+    # -- the receiving thread
 
     def _receive_all(self) -> None:
         try:
             while not self._closing.wait(_RECEIVE_S):
-                for query in self._arrived(_A_LOOK):
+                for query in self._arrived(_MOST_PER_POLL):
                     self._receive(query)
                 self.queue.give_up()
             self.queue.close()
@@ -91,7 +93,9 @@ class RequestServer:
                 self._receive(query)
             self._ring.close()
         except zenoh.ZError as error:
-            log.warning("no more requests are taken, the session is closed: %s", _reason(error))
+            log.warning(
+                "requests are no longer accepted, the session is closed: %s", _reason(error)
+            )
         finally:
             self._closing.set()
             self.queue.close()
@@ -100,11 +104,11 @@ class RequestServer:
 
     def _arrived(self, most: int) -> Iterator[zenoh.Query]:
         for _ in range(most):
-            if not self._looked:
-                self._looked.extend(self._ring.take())
-            if not self._looked:
+            if not self._polled:
+                self._polled.extend(self._ring.take())
+            if not self._polled:
                 return
-            yield self._looked.popleft()
+            yield self._polled.popleft()
 
     def _receive(self, query: zenoh.Query) -> None:
         reply = partial(self._reply, query)
@@ -118,14 +122,14 @@ class RequestServer:
     def _reply(self, query: zenoh.Query, reply: bytes, is_error: bool) -> None:
         self._replies.put((query, reply, is_error))
 
-    # The others: one that answers a stopped client waits until Zenoh lets that one go.
+    # -- the sending threads. Several, because a reply to a stopped client blocks its thread.
 
     def _send_all(self) -> None:
         while (entry := self._replies.get()) is not None:
             self._send(*entry)
 
     def _send(self, query: zenoh.Query, reply: bytes, is_error: bool) -> None:
-        """Reply and let the query go, or its client would wait on."""
+        """Send a reply and release the query; otherwise its client would wait on."""
         try:
             with query as asked:
                 if is_error:
@@ -137,15 +141,15 @@ class RequestServer:
 
 
 def _payload(query: zenoh.Query) -> bytes:
-    """What a query says; ValueError when that is nothing, or too much."""
+    """Return a query's payload; raise ValueError if it is empty or too long."""
     payload = query.payload
     if payload is None or not len(payload):
         raise ValueError("no payload: expected a JSON object")
     if len(payload) > MAX_BYTES:
-        raise ValueError(f"{len(payload)} bytes, at most {MAX_BYTES} are taken")
+        raise ValueError(f"{len(payload)} bytes, at most {MAX_BYTES} are allowed")
     return payload.to_bytes()
 
 
 def _reason(error: zenoh.ZError) -> str:
-    """Without the place in Zenoh's source."""
+    """Return Zenoh's error text without the location in its source."""
     return str(error).split(" at /")[0]

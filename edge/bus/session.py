@@ -1,10 +1,10 @@
-"""Opening a Zenoh session as this project's processes want it.
+"""Zenoh sessions with this project's settings.
 
-The service listens, everything else connects to it as a client: a listening peer passes messages
-on between its clients, never between peers, so the simulator hears the controller only this way.
-Multicast discovery is off: it is not to be relied on in containers and closed networks. A
-connector that finds nobody, or is refused, keeps trying, for ever. It gives up after `HOST_S` if no
-address is known for the endpoint's host.
+The service listens; all other processes connect to it as clients. A listening peer forwards
+messages between its clients, but never between peers, so only this way does the simulator receive
+the controller's messages. Multicast discovery is off: it is unreliable in containers and closed
+networks. A client that finds no server, or is refused, retries forever. It gives up after `HOST_S`
+if the endpoint's host name cannot be resolved.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ log = logging.getLogger("edge.bus.session")
 
 CLOSE_S = 2.0
 HOST_S = 30.0
-"""A computer that is just starting may have no name service yet."""
+"""Timeout for name resolution: a computer that is just booting may have no name server yet."""
 OPEN = "{} is open: whoever reaches it may command the robot; see docs/security.md"
-SHUT = "access_control allows nothing below {}/ (zenoh.prefix): nobody is heard or told anything"
+SHUT = "access_control allows no key below {}/ (zenoh.prefix): no message can be sent or received"
 ENVELOPE_BYTES = 65536
-"""More than Zenoh puts around a message: its key, an attachment, what it was sent with."""
+"""More than Zenoh adds to a message: key, attachment and options."""
 
 _PAUSE_S = 0.2
 _NO_CONFIGURATION = ",zenoh::api::session=info,zenoh::net::runtime::orchestrator=info"
@@ -52,10 +52,10 @@ _NOBODY = "Unable to connect to any of"
 
 Role = Literal["listen", "connect", "route"]
 
-# With a `BLOCK` message Zenoh waits, for up to 5 s, until its slowest receiver takes it. So does
-# the session that passes it on between its clients, and its two receiving threads serve them all:
-# one stopped viewer would make it deaf. Outside lockstep no topic may block. `DROP` leaves out only
-# the receiver that is behind; what must arrive is sent again by whoever publishes it.
+# A `BLOCK` message waits up to 5 s for its slowest receiver. The session that forwards messages
+# between its clients waits as well, and its two receiving threads serve all of them: one stopped
+# viewer would block everything. So outside lockstep no topic may block. `DROP` only skips a
+# receiver that is slow; if a message must arrive, its publisher repeats it.
 _URGENT: dict = {
     "reliability": zenoh.Reliability.RELIABLE,
     "priority": zenoh.Priority.INTERACTIVE_HIGH,
@@ -74,15 +74,15 @@ _QOS: dict[Qos, dict] = {
 
 
 class BusError(UnavailableError):
-    """No session: one line that says which endpoint, why, and what to do."""
+    """No session; the message is one line with the endpoint, the reason and what to do."""
 
 
 class NotTakenIn(Stopped):
-    """Told to stop while there was no session yet.
+    """`stop` was set before there was a session.
 
     Attributes:
-        refused: why whoever is at the endpoint takes no session; None: nobody was there.
-        unknown: why no address is known for the endpoint's host; None: one is known.
+        refused: why the server at the endpoint refuses the session; None: no server was there.
+        unknown: why the endpoint's host cannot be resolved; None: it can.
     """
 
     def __init__(self, address: str, refused: str | None, unknown: str | None = None) -> None:
@@ -94,22 +94,24 @@ class NotTakenIn(Stopped):
 def session_config(
     settings: config.Zenoh, role: Role, exact: bool = False, most_bytes: int | None = None
 ) -> zenoh.Config:
-    """The Zenoh configuration of a process that plays `role`: Zenoh's own file, and our settings
-    over it (see `edge.bus.zenoh_file`).
+    """Return the Zenoh configuration of a process: Zenoh's own file, then our settings over it.
 
-    With `mode: client` nobody listens: all connect to a router that runs elsewhere, or in a process
-    that plays `route`.
+    See `edge.bus.zenoh_file`. With `mode: client` no process of role `listen` listens: all connect
+    to a router that runs elsewhere, or to a process with role `route`.
 
-    Whoever takes nothing for a second, while something waits for it that must not be dropped
-    (an answer to a request, or what another's peer publishes so), is let go; a client comes back by
-    itself. Where it must be `exact`, Zenoh's 5 s are left.
+    A peer that accepts nothing for a second while a message waits that must not be dropped (an
+    answer to a request, or another peer's blocking message) is disconnected; a client reconnects by
+    itself.
 
     Args:
+        settings: `zenoh` of the configuration.
+        role: `listen`, `connect` or `route`.
+        exact: keep Zenoh's own limit of 5 s instead of one second.
         most_bytes: see `edge.bus.zenoh_file.lay_over`.
 
     Raises:
-        ConfigError: the file cannot be read, or says another mode.
-        BusError: the endpoint is none.
+        ConfigError: the file cannot be read, or has another mode.
+        BusError: the endpoint is invalid.
     """
     if (fault := fault_of(settings.endpoint)) is not None:
         raise BusError(_explain(settings.address, role, fault))
@@ -128,11 +130,11 @@ def session_config(
 
 
 def check_settings(settings: config.Zenoh, role: Role) -> None:
-    """Refuse settings that no session could be opened with, whoever is at the endpoint.
+    """Raise an error for settings that can never open a session.
 
     Raises:
-        ConfigError, BusError: see `session_config`; a file with a certificate or a password cannot
-            be read.
+        ConfigError: see `session_config`.
+        BusError: see `session_config`; or a file with a certificate or password cannot be read.
     """
     found = session_config(settings, role)
     if (lacks := unreadable(found, listens=bool(get(found, "listen/endpoints")))) is not None:
@@ -140,7 +142,7 @@ def check_settings(settings: config.Zenoh, role: Role) -> None:
 
 
 def zenoh_file_of(settings: config.Zenoh, role: Role) -> tuple[str, str | None]:
-    """The key that names the Zenoh configuration file of a role, and the file, if there is one."""
+    """Return the key that names a role's Zenoh configuration file, and the file or None."""
     if role != "connect" or settings.client_file is None:
         return "zenoh.file", settings.file
     return "zenoh.client_file", settings.client_file
@@ -155,26 +157,27 @@ def zenoh_session(
     most_bytes: int | None = None,
     tell: Callable[[str], None] = lambda what: None,
 ) -> Iterator[zenoh.Session]:
-    """A session as from `open_session`, closed at exit however its peers do.
+    """Open a session as `open_session` does, and close it at exit in limited time.
 
-    For a peer that takes nothing, Zenoh's closing waits up to 12 s (it flushes, then lingers).
-    After `CLOSE_S` it goes on in a thread, which nobody waits for (`edge.host.interruptible`).
+    If a peer accepts no data, Zenoh needs up to 12 s to close (it flushes, then lingers). After
+    `CLOSE_S` closing continues in a thread that is not joined (`edge.host.interruptible`).
     """
     opened = open_session(settings, role, stop, exact, most_bytes, tell)
     try:
         yield opened
     finally:
-        if sys.is_finalizing():  # whoever opened it never left: no thread would begin any more
+        if sys.is_finalizing():  # the context was never left; no thread can start any more
             _close(opened)
         else:
             closing = start_unjoined("zenoh-close", _close, opened)
             closing.join(CLOSE_S)
             if closing.is_alive():
-                log.warning("a peer at %s takes nothing: not waited for", settings.address)
+                log.warning("zenoh: a peer at %s accepts no data: closing without it",
+                            settings.address)  # fmt: skip
 
 
 def _close(opened: zenoh.Session) -> None:
-    with suppress(zenoh.ZError):  # it took longer than Zenoh's own limit
+    with suppress(zenoh.ZError):  # closing took longer than Zenoh's own limit
         opened.close()
 
 
@@ -186,20 +189,23 @@ def open_session(
     most_bytes: int | None = None,
     tell: Callable[[str], None] = lambda what: None,
 ) -> zenoh.Session:
-    """A session; the caller closes it (an unclosed one can hang the process's exit).
+    """Open a session; the caller closes it (an unclosed session can hang the process's exit).
 
-    Who connects waits here until there is somebody to connect to; a session that lost its peer
-    finds it again by itself. Zenoh's own waiting cannot be interrupted, so it is done in short
-    attempts, between which signals are heard.
+    A client waits here until a server answers. A session that loses its peer reconnects by itself.
+    Zenoh's own waiting cannot be interrupted, so this function makes short attempts and handles
+    signals between them.
 
     Args:
-        stop: gives up waiting when it is set.
-        exact, most_bytes: see `session_config`.
-        tell: is told again and again what is waited for.
+        settings: `zenoh` of the configuration.
+        role: `listen`, `connect` or `route`.
+        stop: stops waiting when it is set.
+        exact: see `session_config`.
+        most_bytes: see `session_config`.
+        tell: called after each failed attempt with a line that describes the wait.
 
     Raises:
         ConfigError: Zenoh's own file cannot be used.
-        BusError: the endpoint is taken or is no endpoint, or no address is known for its host.
+        BusError: the endpoint is in use or invalid, or its host cannot be resolved.
         NotTakenIn: `stop` was set.
     """
     _init_zenoh_log()
@@ -210,9 +216,9 @@ def open_session(
         log.warning("zenoh.endpoint: %s", OPEN.format(address))
     if role != "route" and shuts_all_out(found, settings.prefix):
         log.warning("%s: %s", key, SHUT.format(settings.prefix))
-    told: set[str | None] = set()
+    logged: set[str | None] = set()
     before: str | None = None
-    known_s = time.monotonic()  # when the host's name was last known
+    known_s = time.monotonic()  # when the host name was last resolved
     while True:
         try:
             return zenoh.open(found)
@@ -227,19 +233,19 @@ def open_session(
             known_s = time.monotonic()
         except UnknownHostError as error:
             unknown = str(error)
-        level, what = logging.WARNING, f"refused at {settings.address}: {refused}; trying on"
+        level, what = logging.WARNING, f"refused at {settings.address}: {refused}; trying again"
         if unknown is not None:
             what = f"zenoh.endpoint: {settings.address}: {unknown}"
             if time.monotonic() - known_s >= HOST_S:
-                raise BusError(f"{what}; correct it, or give an address")
+                raise BusError(f"{what}; correct the name, or give an address")
             what += f"; trying for {HOST_S:g} s"
         elif refused is None:
-            level, what = logging.INFO, f"waiting for somebody at {settings.address}"
+            level, what = logging.INFO, f"waiting for a server at {settings.address}"
         tell(what)
-        # Who is just starting, or busy, refuses once.
+        # Log a reason only the second time: a server that starts or is busy refuses once.
         why = unknown or refused
-        if why not in told and why == before:
-            told.add(why)
+        if why not in logged and why == before:
+            logged.add(why)
             log.log(level, what)
         before = why
         if stop.wait(_PAUSE_S):
@@ -249,29 +255,29 @@ def open_session(
 def declare_publisher(
     session: zenoh.Session, topic: Topic, settings: config.Zenoh
 ) -> zenoh.Publisher:
-    """A publisher with the congestion control, reliability and priority of the topic's QoS."""
+    """Declare a publisher with the congestion control, reliability and priority of the topic."""
     return session.declare_publisher(settings.key(topic.key), **_QOS[topic.qos])
 
 
 def _init_zenoh_log() -> None:
-    """Let Zenoh log as `RUST_LOG` says, but not its configuration: that may hold a password."""
+    """Let Zenoh log as `RUST_LOG` says, except its configuration, which may hold a password."""
     if (asked := os.environ.get("RUST_LOG")) and not asked.endswith(_NO_CONFIGURATION):
         os.environ["RUST_LOG"] = asked + _NO_CONFIGURATION
     zenoh.try_init_log_from_env()
 
 
 class Ring:
-    """The newest messages of one key, for one thread, which takes a ring's worth a look.
-
-    Until the ring is empty would be for ever where somebody sends faster than they are taken.
+    """The newest messages of one key, for one thread, which polls.
 
     Args:
-        kept: messages that wait between two looks; the oldest is let go when one more comes.
+        session: an open session.
+        key: key expression.
+        kept: capacity, and the most messages one poll returns. A full ring drops the oldest.
 
     Attributes:
-        overruns: looks that found the ring full once more. How many messages it had let go by
-            then, or still has, nobody knows. Full once is whoever looks, late or just begun; and a
-            ring of one is for what says the same again and again, of which none is missed.
+        overruns: polls that found the ring full, after a poll that found it full as well. The
+            number of lost messages is unknown. A single full poll is normal after a late poll or at
+            the start. Always 0 for a ring of one, which is for topics whose last message is enough.
     """
 
     def __init__(self, session: zenoh.Session, key: str, kept: int) -> None:
@@ -281,8 +287,9 @@ class Ring:
         self._arriving = self._declare(session, key, zenoh.handlers.RingChannel(kept))
 
     def take(self) -> list[zenoh.Sample]:
-        """What came since the last look, oldest first, `kept` at most; the rest can wait."""
+        """Return the messages since the last poll, oldest first; at most `kept`."""
         samples: list[zenoh.Sample] = []
+        # Not until the ring is empty: with a fast sender that would never end.
         while len(samples) < self._kept:
             if (sample := self._arriving.try_recv()) is None:
                 break
@@ -303,12 +310,12 @@ class Ring:
     def _overrun(self) -> None:
         self.overruns += 1
         if self.overruns == 1:
-            log.warning("%s: messages come faster than they are taken: %d a look, others are lost "
-                        "(further such looks are only counted)", self._key, self._kept)  # fmt: skip
+            log.warning("%s: messages arrive faster than they are read: %d a poll, others are lost "
+                        "(further such polls are only counted)", self._key, self._kept)  # fmt: skip
 
 
 class QueryRing(Ring):
-    """The same for the queries of one key; one that is let go ends without an answer."""
+    """A ring of the queries of one key; a dropped query ends without an answer."""
 
     def _declare(
         self, session: zenoh.Session, key: str, ring: zenoh.handlers.RingChannel
@@ -320,7 +327,7 @@ def _explain(address: str, role: Role, reason: str) -> str:
     if "already in use" in reason:
         return (
             f"zenoh.endpoint: {address} is in use: another service runs there; "
-            "stop it, or give this one another port"
+            "stop it, or set another port for this one"
         )
     cause = reason.split('msg: "')[-1].split(" at /")[0].strip("[ ")
     return f"zenoh.endpoint: cannot {role} to {address}: {one_line(without_secrets(cause))}"

@@ -1,6 +1,6 @@
-"""Every topic that the service, the simulator and the controller read or write over Zenoh.
+"""Table of all topics that the service, the simulator and the controller use over Zenoh.
 
-`edge.config.Zenoh.key` gives the key of each, below the prefix and as the configuration renames it.
+`edge.config.Zenoh.key` returns the full key of a topic: below the prefix, renamed as configured.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ class Topic:
     """One topic.
 
     Attributes:
-        key: its name, and its key below the prefix where the configuration says nothing else.
+        key: its name, and by default its key below the prefix.
         type: ROS 2 message (CDR), or `json`.
-        qos: `drop`: best effort, newest wins; `urgent`: goes ahead of these, and is sent again
-            until it is answered or out of date; `block`: none may be lost, whoever puts it waits,
-            which only lockstep may, where time stands still meanwhile.
+        qos: `drop`: best effort, the newest message wins. `urgent`: higher priority; the publisher
+            repeats it until it is acknowledged or outdated. `block`: no message is lost and the
+            publisher waits; only for lockstep, where simulated time stands still.
         rate_hz: the usual rate; 0 = on events.
-        writer: who publishes it; what only a `simulator` knows is truth, which no robot has.
+        writer: the process that publishes it. A topic of `simulator` is ground truth, which no
+            real robot has.
     """
 
     key: str
@@ -39,7 +40,7 @@ CLOUD = Topic("lidar/points", "sensor_msgs/PointCloud2", "drop", 10, "sensors")
 SCAN = Topic("lidar/scan", "sensor_msgs/LaserScan", "drop", 10, "sensors")
 ODOMETRY = Topic("odom", "nav_msgs/Odometry", "drop", 60, "sensors")
 
-# Of the robot; of what each picture shows (uint16, 0 = structure); and the label of id i at i - 1.
+# The robot's true state; object ids per pixel (uint16, 0 = structure); label of id i at i - 1.
 GROUND_TRUTH = Topic("sim/ground_truth", "json", "drop", 10, "simulator")
 SEGMENTATION = Topic("sim/segmentation", "sensor_msgs/Image", "drop", 30, "simulator")
 LABELS = Topic("sim/labels", "json", "drop", 1, "simulator")
@@ -55,15 +56,15 @@ TICK = Topic("tick", "json", "block", 0, "service")
 CMD_VEL = Topic("cmd_vel", "geometry_msgs/TwistStamped", "drop", 20, "controller")
 GOAL_STATUS = Topic("goal_status", "json", "urgent", 0, "controller")
 
-# Not topics but queryables: requests about the mission, the perception's model, and places and
-# zones, JSON both ways (see `edge.loop.requests`, `edge.loop.site_requests`).
+# Not topics but queryables: requests about the mission, the models, and places and zones, JSON both
+# ways (see `edge.loop.requests`, `edge.loop.site_requests`).
 MISSION_REQUEST = "mission/request"
 MODELS_REQUEST = "models/request"
 SITE_REQUEST = "site/request"
 MEMORY_REQUEST = "memory/request"
 REQUESTS = (MISSION_REQUEST, MODELS_REQUEST, SITE_REQUEST, MEMORY_REQUEST)
 
-# Nor is this one: below it lies the liveliness token of the service (see `edge.bus.presence`).
+# Not a topic: the service's liveliness token is below this key (see `edge.bus.presence`).
 ALIVE = "alive"
 
 ALL: tuple[Topic, ...] = (
@@ -72,4 +73,4 @@ ALL: tuple[Topic, ...] = (
 )  # fmt: skip
 
 PLAYED = tuple(topic for topic in ALL if topic.writer in ("sensors", "simulator"))
-"""What a robot, or the simulator in its place, sends of itself."""
+"""Topics that a robot, or the simulator in its place, publishes."""

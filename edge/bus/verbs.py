@@ -1,4 +1,4 @@
-"""What can be asked for, and a request as whoever does it sees it; knows no transport."""
+"""Verbs (kinds of requests) and requests as the loop sees them, independent of the transport."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ log = logging.getLogger(__name__)
 MAX_CHARS = 10_000
 MAX_ERROR_CHARS = 1000
 CANCELLED = "cancelled"
-"""Why a mission failed that somebody cancelled and said no more."""
+"""The reason of a failed mission that a user cancelled without giving a reason."""
 
 
 @dataclass(frozen=True)
 class Verb:
-    """One thing that can be asked for.
+    """One kind of request.
 
     Attributes:
-        fields: the names of what a request may have besides `do`.
-        read: makes the request's fields of those that came; raises ValueError, with one line.
-        prepare: for what takes a while: called with the fields on a thread of the server, one
-            request at a time; raises UserError for what cannot be done.
-        stops: it stops the robot: never refused as one too many, and whatever was to be prepared
-            before it is refused.
-        reads: it changes nothing.
+        fields: names of the fields a request may have besides `do`.
+        read: checks and converts the fields; raises ValueError with one line.
+        prepare: slow part of the work: called with the fields on a thread of the server, one
+            request at a time; raises UserError to refuse the request.
+        stops: True if it stops the robot: never refused for lack of room, and it refuses requests
+            that wait in the second lane of `RequestQueue`.
+        reads: True if it changes nothing.
     """
 
     fields: tuple[str, ...] = ()
@@ -41,40 +41,40 @@ class Verb:
 
 
 def read_request(payload: bytes, verbs: Mapping[str, Verb]) -> tuple[str, dict]:
-    """A request's verb and its fields.
+    """Return the verb and the fields of a request.
 
     Raises:
-        ValueError: with one line that says what is wrong.
+        ValueError: with one line that names the fault.
     """
     data = read_json_object(payload)
     do = data.pop("do", None)
     if not isinstance(do, str) or do not in verbs:
         raise ValueError(f"do: unknown {shown(do)} (choices: {', '.join(verbs)})")
     if unknown := sorted(data.keys() - set(verbs[do].fields)):
-        raise ValueError(f"{bounded_repr(unknown[0], 40)}: not taken with do: {do}")
+        raise ValueError(f"{bounded_repr(unknown[0], 40)}: not allowed with do: {do}")
     return do, verbs[do].read(data)
 
 
 def check_text(name: str, text: object, limit: int = MAX_CHARS) -> str:
-    """A request's text as it came.
+    """Return a text field unchanged.
 
     Raises:
-        ValueError: it is not text, says nothing, or is longer than `limit` characters.
+        ValueError: it is not a string, blank, not Unicode, or longer than `limit` characters.
     """
     if not isinstance(text, str) or not text.strip():
         raise ValueError(f"{name}: expected text, got {shown(text)}")
     if len(text) > limit:
-        raise ValueError(f"{name}: {len(text)} characters, at most {limit} are taken")
+        raise ValueError(f"{name}: {len(text)} characters, at most {limit} are allowed")
     if any("\ud800" <= c <= "\udfff" for c in text):
         raise ValueError(f"{name}: not Unicode text")
     return text
 
 
 def check_flag(name: str, fields: Mapping[str, object]) -> bool:
-    """A request's flag; false where there is none.
+    """Return a boolean field; False if it is absent.
 
     Raises:
-        ValueError: it is neither true nor false.
+        ValueError: it is not a boolean.
     """
     flag = fields.get(name, False)
     if not isinstance(flag, bool):
@@ -83,24 +83,27 @@ def check_flag(name: str, fields: Mapping[str, object]) -> bool:
 
 
 def shown(value: object) -> str:
-    """For a message; what is nested is not shown, since it may be nested very deep."""
+    """Format a value for a message. Containers are not shown, as they may be nested deeply."""
     plain = value is None or isinstance(value, (str, int, float))
     return bounded_repr(value, 40) if plain else f"a {type(value).__name__}"
 
 
 Finish = Callable[[Iterable[Any], bytes, bool], None]
-"""Sends a reply, or an error, to each of these queries that has none yet. Never blocks."""
+"""Sends a reply (True: an error) to each query that has none yet. Must not block."""
 
 
 @dataclass(eq=False)
 class Request:
-    """What the loop does once, for all who asked for it one after the other.
+    """One request for the loop, merged from all equal queries.
 
     Attributes:
-        queries: of those, as their server knows them.
-        prepared: what `Verb.prepare` made of it.
-        ready: for the loop.
-        overtaken: how many different requests, made before and not begun, this one stopped.
+        do: name of the verb.
+        fields: as `Verb.read` returned them.
+        finish: sends the reply to the queries.
+        queries: the merged queries, in the server's own type.
+        prepared: result of `Verb.prepare`.
+        ready: True if the loop may handle it.
+        overtaken: number of earlier requests, not yet started, that this one refused.
     """
 
     do: str
@@ -112,22 +115,24 @@ class Request:
     overtaken: int = 0
 
     def answer(self, data: dict) -> None:
-        """Send what JSON can carry (finite numbers only). Only the first call of `answer` or
-        `refuse` counts, and only within the server's patience."""
-        # Encoded here: the dict is the caller's, who may go on to change it.
+        """Send an answer of JSON types (finite numbers only).
+
+        Only the first call of `answer` or `refuse` counts, and only within the server's patience.
+        """
+        # Encode now: the caller owns the dict and may change it later.
         try:
             reply = json.dumps(data, allow_nan=False).encode()
         except (TypeError, ValueError) as error:
-            log.error("an answer to a request is not JSON: %s", error)
+            log.error("the answer to a request is not JSON: %s", error)
             self.refuse("internal error: the answer is not JSON")
         else:
             self.finish(self.queries, reply, False)
 
     def refuse(self, reason: str, details: Mapping[str, object] = MappingProxyType({})) -> None:
-        """Send an error instead; see `error_of`."""
+        """Send an error; see `error_of`."""
         self.finish(self.queries, error_of(reason, details), True)
 
 
 def error_of(reason: str, details: Mapping[str, object] = MappingProxyType({})) -> bytes:
-    """What a client is told in the place of an answer; for `details` see `UserError`."""
+    """Return the payload of an error; for `details` see `UserError`."""
     return json.dumps({"error": one_line(reason, MAX_ERROR_CHARS), **details}).encode()

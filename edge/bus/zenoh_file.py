@@ -1,16 +1,16 @@
-"""Zenoh's own configuration file, and how our settings are laid over it.
+"""Zenoh's own configuration file, and the settings that `edge` lays over it.
 
-TLS, users, access control and all else that Zenoh knows is said there, in Zenoh's words (JSON5), by
-`zenoh.file` and `zenoh.client_file`. Relative paths in it are, as Zenoh takes them, relative to the
-working directory. Files with secrets may be handed over by the service manager
-(`edge.host.credentials`), under the last word of their key, as `listen_private_key`; the service's
-file itself as `zenoh.file.json5`. Of what `edge` sets as well,
+TLS, users, access control and other Zenoh settings are in this file (JSON5, Zenoh's own keys),
+named by `zenoh.file` and `zenoh.client_file`. Relative paths in it are relative to the working
+directory, as in Zenoh. The service manager may pass copies of secret files
+(`edge.host.credentials`), named by the last part of their key, such as `listen_private_key`; the
+copy of the service's own file is `zenoh.file.json5`. For settings that `edge` sets as well:
 
-- `mode` is `zenoh.mode`'s: a file that says another is refused;
-- endpoints add up: `zenoh.endpoint` comes first, further ones of the file behind it;
-- how long a connection is tried is `edge`'s, which looks for signals meanwhile;
-- shared memory is off where either says so;
-- anything else of `edge`'s (`DEFAULTS`) stands where the file leaves Zenoh's own default.
+- `mode` comes from `zenoh.mode`: a file with another mode is refused.
+- Endpoints add up: `zenoh.endpoint` is first, those of the file follow.
+- Connection timeouts are `edge`'s, because it handles signals between attempts.
+- Shared memory is off if either says so.
+- Others of `edge` (`DEFAULTS`) apply if the file leaves Zenoh's own default.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from edge.text import one_line
 BLOCKED_S = 1.0
 TLS = "transport/link/tls"
 
-# Whoever connects and says nothing holds one of Zenoh's places for connections that are not yet
-# sessions: 100 for 10 s each, so 120 idle ones keep everybody out. These are more places, given
-# back sooner; with all sessions they stay below the 1024 descriptors that a process usually has.
+# A client that connects and stays silent holds one of Zenoh's places for pending connections: 100
+# for 10 s each, so 120 idle clients lock out everybody. Here are more places, freed sooner. Pending
+# connections and sessions together stay below 1024, the usual limit of file descriptors.
 PENDING = 512
 HANDSHAKE_MS = 2000
 SESSIONS = 128
 
 DEFAULTS: dict[str, Any] = {
     "scouting/multicast/enabled": False,
-    # A peer that gossips names places, and whoever listens to it connects there.
+    # A peer that gossips sends addresses, and each receiver connects to them.
     "scouting/gossip/enabled": False,
     "transport/unicast/accept_pending": PENDING,
     "transport/unicast/accept_timeout": HANDSHAKE_MS,
@@ -50,7 +50,7 @@ DEFAULTS: dict[str, Any] = {
 
 _BY_HOST = ("tcp", "tls", "udp", "quic", "ws")
 _OTHERWISE = ("serial", "unixsock-stream", "unixpipe", "vsock")
-"""Protocols whose addresses are hosts and ports, and the others that Zenoh has."""
+"""Protocols with addresses HOST:PORT, and the other protocols of Zenoh."""
 _HOST_PORT = re.compile(r"(\[[^][\s/]+\]|[^][\s/:]+):(?P<port>[0-9]{1,5})")
 _WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
 _MESSAGE = "transport/link/rx/max_message_size"
@@ -60,7 +60,7 @@ _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor"
 _ATTEMPT_MS = 500
 _USERS = "transport/auth/usrpwd/dictionary_file"
 _SECRETS = (f"{TLS}/listen_private_key", f"{TLS}/connect_private_key", _USERS)
-# Where one of these is said, the file itself is a secret.
+# If one of these is set, the configuration file itself is secret.
 _SECRET_WORDS = (
     "transport/auth/usrpwd/password",
     f"{TLS}/listen_private_key_base64",
@@ -71,14 +71,15 @@ _ON_THIS_MACHINE = ("unixsock-stream", "unixpipe", "serial", "vsock")
 
 
 def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
-    """What the file says; of no file, Zenoh's defaults.
+    """Return the configuration in a file; without a file, Zenoh's defaults.
 
     Args:
-        key: that names it, for errors.
+        key: the configuration key that names the file, for errors.
+        name: path of the file, or None.
 
     Raises:
-        ConfigError: it cannot be read or says what Zenoh does not know; one line, which quotes no
-            value, since it may be a password.
+        ConfigError: it cannot be read, or Zenoh rejects it. The message is one line and quotes no
+            value, since a value may be a password.
     """
     if name is None:
         return zenoh.Config()
@@ -96,7 +97,7 @@ def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
 
 
 def _own_name(key: str, name: str) -> str:
-    """Of a copy of the file itself: by its suffix Zenoh knows the format."""
+    """Return the name of a copy of the file; Zenoh knows the format by the suffix."""
     return key + os.path.splitext(name)[1]
 
 
@@ -113,16 +114,19 @@ def lay_over(
     exact: bool,
     most_bytes: int | None,
 ) -> zenoh.Config:
-    """The same, changed in place: with our settings as the module's docstring says.
+    """Change a configuration in place as the module's docstring says, and return it.
 
     Args:
+        found: Zenoh's configuration.
         mode: `peer`, `client` or `router`.
-        listens: at the endpoint, or else connects to it.
+        endpoint: `zenoh.endpoint`.
+        listens: True to listen at the endpoint, False to connect to it.
+        shared_memory: `zenoh.shared_memory`.
         exact: see `edge.bus.session.session_config`.
-        most_bytes: no longer message is put together from its fragments; None leaves Zenoh's 1 GiB.
+        most_bytes: longest fragmented message that is accepted; None keeps Zenoh's 1 GiB.
 
     Raises:
-        ConfigError: the file says another mode, or has a private key in an endpoint.
+        ConfigError: the file has another mode, or a private key in an endpoint.
     """
     says = get(found, "mode")
     if says not in (None, mode):
@@ -143,7 +147,7 @@ def lay_over(
         "listen/exit_on_failure": True,
         _SHARED_MEMORY: shared_memory and get(found, _SHARED_MEMORY),
     }
-    # Publishers that keep their last message for who comes late (`edge.bus.ros2`) want stamps.
+    # Publishers that keep their last message for late subscribers (`edge.bus.ros2`) need stamps.
     ours = DEFAULTS | {"timestamping/enabled": mode == "client"}
     if not exact:
         ours[_WAIT_BEFORE_CLOSE] = int(1e6 * BLOCKED_S)
@@ -161,10 +165,10 @@ def get(found: zenoh.Config, key: str) -> Any:
 
 
 def open_to(found: zenoh.Config) -> list[str]:
-    """The addresses where whoever reaches them may connect and say what it likes.
+    """Return the listening addresses that are open to everybody.
 
-    Those that others than this machine can reach, where neither a client's certificate nor a
-    user's password is asked for.
+    An address is open if other computers can reach it, and it requires neither a client's
+    certificate nor a user's password.
     """
     if get(found, _USERS) is not None:
         return []
@@ -181,16 +185,16 @@ def open_to(found: zenoh.Config) -> list[str]:
 
 
 def host_and_port(endpoint: str) -> tuple[str, int]:
-    """Of an endpoint such as `tls/[::1]:7447#…`; port 0 where there is none."""
+    """Split an endpoint such as `tls/[::1]:7447#…`; port 0 if there is none."""
     place = re.split(r"[?#]", endpoint.partition("/")[2], maxsplit=1)[0]
     host, _, port = place.rpartition(":")
     return host.strip("[]"), int(port) if port.isdecimal() else 0
 
 
 def fault_of(endpoint: str) -> str | None:
-    """Return what is wrong with an endpoint as it is written; None: nothing.
+    """Return the fault in an endpoint's syntax, or None.
 
-    Zenoh says so only to who listens; who connects would wait for ever.
+    Zenoh reports such faults only to a listener; a client would wait forever.
     """
     kind, slash, rest = endpoint.partition("/")
     place = re.split(r"[?#]", rest, maxsplit=1)[0]
@@ -200,7 +204,7 @@ def fault_of(endpoint: str) -> str | None:
         return f"unknown protocol {one_line(kind, 40)!r} ({', '.join((*_BY_HOST, *_OTHERWISE))})"
     found = _HOST_PORT.fullmatch(place)
     if kind in _BY_HOST and (found is None or int(found["port"]) > MOST_PORT):
-        return f"expected HOST:PORT behind {kind}/, the port from 0 to {MOST_PORT}"
+        return f"expected HOST:PORT after {kind}/, the port from 0 to {MOST_PORT}"
     return None
 
 
@@ -209,13 +213,13 @@ def protocol(endpoint: str) -> str:
 
 
 def parameters(endpoint: str) -> dict[str, str]:
-    """What an endpoint says behind `#`: `a=1;b=2`."""
+    """Return the parameters of an endpoint, after `#`: `a=1;b=2`."""
     pairs = (pair.partition("=") for pair in endpoint.partition("#")[2].split(";") if pair)
     return {name: value for name, _, value in pairs}
 
 
 def _all_of(found: zenoh.Config, key: str, mode: str) -> list[str]:
-    """Endpoints that the file names for a mode; Zenoh's defaults are none of these."""
+    """Return the endpoints of a mode that the file names, without Zenoh's defaults."""
     said = get(found, key)
     if said == get(zenoh.Config(), key):
         return []
@@ -228,16 +232,20 @@ def _once(endpoints: Sequence[str]) -> list[str]:
 
 
 def _patient_for(endpoint: str) -> str:
-    """A listening endpoint whose TLS handshakes end in time, unless it says how long they may take:
-    Zenoh's configuration file has no word for it."""
+    """Add a timeout for TLS handshakes to a listening endpoint that has none.
+
+    Zenoh's configuration file has no key for it.
+    """
     if protocol(endpoint) != "tls" or _TLS_HANDSHAKE in parameters(endpoint):
         return endpoint
     return f"{endpoint}{';' if '#' in endpoint else '#'}{_TLS_HANDSHAKE}={HANDSHAKE_MS}"
 
 
 def unreadable(found: zenoh.Config, listens: bool) -> str | None:
-    """Which file for TLS or users cannot be read, of those that who listens, or connects, needs;
-    Zenoh names none."""
+    """Return an error for the first TLS or user file that cannot be read, or None.
+
+    Only files of the role are checked (listener or client). Zenoh's own error names no file.
+    """
     keys = [f"{TLS}/root_ca_certificate"]
     if listens:
         keys += [f"{TLS}/listen_certificate", f"{TLS}/listen_private_key", _USERS]
@@ -246,22 +254,24 @@ def unreadable(found: zenoh.Config, listens: bool) -> str | None:
     for key in keys:
         path = get(found, key)
         if path is not None and not os.access(path, os.R_OK):
-            return f"{key}: {path}: no such file, or it may not be read"
+            return f"{key}: {path}: no such file, or no permission to read it"
     return None
 
 
 def certificates(found: zenoh.Config) -> list[str]:
-    """The files with certificates that are named, which are no secrets."""
+    """Return the configured certificate files; these are not secret."""
     kinds = ("root_ca_certificate", "listen_certificate", "connect_certificate")
     paths = [get(found, f"{TLS}/{kind}") for kind in kinds]
     return [path for path in paths if path is not None]
 
 
 def secrets(found: zenoh.Config, key: str, name: str | None) -> dict[str, str]:
-    """The files with secrets, by the names that a service manager gives its copies of them.
+    """Return the files with secrets, by the names of their copies from the service manager.
 
     Args:
-        key, name: of the file that `found` is from, which may hold one.
+        found: Zenoh's configuration.
+        key: the configuration key of Zenoh's file, which may hold a secret itself.
+        name: path of Zenoh's file, or None.
     """
     files = {_last_word(secret): get(found, secret) for secret in _SECRETS}
     if name is not None and any(get(found, word) is not None for word in _SECRET_WORDS):
@@ -271,12 +281,12 @@ def secrets(found: zenoh.Config, key: str, name: str | None) -> dict[str, str]:
 
 
 def others_can_read(found: zenoh.Config, key: str, name: str | None) -> list[str]:
-    """Of `secrets`, those that other users of this machine can read or write."""
+    """Return the files of `secrets` that other users of this computer can read or write."""
     return [path for path in secrets(found, key, name).values() if open_to_others(path)]
 
 
 def shuts_all_out(found: zenoh.Config, prefix: str) -> bool:
-    """Whether access rules deny everybody every key below a prefix: they name another one's."""
+    """Return True if the access rules deny every key below a prefix (they name another one)."""
     control = get(found, "access_control")
     if not control["enabled"] or control["default_permission"] == "allow":
         return False
@@ -294,7 +304,7 @@ _EXPECTED = re.compile(r"= (expected .*)")
 
 
 def _fault(error: str) -> str:
-    """What Zenoh's words say of a file, and where; what the file says there is left out."""
+    """Return Zenoh's error about a file with line and column, but without the file's values."""
     place = _PLACE.search(error)
     if place is None:
         return one_line(error.split(" at /")[0])

@@ -1,4 +1,4 @@
-"""The `edge` command: parsers, thin handlers, and what a terminal shows.
+"""The command `edge`: parsers, thin handlers, and the output on a terminal.
 
-Nothing that the robot needs lives here: every command is a function of another package.
+Nothing here is needed on the robot: every command calls a function of another package.
 """

@@ -1,4 +1,4 @@
-"""`python -m edge.cli` is the `edge` command."""
+"""`python -m edge.cli`: the same as the command `edge`."""
 
 import sys
 

@@ -41,18 +41,22 @@ log = logging.getLogger("edge")
 _NEVER_S = 1e6
 _MOST_OBJECTS = 20
 What = tuple[str | None, str | None, str | None]
-"""A mission as the command line gives it: in words, as a formula, as a task; see `open_service`."""
+"""A mission of the command line: (instruction, formula, task); see `edge.launch.open_service`."""
 NOTHING: What = (None, None, None)
 LIVE_PORT = 7480
-"""Default port of the demo's live view: the same each time, so that a browser's tab can stay."""
+"""Default port of the live view: fixed, so that an open browser tab works for the next run."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ended:
-    """A run at its end.
+    """Results of a run that has ended.
 
     Attributes:
-        record: what a report shows; None if none was asked for.
+        mission: final state of the mission.
+        latency: times of the stages.
+        map_m2: known area of the map.
+        instances: objects that were found.
+        record: data for a report; None if no report was asked for.
     """
 
     mission: MissionStatus
@@ -64,7 +68,12 @@ class Ended:
 
 @dataclass(frozen=True)
 class Reload:
-    """How the service's configuration is reloaded; see `edge.loop.reload.Reloader`."""
+    """A way to reload the service's configuration; see `edge.loop.reload.Reloader`.
+
+    Attributes:
+        reread: reads the configuration again.
+        asked: set when a reload is requested.
+    """
 
     reread: Callable[[], Config]
     asked: threading.Event
@@ -78,18 +87,22 @@ def run_service(
     what: What = NOTHING,
     reload: Reload | None = None,
 ) -> int:
-    """Run the service; the exit code, see `edge.errors`.
+    """Run the service until `stop` is set, and return the exit code (`edge.errors`).
 
-    What is told to stop has done what it was to do, whatever became of its last mission; with
-    `once` that is the outcome.
+    A service that is stopped returns 0, even if its last mission failed. With `once`, the exit code
+    is that of the mission.
 
     Args:
-        what: the mission as given on the command line.
-        reload: None: the configuration stays.
+        config: the configuration.
+        stop: ends the run when it is set.
+        once: end when the mission is over.
+        report: folder of the report; None: no report.
+        what: mission of the command line.
+        reload: how to reload the configuration; None: it is never reloaded.
 
     Raises:
-        UserError: no report can be written there, or something that the configuration names is not
-            here (said before the run).
+        UserError: the report cannot be written, or something that the configuration names is
+            missing. Both are checked before the run.
         Stopped: `stop` was set before the service was ready.
     """
     _prepare(config, report)
@@ -100,7 +113,7 @@ def run_service(
 
 
 def _prepare(config: Config, report: str | None) -> None:
-    """Refuse what cannot be run with, and a report that cannot be written."""
+    """Raise UserError if the configuration cannot be run, or the report cannot be written."""
     check(config)
     if report is not None:
         require_lab()
@@ -119,13 +132,11 @@ def _serve(
     playback: Playback | None = None,
     recorded: bool = False,
 ) -> Ended:
-    """Run the service; return how its run ended.
+    """Run the service and return the results of the run.
 
-    Args:
-        stay: after the end of the mission, or of the recording, go on until `stop` is set, so that
-            the live view can still be looked at. What is returned is then that of the end.
-        playback: a recording to play instead of the configured source.
-        recorded: collect what a report shows.
+    `stay` keeps the live view open after the end of the mission or recording, until `stop` is set.
+    The results are then those at that end. `playback` is a recording to play instead of the
+    configured source. `recorded` collects the data of a report.
     """
     recorder, vitals = _recorder(config) if recorded else None, Vitals(ServiceManager())
     live, metrics, traced = LiveView(config, vitals), Metrics(vitals), TracePage()
@@ -177,7 +188,7 @@ def _serve(
             elif stay and ended is None:
                 ended = end()
                 outcome = running.service.status.phase if playback is None else "played"
-                log.info("%s; %s stays until Ctrl-C", outcome, url)
+                log.info("%s; the live view %s stays open until Ctrl-C", outcome, url)
             elif playback is not None and not stay:
                 stop.set()
 
@@ -188,7 +199,7 @@ def _serve(
 
 @contextmanager
 def _served(pages: Pages, forms: Forms, http: Http) -> Iterator[str | None]:
-    """Serve the pages as configured (see `edge.host.pages.serve`); yield the page's address."""
+    """Serve the web pages as configured, in this block; yield their URL, or None without a port."""
     if http.port is None:
         yield None
         return
@@ -207,7 +218,7 @@ def _recorder(config: Config) -> Recorder:
 
 
 def _conclude(ended: Ended, report: str | None) -> int:
-    """Print how it went, write the report; the exit code."""
+    """Print the results, write the report, and return the exit code."""
     print(ended.latency.table())
     print(summary(ended.mission))
     if report is not None and ended.record is not None:
@@ -219,7 +230,7 @@ def _conclude(ended: Ended, report: str | None) -> int:
 
 
 def summary(status: MissionStatus) -> str:
-    """The outcome in one line."""
+    """Return the outcome of a mission in one line."""
     phase = status.phase if status.done else f"stopped while {status.phase}"
     reason = f" ({status.reason})" if status.reason else ""
     return (
@@ -237,10 +248,14 @@ def run_demo(
 ) -> int:
     """Run simulated robot, reference controller and service on this machine.
 
-    It ends with the mission; with a live view it goes on until `stop` is set.
+    The run ends with the mission; with a live view it ends when `stop` is set.
 
     Args:
-        live: port for the live view; 0: `http.port`, else `LIVE_PORT`, else a free one; None: only
+        config: the configuration.
+        stop: ends the run when it is set.
+        report: folder of the report.
+        what: mission of the command line.
+        live: port of the live view. 0: `http.port`, else `LIVE_PORT`, else a free port. None: only
             `http.port`.
     """
     config = on_a_free_port(config)
@@ -250,10 +265,10 @@ def run_demo(
     ended = None
     try:
         started = children(config, stop, ("sim", "--no-motion"), ("sim", "--motion-only"))
-        with started, suppress(Stopped):  # `started` says it when a child that ended was the cause
+        with started, suppress(Stopped):  # if a child ended, `started` raises the reason
             stay = live is not None
             ended = _serve(config, stop, True, what, stay=stay, recorded=True)
-    finally:  # a child's failure must not cost the report
+    finally:  # write the report even if a child process failed
         code = 0 if ended is None else _conclude(ended, report)
     return code
 
@@ -267,16 +282,21 @@ def run_play(
     live: int | None = None,
     what: What = NOTHING,
 ) -> int:
-    """Play a recording of any robot into the service; print what is in it, and what came of it.
+    """Play a recording of any robot into the service; print its content and the results.
 
-    Nobody drives: goals are chosen and shown, and nothing is published.
+    Goals are chosen and shown, but nothing is published and nothing drives.
 
     Args:
-        rate: see `edge.sources.played.PlayedSource`.
-        live: see `run_demo`; None: no live view.
+        config: the configuration.
+        file: the recording (MCAP, rosbag2).
+        stop: ends the run when it is set.
+        rate: speed in multiples of real time; None: as fast as possible, without drops.
+        report: folder of the report; None: no report.
+        live: port of the live view, as in `run_demo`; None: no live view.
+        what: mission of the command line.
 
     Raises:
-        UserError: see `run_service`; or the recording cannot be read, or nothing came of it.
+        UserError: see `run_service`; or the recording cannot be read, or gives no observation.
     """
     config = _undriven(on_a_free_port(config), lockstep=rate is None)
     if live is not None:
@@ -296,10 +316,10 @@ def run_play(
 
 
 def _undriven(config: Config, lockstep: bool) -> Config:
-    """The configuration of a service whose robot goes its own way, and that nobody listens to.
+    """Return the configuration for a recording: no limits of time or path, no sinks.
 
-    A robot that stands while it has a goal is not held up, and no mission takes too long. What is
-    kept between runs is left as it is.
+    The recorded robot does not follow our goals, so it must not count as stuck. The checkpoint of
+    the service is neither read nor written.
     """
     mission = {
         "time_limit_s": _NEVER_S, "path_limit_m": _NEVER_S, "stuck_s": _NEVER_S,
@@ -316,7 +336,7 @@ def _undriven(config: Config, lockstep: bool) -> Config:
 
 
 def _mapped(ended: Ended) -> Iterator[str]:
-    """Yield lines on the map and the things that were found."""
+    """Yield lines about the map and the objects that were found."""
     yield f"map: {ended.map_m2:.0f} m2; driven: {ended.mission.path_m:.1f} m"
     for found in ended.instances[:_MOST_OBJECTS]:
         x_m, y_m, z_m = found.center_m
@@ -338,12 +358,12 @@ def _live_port(host: str) -> int:
     if is_free(host, LIVE_PORT):
         return LIVE_PORT
     port = free_port()
-    log.warning("live view: port %d is taken, port %d is used instead", LIVE_PORT, port)
+    log.warning("live view: port %d is in use, port %d is used instead", LIVE_PORT, port)
     return port
 
 
 def run_simulator(config: Config, stop: threading.Event, motion: bool) -> int:
-    """The simulated robot in this process, the reference controller in another."""
+    """Run the simulated robot in this process, and the reference controller in another."""
     from edge.lab.sim.process import main as run_sim
 
     with children(config, stop, *([("sim", "--motion-only")] if motion else [])):

@@ -1,4 +1,4 @@
-"""One line that says how the run stands: rewritten on a terminal, printed now and then in a log."""
+"""The status line of a run: rewritten in place on a terminal, printed every 5 s to a log."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ from edge.text import shorten
 
 TERMINAL_PERIOD_S = 0.2
 LOG_PERIOD_S = 5.0
-_RECENT = 150  # ticks that the times are of
+_RECENT = 150  # number of ticks for the percentiles
 _THEN_CHARS = 60
 
 
 class ConsoleSink:
-    """Writes the line to `stream` (stderr): at most 5 Hz on a terminal, else every 5 s.
+    """Sink that writes the status line: at most 5 Hz to a terminal, else every 5 s.
 
-    That beat is the wall clock's: simulated time may run faster or slower.
+    The period is in wall-clock time, since simulated time may be faster or slower.
+
+    Args:
+        stream: where to write; None: stderr.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
@@ -45,7 +48,7 @@ class ConsoleSink:
         self._stream.flush()
 
     def close(self) -> None:
-        """End the rewritten line, so that what follows starts on a line of its own."""
+        """End the rewritten line, so that later output starts on a new line."""
         if self._terminal and self._last_ns is not None:
             self._stream.write("\n")
             self._stream.flush()
@@ -59,16 +62,15 @@ class ConsoleSink:
 
 
 def line_of(result: TickResult) -> str:
-    """How the service stands, without control characters, such as
+    """Return the status line, without control characters.
 
+    In a search:
     `12.3s searching chair | frontier 2.5 m | 1 seen | map 40 m2 | tick p95 1.9 ms | detector 9 ms`
 
-    and, of a task that is driven,
-
+    During a task:
     `12.3s driving go past the sofa | step 1 of 2 | 3.1 of 7.4 m | map 40 m2 | tick p95 1.9 ms | …`
 
-    and, while an input is lacking,
-
+    Without an input:
     `0.0s waiting for sensors: no message yet on edge/camera/depth | looking for chair | …`
     """
     status, pose, task = result.status, result.pose, result.task()
@@ -81,7 +83,7 @@ def line_of(result: TickResult) -> str:
         parts = _of_task(task, result)
     if lacks := result.health().get("inputs", {}).get("detail"):
         parts[0] = parts[0].removeprefix("waiting for sensors, ")
-        # First, since a terminal may be narrow.
+        # At the front, since a narrow terminal cuts the line.
         parts.insert(0, lacks if pose is not None else f"waiting for sensors: {lacks}")
     parts[0] = f"{status.elapsed_s:.1f}s {parts[0]}"
     parts.append(f"map {result.known_m2():.0f} m2")
@@ -93,7 +95,7 @@ def line_of(result: TickResult) -> str:
 
 
 def _sought(result: TickResult) -> list[str]:
-    """Where the robot goes to find its target, and how often it has seen one."""
+    """Return the present goal, and the number of objects that may be the target."""
     goal, pose, target = result.goal, result.pose, result.status.target
     seen = sum(names.same(found.label, target) for found in result.instances())
     away_m = 0.0 if goal is None or pose is None else pose.distance_to(*goal.candidate_xy_m)
@@ -115,10 +117,7 @@ def _of_task(task: TaskFacts, result: TickResult) -> list[str]:
 
 
 def _ahead(result: TickResult) -> str:
-    """What is pursued, and what the plan holds after it.
-
-    Why it was chosen is in the log: each step of a mission is an event.
-    """
+    """Return the present target, and the targets that the plan has after it."""
     status, steps = result.status, result.mission().plan.steps
     if status.phase == "idle":
         return f"({status.reason})"

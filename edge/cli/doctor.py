@@ -1,8 +1,7 @@
-"""`edge doctor`: what this machine has, and what to do about each lack.
+"""`edge doctor`: checks this machine, and reports what to do about each problem.
 
-Each check is a function of the configuration that yields findings; `CHECKS` is the list of them.
-A `fail` is something without which that configuration (the embedded default unless another is
-named) does not run; everything else that is missing is a `warn`.
+Each check is a function that takes the configuration and yields findings; `CHECKS` lists them. A
+finding is `fail` if the configuration cannot run without it, and `warn` for any other problem.
 """
 
 from __future__ import annotations
@@ -48,9 +47,9 @@ SERVER_S = 2.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge doctor`; 1 when something that the configuration needs is missing.
+    """Handle `edge doctor`; return 1 if a finding is `fail`.
 
-    With `--live` it is 1 when anything needs doing.
+    With `--live`, return 1 also for `warn`.
 
     Raises:
         ConfigError: the configuration cannot be read.
@@ -63,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def examine(config: Config) -> list[Finding]:
-    """All findings, in the order of `CHECKS`; a check that breaks is itself a failure."""
+    """Return all findings, in the order of `CHECKS`. A check that raises becomes a `fail`."""
     findings = []
     for check in CHECKS:
         try:
@@ -74,11 +73,11 @@ def examine(config: Config) -> list[Finding]:
             name = check.__name__.removeprefix("check_").replace("_", " ")
             reason = one_line(f"{type(error).__name__}: {error}")
             findings.append(Finding("fail", f"{name}: {reason}", "please report this"))
-    return list(dict.fromkeys(findings))  # one lack may stand in the way of several checks
+    return list(dict.fromkeys(findings))  # several checks may find the same problem
 
 
 def as_text(findings: list[Finding]) -> str:
-    """Aligned lines `level  what — what to do`, and a summary."""
+    """Return one line `level  what — todo` for each finding, and a summary."""
     lines = [f"{f.level:4}  {f.what}" + (f" — {f.todo}" if f.todo else "") for f in findings]
     counts = {level: sum(f.level == level for f in findings) for level in ("ok", "warn", "fail")}
     lines.append(", ".join(f"{n} {level}" for level, n in counts.items()))
@@ -86,12 +85,12 @@ def as_text(findings: list[Finding]) -> str:
 
 
 def as_json(findings: list[Finding]) -> str:
-    """`{"ok": bool, "findings": [{"level", "what", "todo"}]}`."""
+    """Return the findings as JSON: `{"ok": bool, "findings": [{"level", "what", "todo"}]}`."""
     healthy = all(finding.level != "fail" for finding in findings)
     return json.dumps({"ok": healthy, "findings": [asdict(f) for f in findings]}, indent=2)
 
 
-# -- what the loop stands on ------------------------------------------------------------------
+# -- the bus and its access -------------------------------------------------------------------
 
 
 def check_zenoh(config: Config) -> Iterator[Finding]:
@@ -105,8 +104,11 @@ def check_zenoh(config: Config) -> Iterator[Finding]:
 
 
 def loopback_ms(limit_s: float) -> float | None:
-    """Pass one message from a connecting session to a listening one, as the service and its
-    sensors do; the time it took from opening both, or None when none came."""
+    """Send one message from a connecting to a listening Zenoh session over TCP on 127.0.0.1.
+
+    Returns:
+        The time from opening the sessions to the message, in ms; None: no message came.
+    """
     import zenoh
 
     from edge.bus.session import open_session
@@ -117,12 +119,12 @@ def loopback_ms(limit_s: float) -> float | None:
     settings = Zenoh(endpoint=f"tcp/127.0.0.1:{free_port()}")
     key = f"edge-doctor/{os.getpid()}"
     with (
-        open_session(settings, "listen") as hears,
-        open_session(settings, "connect") as says,
+        open_session(settings, "listen") as receiver,
+        open_session(settings, "connect") as sender,
     ):
-        subscriber = hears.declare_subscriber(key, zenoh.handlers.RingChannel(4))
+        subscriber = receiver.declare_subscriber(key, zenoh.handlers.RingChannel(4))
         while time.perf_counter() - before < limit_s:
-            says.put(key, b"hello")  # again: the subscription has to reach the other side first
+            sender.put(key, b"hello")  # repeated, until the subscription has reached the sender
             if subscriber.try_recv() is not None:
                 return 1e3 * (time.perf_counter() - before)
             time.sleep(0.01)
@@ -130,7 +132,7 @@ def loopback_ms(limit_s: float) -> float | None:
 
 
 def check_endpoint(config: Config) -> Iterator[Finding]:
-    """Whether the service could listen where the configuration says."""
+    """Check that the service can listen at `zenoh.endpoint`."""
     from edge.bus.session import BusError, open_session
 
     if config.zenoh.mode == "client":
@@ -145,7 +147,7 @@ def check_endpoint(config: Config) -> Iterator[Finding]:
 
 
 def check_strangers(config: Config) -> Iterator[Finding]:
-    """Who may come in, and who may read what keeps them out."""
+    """Check who can connect to the service, and who can read the files with secrets."""
     from edge.bus.session import OPEN, SHUT, session_config, zenoh_file_of
     from edge.bus.zenoh_file import open_to, others_can_read, shuts_all_out
     from edge.host.credentials import open_to_others, read_token
@@ -153,10 +155,10 @@ def check_strangers(config: Config) -> Iterator[Finding]:
     settings, http = config.zenoh, config.http
     served = session_config(settings, "listen")
     for address in open_to(served):
-        todo = "listen on 127.0.0.1, or ask for certificates (docs/security.md)"
+        todo = "listen on 127.0.0.1, or require certificates (docs/security.md)"
         yield Finding("warn", OPEN.format(address), todo)
     if shuts_all_out(served, settings.prefix):
-        todo = "write the keys of its rules anew (docs/security.md)"
+        todo = "correct the keys in its access rules (docs/security.md)"
         yield Finding("warn", SHUT.format(settings.prefix), todo)
     paths = [
         path
@@ -167,7 +169,7 @@ def check_strangers(config: Config) -> Iterator[Finding]:
         read_token("http.token_file", http.token_file)
         paths += [http.token_file] * open_to_others(resources.expand(http.token_file))
     for path in dict.fromkeys(paths):
-        what = f"{path} holds a secret, and every user of this machine can read or write it"
+        what = f"{path} holds a secret, but every user of this machine can read or write it"
         yield Finding("warn", what, f"chmod o= {path}")
 
 
@@ -188,7 +190,7 @@ def check_onnxruntime(config: Config) -> Iterator[Finding]:
     needed = any(name != TENSORRT for name in wanted)
     lack: Level = "fail" if needed else "warn"
     if _installed("onnxruntime") and _installed("onnxruntime-gpu"):
-        todo = "one hides the other: pip uninstall onnxruntime onnxruntime-gpu, then install one"
+        todo = "pip uninstall onnxruntime onnxruntime-gpu, then install only one of them"
         yield Finding("warn", "onnxruntime and onnxruntime-gpu are both installed", todo)
     probed = probe()
     if probed is None:
@@ -199,7 +201,7 @@ def check_onnxruntime(config: Config) -> Iterator[Finding]:
     if not probed.fault:
         names = ", ".join(name.removesuffix("ExecutionProvider") for name in probed.providers)
         yield Finding("ok", f"{what}: {names}")
-    elif CPU in probed.ran:  # so another's fault
+    elif CPU in probed.ran:  # so the fault is in another provider
         yield Finding("warn", f"{what} {probed.fault}", "check driver and CUDA, or use the CPU")
     else:
         todo = (
@@ -215,14 +217,16 @@ def check_onnxruntime(config: Config) -> Iterator[Finding]:
 
 
 def _sessions_crash() -> bool:
-    """Whether onnxruntime is there and fails, which `check_onnxruntime` says: what would make a
-    session of it in this process is not tried."""
+    """Return True if onnxruntime is installed but fails, as `check_onnxruntime` reports.
+
+    Then no check may open a session in this process.
+    """
     probed = probe()
     return probed is not None and CPU not in probed.ran
 
 
 def check_tensorrt(config: Config) -> Iterator[Finding]:
-    """TensorRT itself, where the detector is to run on it."""
+    """Check that TensorRT works, if the detector uses it."""
     detector = config.perception.detector
     if detector.kind != "onnx" or TENSORRT not in detector.providers:
         return
@@ -236,13 +240,13 @@ def check_tensorrt(config: Config) -> Iterator[Finding]:
 
 
 def _split(error: Exception) -> tuple[str, str]:
-    """What is wrong and what to do, from a message that says both."""
+    """Split the message of an error at `; ` into the problem and what to do."""
     what, _, todo = str(error).partition("; ")
     return what, todo
 
 
 def check_classes(config: Config) -> Iterator[Finding]:
-    """The source, the sinks, the policy and the planner that the configuration names are here."""
+    """Check the classes of source, sinks, policy and planner, and their options."""
     for check in CLASSES:
         try:
             check(config)
@@ -252,13 +256,13 @@ def check_classes(config: Config) -> Iterator[Finding]:
 
 
 def check_models(config: Config) -> Iterator[Finding]:
-    """The models that the configuration names are here and whole; so is what else is here."""
+    """Check the files of all models that are here or that the configuration names."""
     from edge.perception.runtime.cards import ModelError, card_names, check_here, load_card
 
     needed = {model.name for model in named_models(config)}
     names = sorted({*card_names(), *needed})
     if not names:
-        yield Finding("warn", "no model cards", "this installation lacks models/: reinstall")
+        yield Finding("warn", "no model cards", "the folder models/ is missing: reinstall edge-vln")
     away = 0
     for name in names:
         try:
@@ -278,7 +282,7 @@ def check_models(config: Config) -> Iterator[Finding]:
             yield from (Finding("ok", f"model {name}: {path}") for path in paths)
             yield from (_remote(name, server.url) for server in served)
     if away:
-        what = f"{away} other models are not here, and not named by this configuration"
+        what = f"{away} other models are not on this machine; this configuration does not need them"
         yield Finding("ok", f"{what} (`edge models list`)")
 
 
@@ -295,12 +299,12 @@ def _remote(name: str, url: str) -> Finding:
     shown = without_secrets(url)
     if _listens(url):
         return Finding("ok", f"model {name}: something listens at {shown}")
-    todo = "start the server or correct the card's URL; nothing is detected without it"
+    todo = "start the server, or correct the URL in its card; the model needs it"
     return Finding("warn", f"model {name}: nothing listens at {shown}", todo)
 
 
 def check_mission(config: Config) -> Iterator[Finding]:
-    """The configured mission is understood and can be done; its checkpoint can be kept."""
+    """Check that the mission is understood and possible, and the checkpoint can be written."""
     from edge.host.checkpoint import CheckpointWriter
     from edge.mission.brief import prepare
     from edge.mission.checkpoint import MISSION
@@ -318,7 +322,7 @@ def check_mission(config: Config) -> Iterator[Finding]:
 
 
 def _targets(config: Config) -> tuple[str, ...]:
-    """What the detector will be asked for; of a mission that is refused, nothing is known."""
+    """Return the targets of the mission; of a refused mission only `mission.target`."""
     from edge.mission.brief import prepare
 
     try:
@@ -328,8 +332,7 @@ def _targets(config: Config) -> tuple[str, ...]:
 
 
 def check_vocabulary(config: Config) -> Iterator[Finding]:
-    """The text encoder of the configured detector knows the mission's targets, and perhaps what
-    else they compete with."""
+    """Check that the detector's text encoder knows the targets and the background words."""
     from edge.perception.embedding.encoders import make_text_encoder
     from edge.perception.embedding.text import TextEmbeddings, TextEncoder, words_for
     from edge.perception.runtime.cards import load_detector_card
@@ -356,11 +359,11 @@ def check_vocabulary(config: Config) -> Iterator[Finding]:
                     f"{detector.model} does not know {len(unknown)} of the "
                     f"{len(detector.background)} words of perception.detector.background"
                 )
-                yield Finding("warn", what, f"it goes without: {', '.join(unknown)}")
+                yield Finding("warn", what, f"remove or replace: {', '.join(unknown)}")
 
 
 def check_scorers(config: Config) -> Iterator[Finding]:
-    """Configured scorers can be made; where a server is to answer, something listens."""
+    """Check that the configured scorers can be made, and that their server listens."""
     from edge.loop.scorers import make_scorers
 
     here = config.perception.similarity is not None or config.perception.choice.kind == "onnx"
@@ -378,7 +381,7 @@ def check_scorers(config: Config) -> Iterator[Finding]:
     yield Finding("ok", f"scorers: {', '.join(names)}")
     choice = config.perception.choice
     if choice.kind in ("openai", "text") and not _listens(choice.url):
-        todo = "start the server or correct perception.choice.url; the service goes without it"
+        todo = "start the server, or correct perception.choice.url; until then no model chooses"
         yield Finding("warn", f"nothing listens at {without_secrets(choice.url)}", todo)
 
 
@@ -387,13 +390,13 @@ def _listens(url: str) -> bool:
     port = parts.port or {"http": 80, "https": 443}[parts.scheme]
     try:
         socket.create_connection((parts.hostname, port), SERVER_S).close()
-    except (OSError, UnicodeError):  # UnicodeError: a label no host name may have
+    except (OSError, UnicodeError):  # UnicodeError: an invalid label in the host name
         return False
     return True
 
 
 def check_tasks(config: Config) -> Iterator[Finding]:
-    """The interpreter of a model's scripts runs here; the rules do without it."""
+    """Check the interpreter for scripts of a model, which `tasks.planner: rules` does not need."""
     from edge.tasks import script
 
     try:
@@ -402,7 +405,7 @@ def check_tasks(config: Config) -> Iterator[Finding]:
         lack: Level = "fail" if config.tasks.planner.kind == "model" else "warn"
         yield Finding(lack, *_split(error))
     else:
-        yield Finding("ok", f"scripts of a task's model: pydantic-monty {version} runs them")
+        yield Finding("ok", f"scripts of a model (tasks): pydantic-monty {version} runs them")
 
 
 def check_worlds(config: Config) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""`edge mission explain`: what a mission means, before any robot moves."""
+"""`edge mission explain`: shows the meaning and the plan of a mission; no robot is needed."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def run(args: argparse.Namespace) -> int:
         brief = prepare(mission, text, formula, args.reading)
     except AmbiguousError as error:
         several = len(error.readings) > 1
-        ways = f"it can be read in {len(error.readings)} ways" if several else "it may be meant so"
+        ways = f"it can be read in {len(error.readings)} ways" if several else "it may mean this"
         print(f"{'ambiguous:' if several else 'not sure:':13}{ways}")
         for doubt in error.doubts:
             print(f"word:        {doubt}")
         _list([reading.english for reading in error.readings])
-        print(f"choose:      --reading {'N' if several else 1}{_unasked(error.implied)}")
+        print(f"choose:      --reading {'N' if several else 1}{_default_reading(error.implied)}")
         return 0
     translation = brief.translation
     planner = make_planner(mission.planner, brief.automaton, translation.instruction)
@@ -75,10 +75,11 @@ def _list(readings: Sequence[str]) -> None:
         print(f"  ({number})        {one_line(english, _LIST_CHARS)}")
 
 
-def _unasked(implied: int | None) -> str:
+def _default_reading(implied: int | None) -> str:
+    """Return the reading that is used when nobody can be asked, as the end of a sentence."""
     if implied is None:
-        return "; nothing is taken unasked, so mission.instruction cannot be this"
-    return f"; where nobody can be asked, ({implied + 1}) is taken: it fulfils all the others"
+        return "; as mission.instruction it is refused, unless mission.reading is set"
+    return f"; as mission.instruction, ({implied + 1}) is used: it fulfils all the others"
 
 
 def _draw(path: Path, automaton: Automaton, steps: tuple[str, ...]) -> None:

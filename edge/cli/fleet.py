@@ -1,4 +1,4 @@
-"""`edge fleet`: several robots over one router, asked and told from one place."""
+"""`edge fleet`, and `edge mission --fleet`: several robots that share one Zenoh router."""
 
 from __future__ import annotations
 
@@ -32,10 +32,13 @@ _CELL = 40
 
 
 def where(name: str) -> tuple[Zenoh, Mission]:
-    """The sections that count of what a command names; beside an endpoint, those of a fleet.
+    """Return the sections zenoh and mission of a configuration, or defaults for an endpoint.
+
+    Args:
+        name: a configuration, or the endpoint of a router such as `tcp/10.0.0.1:7447`.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: the configuration cannot be read.
     """
     if protocol(name) in _PROTOCOLS and not os.path.exists(name):
         return Zenoh(endpoint=name, mode="client", prefix="robots/any"), Mission()
@@ -43,7 +46,7 @@ def where(name: str) -> tuple[Zenoh, Mission]:
     return config.zenoh, config.mission
 
 
-# -- who is there ------------------------------------------------------------------------------
+# -- the list of robots ------------------------------------------------------------------------
 
 
 def show(args: argparse.Namespace) -> int:
@@ -55,19 +58,19 @@ def show(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps([_data(robot) for robot in robots.values()], indent=2))
     else:
-        print(table(robots.values()) if robots else f"no robot is there ({roster.pattern})")
+        print(table(robots.values()) if robots else f"no robot found (at {roster.pattern})")
     return 0
 
 
 def table(robots: Iterable[Robot]) -> str:
-    """A line a robot."""
+    """Return a table with a line for each robot."""
     rows = [["robot", "phase", "mission", "target", "pose", "health", "reason"]]
     rows += [_shortened(_cells(robot).values()) for robot in robots]
     return aligned(rows)
 
 
 def _shortened(cells: Iterable[str]) -> list[str]:
-    """Cut what is only a reminder; show what is wrong in full."""
+    """Shorten the cells, except for health and reason, which are shown in full."""
     *others, health, reason = cells
     return [*(one_line(cell, _CELL) for cell in others), one_line(health), one_line(reason)]
 
@@ -98,7 +101,7 @@ def _data(robot: Robot) -> dict[str, Any]:
 
 
 def _watch(args: argparse.Namespace) -> int:
-    """Print a line for each change, until a signal."""
+    """Print a line for each change, until a signal comes."""
     stop = stop_on_signals()
     with open_roster(where(args.config)[0]) as roster:
         before: dict[str, dict[str, str]] = {}
@@ -117,28 +120,28 @@ def _watch(args: argparse.Namespace) -> int:
 def _changes(
     before: Mapping[str, dict[str, str]], robots: Mapping[str, Robot], as_json: bool
 ) -> dict[str, dict[str, str]]:
-    """Print what differs; how they stand now."""
+    """Print the robots that have changed; return their present state, without poses."""
     now = {name: _cells(robot) for name, robot in robots.items()}
-    told = {name: {k: v for k, v in cells.items() if k != "pose"} for name, cells in now.items()}
-    for name in sorted(before.keys() | told.keys()):
-        if before.get(name) == told.get(name):
+    state = {name: {k: v for k, v in cells.items() if k != "pose"} for name, cells in now.items()}
+    for name in sorted(before.keys() | state.keys()):
+        if before.get(name) == state.get(name):
             continue
         if as_json:
             gone = {"robot": name, "problem": "gone", "answer": None}
             print(json.dumps(_data(robots[name]) if name in robots else gone), flush=True)
         else:
-            cells = _shortened(told[name].values()) if name in told else [one_line(name), "gone"]
+            cells = _shortened(state[name].values()) if name in state else [one_line(name), "gone"]
             _say("  ".join(cells))
-    return told
+    return state
 
 
-# -- what they are told ------------------------------------------------------------------------
+# -- requests to the robots --------------------------------------------------------------------
 
 
 def ask(args: argparse.Namespace) -> int:
-    """Handle `edge mission status | pause | resume | cancel --fleet`: the same to each at once.
+    """Handle `edge mission status | pause | resume | cancel --fleet`; send it to all robots.
 
-    Of robots that were not named, one without a mission has nothing to stop, which is no fault.
+    If no robots were named, a robot that refuses because it has no mission is no error.
     """
     with open_roster(where(args.config)[0]) as roster:
         there = roster.names()
@@ -166,17 +169,17 @@ def _check_names(names: Iterable[str], there: Iterable[str]) -> None:
 
 
 def new(args: argparse.Namespace) -> int:
-    """Handle `edge mission new --fleet`: 0 where all of it was reached, 1 where a part failed.
+    """Handle `edge mission new --fleet`; return 0 if all parts were reached, 1 if one failed.
 
     Raises:
-        UserError: the mission is not understood, or a robot that was named is not there.
+        UserError: the mission is not understood, or a named robot was not found.
     """
     zenoh, limits = where(args.config)
     text = {"formula" if args.formula else "instruction": args.text}
     brief = prepare(limits, **text)
     named = [] if args.to in (None, [ANY]) else list(dict.fromkeys(args.to))
     if ANY in named:
-        raise UserError(f"fleet: --to: either {ANY}, or names")
+        raise UserError(f"fleet: --to: give either {ANY} or names of robots")
     with open_roster(zenoh) as roster:
         _check_names(named, roster.names())
         mission = plan(brief, limits, roster.look(), named, args.share, args.anew)
@@ -187,17 +190,17 @@ def new(args: argparse.Namespace) -> int:
         try:
             outcomes = dispatcher.run()
         except KeyboardInterrupt:
-            _say("robots go on with what they have; the same command takes it up again")
+            _say("the robots continue; run the same command again to follow the mission")
             raise
-    print(_told_back(mission, outcomes, dispatcher.ended_ns, args.json))
+    print(_result_text(mission, outcomes, dispatcher.ended_ns, args.json))
     reached = all(o.phase == "reached" for o in outcomes.values())
     return 0 if reached and len(outcomes) == len(mission.parts) else FAILED
 
 
-def _told_back(
+def _result_text(
     mission: Plan, outcomes: Mapping[str, Outcome], ended_ns: Mapping[str, int], as_json: bool
 ) -> str:
-    """What became of the whole, and of its parts: by whom, and when."""
+    """Return the result of the mission and of its parts, as text or JSON."""
     none = Outcome("failed", "", "not begun")
     rows = [(part, outcomes.get(part.id, none), ended_ns.get(part.id)) for part in mission.parts]
     phase = "failed" if any(o.phase == "failed" for _, o, _ in rows) else "reached"
@@ -225,11 +228,11 @@ def _clock(ns: int) -> str:
     return time.strftime("%H:%M:%S", time.localtime(ns * 1e-9))
 
 
-# -- what they meet at ---------------------------------------------------------------------------
+# -- the router ----------------------------------------------------------------------------------
 
 
 def route(args: argparse.Namespace) -> int:
-    """Handle `edge fleet router`: passes on what the robots and others say, until a signal."""
+    """Handle `edge fleet router`; route messages until a signal comes."""
     stop = stop_on_signals()
     settings = Zenoh(endpoint=args.endpoint, file=args.file)
     with zenoh_session(settings, "route", stop):

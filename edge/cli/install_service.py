@@ -1,11 +1,11 @@
-"""`edge run --install`: a systemd unit with the paths, user and groups of this installation.
+"""`edge run --install`: writes a systemd unit with the paths, user and groups of this installation.
 
-The unit is hardened as far as numba (which compiles), Zenoh's shared memory, cameras and GPUs
-allow: no `MemoryDenyWriteExecute`, no `PrivateIPC`, no `PrivateDevices`. Neither is `PrivateUsers`
-set, under which groups mean nothing, nor `ProcSubset=pid`, under which no CPU is found.
+The unit is hardened as far as possible. Not set are `MemoryDenyWriteExecute` (numba compiles code),
+`PrivateIPC` (Zenoh's shared memory), `PrivateDevices` (cameras, GPUs), `PrivateUsers` (groups would
+have no effect) and `ProcSubset=pid` (no CPU would be found).
 
-Files with secrets stay root's: the service gets copies of them (`LoadCredential=`,
-`edge.host.credentials`).
+Files with secrets can stay readable for root alone: systemd gives the service copies of them
+(`LoadCredential=`, `edge.host.credentials`).
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ from edge.loop.vitals import HANGS_S
 
 UNITS = Path("/etc/systemd/system")
 STATE = Path("/var/lib")
-OF_SYSTEMD = "of systemd's making"
+OF_SYSTEMD = "created by systemd"
 _GROUPS = ("video", "render")
 _HOMES = ("/home", "/root", "/run/user")
-_TEMPORARY = ("/tmp", "/var/tmp")  # of which the service has its own
+_TEMPORARY = ("/tmp", "/var/tmp")  # PrivateTmp gives the service its own
 _PYTHON = (
     "the Python of this environment, {}",
-    "make the environment with one that all can read (such as /usr/bin/python3 -m venv /opt/edge)",
+    "make the environment with a Python that all users can read (such as "
+    "/usr/bin/python3 -m venv /opt/edge)",
 )
-_INSTALLED = "the package, {}", "install it where all can read it (such as /opt/edge)"
-_NAMED = "{}", "put it where all can (such as /opt)"
-"""How a path is named that the service's user cannot read, and what to do."""
+_INSTALLED = "the package, {}", "install it where all users can read it (such as /opt/edge)"
+_NAMED = "{}", "put it where all users can read it (such as /opt)"
+"""Name of a path that the service's user cannot read, and what to do; for errors."""
 _DEVICES = (
     "char-nvidia", "char-nvidia-uvm", "/dev/nvmap", "/dev/nvhost-ctrl", "/dev/nvhost-ctrl-gpu",
     "/dev/nvhost-gpu", "/dev/nvhost-as-gpu", "/dev/nvhost-prof-gpu", "char-drm",
@@ -46,7 +47,7 @@ _DEVICES = (
 )  # fmt: skip
 
 _UNIT = """\
-# Written by `edge run --install`; write it again after a move, or change it by `systemctl edit`.
+# Written by `edge run --install`. After a move write it again; change it with `systemctl edit`.
 [Unit]
 Description=edge: vision-language navigation ({name})
 Wants=network-online.target
@@ -66,7 +67,7 @@ WorkingDirectory=%S/{name}
 {user}
 TimeoutStopSec=30
 WatchdogSec={watchdog_s:g}
-# Says in the journal where every thread is, before SIGKILL ends it.
+# Writes the stack of every thread to the journal, before SIGKILL.
 WatchdogSignal=SIGUSR1
 TimeoutAbortSec=2
 Restart=on-failure
@@ -111,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         ConfigError: the configuration cannot be used.
-        UserError: the user is not there, or could not read or write what the configuration names.
+        UserError: the user does not exist, or cannot read or write a file of the configuration.
         FileError: the unit cannot be written.
     """
     config = load(args.config)
@@ -123,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     out = Path(args.out) if args.out else UNITS / f"{name}.service"
     save(out, text.encode())
-    print(f"{out}: written; then:")
+    print(f"{out}: written; now run:")
     if isinstance(detector := config.perception.detector, DetectorOnnx):
         cache = f"EDGE_CACHE_DIR=/var/cache/{name}"
         print(f"  sudo {cache} {_edge()} models list --check {detector.model}")
@@ -132,12 +133,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def unit(config: Config, name: str, user: str | None) -> str:
-    """The unit's text.
+    """Return the text of the unit.
 
     Args:
-        config: `path` is absolute.
-        name: of the unit, and of its folders below /var/lib and /var/cache.
-        user: None: one that systemd makes up (`DynamicUser`).
+        config: the configuration; its `path` must be absolute.
+        name: name of the unit, and of its folders below /var/lib and /var/cache.
+        user: user of the service; None: a dynamic user of systemd (`DynamicUser`).
 
     Raises:
         UserError: see `run`.
@@ -156,7 +157,7 @@ def unit(config: Config, name: str, user: str | None) -> str:
         command=" ".join(map(_word, words)),
         user="\n".join([*_user(user), *_credentials(copied)]),
         homes="read-only" if any(_in_a_home(path) for path in needed) else "yes",
-        # The loop is known to hang before it is killed, so that `/healthz` says so first.
+        # Twice HANGS_S, so that /healthz reports a hang before systemd kills the service.
         watchdog_s=2 * HANGS_S,
         no_restart=" ".join(map(str, WILL_NOT_MEND)),
         real_time=f"LimitRTPRIO={priority}" if priority else "RestrictRealtime=yes",
@@ -165,11 +166,14 @@ def unit(config: Config, name: str, user: str | None) -> str:
 
 
 def _named(config: Config, at: Path) -> tuple[list[Path], dict[str, Path]]:
-    """Files that the configuration names and the service reads: those that anybody may, and those
-    with secrets, by the names of their copies.
+    """Return the files that the service reads: public files, and files with secrets.
 
     Args:
-        at: the service's working directory.
+        config: the configuration.
+        at: working directory of the service.
+
+    Returns:
+        The public files, and (name of the credential → file) for those with secrets.
     """
     key, name = "zenoh.file", config.zenoh.file
     if name is not None:
@@ -188,24 +192,28 @@ def _named(config: Config, at: Path) -> tuple[list[Path], dict[str, Path]]:
 
 
 def _check_there(copied: Mapping[str, Path]) -> None:
-    """Raises UnavailableError for the first file that systemd could not make a copy of."""
+    """Raise UnavailableError for the first file that systemd could not copy."""
     for secret, path in copied.items():
-        if not os.path.isfile(path):  # unlike Path.is_file, whoever may look at it
-            raise UnavailableError(f"{secret}: {path}: no such file, or only root may look (sudo)")
+        if not os.path.isfile(path):  # unlike Path.is_file, does not raise without permission
+            raise UnavailableError(
+                f"{secret}: {path}: no such file, or only root can see it (use sudo)"
+            )
 
 
 def _check_writable(config: Config, at: Path) -> None:
     checkpoint = config.mission.checkpoint
     if checkpoint is not None and not (at / resources.expand(checkpoint)).is_relative_to(at):
         raise UserError(
-            f"mission.checkpoint: {checkpoint}: the service can write below {at} alone; "
-            "give a path relative to that"
+            f"mission.checkpoint: {checkpoint}: the service can write only below {at}; "
+            "give a path relative to that folder"
         )
 
 
 def _user(user: str | None) -> list[str]:
     lines = ["DynamicUser=yes"] if user is None else [f"User={user}"]
-    known = {group.gr_name for group in grp.getgrall()}  # an unknown one would end the start
+    known = {
+        group.gr_name for group in grp.getgrall()
+    }  # an unknown group would make the start fail
     if groups := [group for group in _GROUPS if group in known]:
         lines.append(f"SupplementaryGroups={' '.join(groups)}")
     return lines
@@ -216,14 +224,14 @@ def _credentials(copied: Mapping[str, Path]) -> list[str]:
 
 
 def _word(text: str) -> str:
-    """A word of `ExecStart=`, whatever is in it."""
+    """Return a word of `ExecStart=`, quoted and escaped."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{escaped}"' if any(c in " \t'\"\\;" for c in text) else escaped
 
 
 def _edge() -> str:
-    beside = Path(sys.executable).with_name("edge")
-    return str(beside) if beside.exists() else f"{sys.executable} -m edge.cli"
+    script = Path(sys.executable).with_name("edge")
+    return str(script) if script.exists() else f"{sys.executable} -m edge.cli"
 
 
 def _in_a_home(path: Path) -> bool:
@@ -235,23 +243,25 @@ def _is_below(path: Path, folders: Iterable[str]) -> bool:
 
 
 def _check_readable(paths: tuple[Path, ...], user: str | None) -> None:
-    """Raises UserError for the first path that the service, or its user, could not read."""
+    """Raise UserError for the first path that the user of the service cannot read."""
     uid, gids = None, frozenset[int]()
     if user is not None:
         try:
             found = pwd.getpwnam(user)
         except KeyError:
-            raise UserError(f"--user: {user!r:.80}: there is no such user here") from None
+            raise UserError(f"--user: {user!r:.80}: no such user on this machine") from None
         uid, gids = found.pw_uid, frozenset(os.getgrouplist(user, found.pw_gid))
-    instead = "or run it as yourself by --user" if user is None else "or let that user read it"
+    instead = "or run it as yourself with --user" if user is None else "or let that user read it"
     for path in paths:
         for place in (path, path.resolve()):
             if _is_below(place, _TEMPORARY):
-                raise UserError(f"{place}: the service has a /tmp of its own; put it elsewhere")
+                raise UserError(
+                    f"{place}: the service has a private /tmp and cannot read it; move it elsewhere"
+                )
             for step in (*place.parents, place):
                 if not _may_read(step, uid, gids):
                     named, todo = _about(path)
-                    why = "" if step == place else f", who may not go through {step},"
+                    why = "" if step == place else f", who cannot enter {step},"
                     raise UserError(
                         f"{named.format(place)}: user {user or OF_SYSTEMD}{why} cannot read it; "
                         f"{todo}, {instead}"
@@ -265,7 +275,7 @@ def _about(path: Path) -> tuple[str, str]:
 
 
 def _may_read(path: Path, uid: int | None, gids: frozenset[int]) -> bool:
-    """By the file's mode alone; folders on the way need only be gone through."""
+    """Return True if a file can be read, or a folder entered, by its mode bits alone."""
     try:
         found = path.stat()
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What `edge doctor --live` finds: listens to the configured sensors, and judges what they send."""
+"""Checks of `edge doctor --live`: listens to the configured sensors and checks their data."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from edge.sources import find_source
 from edge.types import Observation
 
 _PATIENCE_S = 0.1
-_SLOW, _FAST = 0.7, 1.5  # of the configured rate
-_DROPPED = 0.05  # of the messages
+_SLOW, _FAST = 0.7, 1.5  # tolerated share of the configured rate
+_DROPPED = 0.05  # tolerated share of dropped messages
 _OLD_S, _AHEAD_S = 0.5, 0.05
-_FLOOR_M = 0.1  # the lowest that is seen lies so near to the floor of the mount
-_LOWEST = 10  # percentile of heights; below it lie noise and stairs
-_STEEP = 0.25  # rays that fall so fast see the floor, if nothing stands on it
+_FLOOR_M = 0.1  # tolerated height of the lowest points above or below the floor
+_LOWEST = 10  # percentile of heights that counts as floor; lower ones are noise and stairs
+_STEEP = 0.25  # rays that fall by at least this much per metre see the floor, if it is free
 _STRIDE = 8
-_LENS = {"none": "", "rectified": ", rectified", "ignored": ", its distortion is ignored"}
+_LENS = {"none": "", "rectified": ", rectified", "ignored": ", distortion ignored"}
 
 
 def listen(config: Config, seconds: float) -> list[Finding]:
-    """Listen to the sensors for so long; one finding for each thing that a user should know."""
+    """Listen to the sensors for `seconds`, and return the findings."""
     over = threading.Event()
     timer = threading.Timer(seconds, over.set)
     timer.daemon = True
@@ -46,16 +46,16 @@ def listen(config: Config, seconds: float) -> list[Finding]:
                 source.close()
     except NotTakenIn:
         what = f"no Zenoh router answers at {config.zenoh.address}"
-        return [Finding("fail", what, "start it, or correct zenoh.endpoint")]
+        return [Finding("fail", what, "start the router, or correct zenoh.endpoint")]
     except BusError as error:
-        todo = "stop the service that runs there, or ask it: `/readyz`, `edge/status`, its page"
+        todo = "stop the service that runs there, or see its `/readyz`, `edge/status` or live view"
         return [Finding("fail", str(error), todo)]
     finally:
         timer.cancel()
 
 
 class _Heard:
-    """What came of the sensors, gathered from observation to observation."""
+    """Measurements of the sensor data, collected over all observations."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -69,7 +69,7 @@ class _Heard:
         self._newest: Observation | None = None
 
     def take(self, source: Source) -> None:
-        """Wait a moment for the next observation, and measure it."""
+        """Wait 0.1 s for the next observation, and measure it."""
         source.wait(_PATIENCE_S)
         seen = source.poll()
         if seen is None:
@@ -92,7 +92,7 @@ class _Heard:
         for row in rows:
             yield from _input(row)
         if self._newest is None:
-            why = lacking(rows) or "no frame has all that it needs"
+            why = lacking(rows) or "no frame has all the inputs that it needs"
             yield Finding("fail", f"no observation: {why}", "see docs/robot.md, step 5")
             return
         yield from _stamps(float(np.median(self._age_s)), float(np.median(self._lag_s)))
@@ -104,37 +104,37 @@ class _Heard:
 
     def _mounts(self, seen: Observation) -> Iterator[Finding]:
         if seen.camera is not None:
-            camera, said = seen.camera, _mounted(seen.T_base_camera, seen.T_base_camera[:3, 2])
+            camera, mount = seen.camera, _mounted(seen.T_base_camera, seen.T_base_camera[:3, 2])
             size = f"{camera.width_px}x{camera.height_px} px, {np.degrees(camera.hfov_rad):.0f}°"
             lens = _LENS[seen.distortion]
-            yield Finding("ok", f"camera: {size} wide{lens}; {said}")
+            yield Finding("ok", f"camera: {size} wide{lens}; {mount}")
         if seen.cloud_m is not None:
-            said = _mounted(seen.T_base_lidar, seen.T_base_lidar[:3, 0])
-            yield Finding("ok", f"lidar: {len(seen.cloud_m)} points; {said}")
+            mount = _mounted(seen.T_base_lidar, seen.T_base_lidar[:3, 0])
+            yield Finding("ok", f"lidar: {len(seen.cloud_m)} points; {mount}")
         if seen.depth_m is not None:
             valid = np.nanmean(self._valid)
             yield Finding("ok", f"depth: {valid:.0%} of the pixels have a value")
 
     def _floor(self) -> Iterator[Finding]:
         if not self._lowest_m:
-            yield Finding("ok", "floor: no sensor looks down at it from its mount")
+            yield Finding("ok", "floor: not checked, no sensor looks down at it")
             return
         lowest_m = float(np.median(self._lowest_m))
-        what = f"floor: seen {lowest_m:+.2f} m from where the mount says"
+        what = f"floor: measured at {lowest_m:+.2f} m, expected at 0 m"
         if abs(lowest_m) <= _FLOOR_M:
             yield Finding("ok", what)
         else:
-            todo = "correct height and pitch of the mount, the base frame or the depth's unit"
-            yield Finding("warn", what, f"{todo}; or let it look at open floor")
+            todo = "correct height and pitch of the mount, the base frame or the depth unit"
+            yield Finding("warn", what, f"{todo}; or point the sensor at open floor")
 
 
 def _input(row: InputRow) -> Iterator[Finding]:
-    """Yield how one input comes, and what it loses."""
+    """Yield the findings on the rate of one input, and on its dropped messages."""
     if row.state == "unused":
         return
     if row.state == "missing":
         level: Level = "fail" if row.needed else "ok"
-        todo = "start what sends it, or correct its key or name" if row.needed else ""
+        todo = "start its sender, or correct its key or topic name" if row.needed else ""
         yield Finding(level, f"{row}: no message", todo)
         return
     rate = f"{row}: {row.hz:g} Hz" if row.expected_hz else f"{row}: {row.received} messages"
@@ -144,8 +144,8 @@ def _input(row: InputRow) -> Iterator[Finding]:
         return
     expected = row.expected_hz
     if expected and not _SLOW * expected <= row.hz <= _FAST * expected:
-        todo = "set its rate under sensors, or make the driver keep it"
-        yield Finding("warn", f"{rate}, configured are {expected:g} Hz", todo)
+        todo = "correct its rate under sensors, or the rate of the driver"
+        yield Finding("warn", f"{rate}, configured: {expected:g} Hz", todo)
     else:
         yield Finding("ok", rate)
     for reason, n in row.dropped.items():
@@ -165,7 +165,7 @@ def _stamps(age_s: float, lag_s: float) -> Iterator[Finding]:
 
 
 def _mounted(T_base_sensor: np.ndarray, axis: np.ndarray) -> str:
-    """Describe where a sensor sits and looks."""
+    """Return the position and direction of a sensor in words."""
     x, y, z = T_base_sensor[:3, 3]
     pitch_deg = np.degrees(np.arcsin(np.clip(-axis[2], -1.0, 1.0)))
     yaw_deg = np.degrees(np.arctan2(axis[1], axis[0]))
@@ -175,7 +175,7 @@ def _mounted(T_base_sensor: np.ndarray, axis: np.ndarray) -> str:
 
 
 def _floor_heights(seen: Observation) -> np.ndarray:
-    """Return the heights above the base frame of what the sensors see steeply below them."""
+    """Return heights above the base frame, in m, of points that a sensor sees steeply below it."""
     if seen.depth_m is not None and seen.camera is not None:
         camera, T = seen.camera, seen.T_base_camera
         depth_m = seen.depth_m[::_STRIDE, ::_STRIDE]

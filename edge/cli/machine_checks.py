@@ -1,6 +1,6 @@
-"""What `edge doctor` checks of the machine, whatever runs on it.
+"""Checks of `edge doctor` for the machine itself.
 
-Each check is a function of the configuration that yields findings.
+Each check is a function that takes the configuration and yields findings.
 """
 
 from __future__ import annotations
@@ -40,7 +40,13 @@ Level = Literal["ok", "warn", "fail"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line: how it stands, what it is about, and what to do (empty when all is well)."""
+    """One line of the report.
+
+    Attributes:
+        level: `ok`, `warn` or `fail`.
+        what: what was found.
+        todo: what to do; "" if nothing.
+    """
 
     level: Level
     what: str
@@ -65,7 +71,7 @@ def check_cores(config: Config) -> Iterator[Finding]:
     if cores >= MIN_CORES:
         yield Finding("ok", f"{cores} CPU cores")
     else:
-        todo = f"budgets are for {MIN_CORES}: expect missed deadlines with a detector on the CPU"
+        todo = f"use at least {MIN_CORES}: a detector on the CPU will make ticks late"
         yield Finding("warn", f"{cores} CPU core", todo)
 
 
@@ -74,12 +80,12 @@ def check_speed(config: Config) -> Iterator[Finding]:
     if kept is not None:
         yield Finding("ok", f"{kept.machine}: {kept}")
     else:
-        todo = f"until it is, only deadlines are shown; {calibration.HINT}"
-        yield Finding("warn", "how fast this computer is was never measured", todo)
+        todo = f"{calibration.HINT}; until then reports show deadlines, not budgets"
+        yield Finding("warn", "the speed of this computer was not measured yet", todo)
 
 
 def check_packages(config: Config) -> Iterator[Finding]:
-    """Core dependencies whose binaries may not load (missing libGL, wrong NumPy, …)."""
+    """Check that core packages can be imported (libGL may be missing, NumPy wrong, …)."""
     versions = []
     for module in CORE_MODULES:
         try:
@@ -92,7 +98,7 @@ def check_packages(config: Config) -> Iterator[Finding]:
 
 
 def check_opencv(config: Config) -> Iterator[Finding]:
-    """Its packages hold the same folder `cv2`: the last one installed overwrites the others."""
+    """Check that only one OpenCV package is installed: all of them share the folder `cv2`."""
     found = [name for name in OPENCV if _is_installed(name)]
     if len(found) > 1:
         todo = f"pip uninstall {' '.join(found)}, then pip install {OPENCV[0]}"
@@ -127,7 +133,7 @@ def check_shared_memory(config: Config) -> Iterator[Finding]:
     if not config.zenoh.shared_memory:
         return
     if not SHM.is_dir():
-        yield Finding("warn", f"{SHM} is not there", "Zenoh then copies images over TCP")
+        yield Finding("warn", f"{SHM} does not exist", "mount it; until then images go over TCP")
         return
     size_mb = shutil.disk_usage(SHM).total // _MB
     if size_mb >= MIN_SHM_MB:
@@ -142,17 +148,17 @@ def check_cache(config: Config) -> Iterator[Finding]:
     try:
         make_writable(path)
     except OSError as error:
-        todo, reason = "name another with EDGE_CACHE_DIR", error.strerror or error
+        todo, reason = "set EDGE_CACHE_DIR to another folder", error.strerror or error
         yield Finding("warn", f"cache {path} cannot be written: {reason}", todo)
         return
     free_mb = shutil.disk_usage(path).free // _MB
     level: Level = "ok" if free_mb >= MIN_FREE_MB else "warn"
-    todo = "" if level == "ok" else f"models and recordings want {MIN_FREE_MB} MB: make room"
+    todo = "" if level == "ok" else f"models and recordings need {MIN_FREE_MB} MB: free some space"
     yield Finding(level, f"cache {path}: writable, {free_mb} MB free", todo)
 
 
 def _probe(a: int, b: int) -> int:
-    """What `check_numba` compiles."""
+    """Add two numbers; `check_numba` compiles it."""
     return a + b
 
 
@@ -169,7 +175,7 @@ def check_numba(config: Config) -> Iterator[Finding]:
     try:
         path = Path(numba.njit(cache=True)(_probe).stats.cache_path)
     except RuntimeError:
-        todo = "every start compiles anew: name a writable directory with NUMBA_CACHE_DIR"
-        yield Finding("warn", "numba has nowhere to keep compiled kernels", todo)
+        todo = "set NUMBA_CACHE_DIR to a writable folder, else every start compiles them again"
+        yield Finding("warn", "numba has no folder for compiled kernels", todo)
         return
     yield Finding("ok", f"numba keeps compiled kernels in {path}")

@@ -1,6 +1,6 @@
-"""`edge`: run the service, simulate a robot for it, look after models, measure.
+"""The entry point of the command `edge`.
 
-Thin: every command is a function of another module, and imports happen inside the handlers.
+Every command is a function of another module, which its handler here imports.
 """
 
 from __future__ import annotations
@@ -35,15 +35,19 @@ log = logging.getLogger("edge")
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Entry point of the `edge` command; returns the exit code."""
+    """Run the command `edge` and return its exit code.
+
+    Args:
+        argv: arguments, such as `["config", "demo"]`; None: those of the process.
+    """
     argv, renamed = renew(sys.argv[1:] if argv is None else argv)
     args = make_parser().parse_args(argv)
     setup(args.log_level, args.log_json)
     if renamed:
         log.warning("%s; the next release drops the old name", renamed)
-    # Before it ends, Python looks for garbage among all objects: a service stops 0.3 s later by it.
+    # Python's last garbage collection at exit takes 0.3 s in a service.
     atexit.register(gc.freeze)
-    if args.trust_cache:  # in the environment, a model's process has it too
+    if args.trust_cache:  # set in the environment, so that model processes inherit it
         from edge.perception.runtime.model_file import TRUST_CACHE
 
         os.environ[TRUST_CACHE] = "1"
@@ -53,13 +57,13 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _outcome(args: argparse.Namespace) -> int:
-    """The exit code of a command, its errors told; see `edge.errors.EXIT_CODES`."""
+    """Run the handler, print its error, and return the exit code (`edge.errors.EXIT_CODES`)."""
     try:
         with kernel_cache():
             return int(args.handler(args))
     except KeyboardInterrupt as broken_off:
         return 128 + (broken_off.args or (signal.SIGINT,))[0]
-    except BrokenPipeError:  # whoever read the output has had enough, as `head` has
+    except BrokenPipeError:  # the reader of the output has closed it, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     except UserError as error:
@@ -67,15 +71,15 @@ def _outcome(args: argparse.Namespace) -> int:
             print(printable_lines(error), file=sys.stderr)
         return error.exit_code
     except OSError:
-        log.exception("a file or disk failed")
+        log.exception("a file or disk cannot be read or written")
         return os.EX_IOERR
     except Exception:
-        log.exception("a fault of edge itself")
+        log.exception("internal error of edge: please report it with this traceback")
         return os.EX_SOFTWARE
 
 
 def _leave(code: int) -> int:
-    """The exit code; where a thread runs that nobody may wait for, the process ends with it here.
+    """Return the exit code, or exit here if a thread runs that must not be waited for.
 
     See `edge.host.interruptible`.
     """
@@ -84,7 +88,7 @@ def _leave(code: int) -> int:
             logging.shutdown()
             sys.stdout.flush()
             sys.stderr.flush()
-        finally:  # whatever breaks that off, a signal or a full disk
+        finally:  # also after a signal or a full disk
             os._exit(code)
     return code
 
@@ -93,14 +97,13 @@ _DEMO_SCORERS = {
     "directional": ("EDGE__PERCEPTION__CHOICE", {"kind": "onnx", "card": "mini-house-choice"}),
     "vlfm": ("EDGE__PERCEPTION__SIMILARITY", "mini-house-similarity"),
 }
-"""What the demo's house is scored by, for the policies that go by a scorer."""
+"""Policy → the variable and value that set the scorer it needs in the demo house."""
 
 
 def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
-    """The configuration that a command names, with `--target`, `--mission`, `--reading`, `--policy`
-    put in.
+    """Return the configuration of a command, with its options of mission and policy applied.
 
-    A formula is no part of it: the configured translator is still there for later requests.
+    `--formula` is not applied, so that the configured translator can serve later requests.
     """
     from edge.config import load
 
@@ -114,7 +117,7 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
         give("--target", "EDGE__MISSION__INSTRUCTION", None)
     elif (instruction := getattr(args, "mission", None)) is not None:
         give("--mission", "EDGE__MISSION__INSTRUCTION", instruction)
-        give("--mission", "EDGE__MISSION__READING", args.reading)  # no other instruction's
+        give("--mission", "EDGE__MISSION__READING", args.reading)  # not that of the file
     elif (reading := getattr(args, "reading", None)) is not None:
         give("--reading", "EDGE__MISSION__READING", reading)
     if (policy := getattr(args, "policy", None)) is not None:
@@ -129,19 +132,19 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
 def run(args: argparse.Namespace) -> int:
     """Handle `edge run`."""
     claim()
-    # First of all: it takes seconds to import what follows.
+    # First of all, since the imports below take seconds.
     stop = stop_on_signals(args.with_parent)
     hung_up = reload_on_hang_up()
     from edge.cli.commands import Reload, run_service
 
-    with unwaited_stderr():  # the loop writes there, too
+    with unwaited_stderr():  # the loop writes to it and must not wait
         setup(args.log_level, args.log_json)
         reload = Reload(partial(load_config, args), hung_up)
         return run_service(load_config(args), stop, args.once, args.report, _what(args), reload)
 
 
 def _what(args: argparse.Namespace) -> tuple[str | None, str | None, str | None]:
-    """Return the mission that the command line gives; see `edge.cli.commands.What`."""
+    """Return the mission of the command line; see `edge.cli.commands.What`."""
     return args.target or args.mission, args.formula, args.task
 
 

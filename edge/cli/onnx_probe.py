@@ -1,9 +1,9 @@
-"""Whether onnxruntime works here, tried in a process of its own.
+"""A test of onnxruntime in a separate process.
 
-Its binaries may crash where they were not made for: when they are imported, or at their first
-session. On arm64 that has happened with cores switched off, as a Jetson's power modes do
-(microsoft/onnxruntime#24221, #25103), on older cores (#24112), and under emulation. Whoever only
-asks whether it works must outlive the answer.
+Its binaries may crash on a computer that they were not made for, at import or in the first session.
+On arm64 this happened with cores switched off, as in power modes of a Jetson
+(microsoft/onnxruntime#24221, #25103), on older cores (#24112), and under emulation. The separate
+process keeps the caller alive.
 """
 
 from __future__ import annotations
@@ -22,20 +22,26 @@ from edge.host.children import python_module
 from edge.text import one_line
 
 MODEL = "mini-house-256x320-int8-cpu.onnx"
-"""What is run: the smallest detector, which comes with the package."""
+"""Model of the test: the smallest detector, which is part of the package."""
 CPU = "CPUExecutionProvider"
 TRIED = (CPU, "CUDAExecutionProvider")
-"""Not TensorRT's, which builds an engine for minutes. That a provider is available only says that
-it was compiled in; whether it has code for this GPU shows when a model runs."""
+"""Providers to test. Not TensorRT, which needs minutes to build an engine.
+
+An available provider was compiled in; only a run shows if it has code for this GPU.
+"""
 LIMIT_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
 class Probed:
-    """What became of it.
+    """Result of the test.
 
-    `providers` are those compiled in, `ran` those of `TRIED` that ran the model; `fault` goes on
-    after the package's name, and is empty where nothing was wrong.
+    Attributes:
+        version: version of onnxruntime; "" if the import failed.
+        providers: providers that were compiled in.
+        ran: providers of `TRIED` that ran the model.
+        fault: verb phrase for a message, such as `crashes (SIGILL) when it is imported`; "" if all
+            went well.
     """
 
     version: str
@@ -46,25 +52,25 @@ class Probed:
 
 @functools.cache
 def probe() -> Probed | None:
-    """Try it, once for each process of ours; None where it is not installed."""
+    """Return the result of the test, which runs once per process; None if it is not installed."""
     if util.find_spec("onnxruntime") is None:
         return None
     try:
         done = subprocess.run(
             python_module(__name__), capture_output=True, text=True, timeout=LIMIT_S, check=False
         )
-        said, code, last = done.stdout, done.returncode, done.stderr.strip().rpartition("\n")[2]
+        output, code, last = done.stdout, done.returncode, done.stderr.strip().rpartition("\n")[2]
     except subprocess.TimeoutExpired as error:
-        said, code, last = (error.stdout or b"").decode(), 1, f"no answer within {LIMIT_S:g} s"
-    return _told([json.loads(line) for line in said.splitlines()], code, last)
+        output, code, last = (error.stdout or b"").decode(), 1, f"no answer within {LIMIT_S:g} s"
+    return _result([json.loads(line) for line in output.splitlines()], code, last)
 
 
-def _told(said: list[dict[str, Any]], code: int, last: str) -> Probed:
-    """From what the process said until it ended, its exit code and the end of its last words."""
-    imported = said[0] if said else {"version": "", "providers": ()}
-    ran = tuple(step["ran"] for step in said[1:])
+def _result(steps: list[dict[str, Any]], code: int, last: str) -> Probed:
+    """Return the result from the process's output, exit code and last line on stderr."""
+    imported = steps[0] if steps else {"version": "", "providers": ()}
+    ran = tuple(step["ran"] for step in steps[1:])
     missing = [p for p in TRIED if p in imported["providers"] and p not in ran]
-    when = "when it is imported" if not said else "when it ends"
+    when = "when it is imported" if not steps else "when it ends"
     when = f"when it runs a model on {missing[0]}" if missing else when
     fault = ""
     if code < 0:
@@ -75,7 +81,7 @@ def _told(said: list[dict[str, Any]], code: int, last: str) -> Probed:
 
 
 def _steps() -> Iterator[dict[str, Any]]:
-    """What the process of its own does and says."""
+    """Import onnxruntime and run the model on each provider; yield the result of each step."""
     import numpy as np
     import onnxruntime as ort
 

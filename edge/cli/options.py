@@ -15,10 +15,10 @@ Handler = Callable[[argparse.Namespace], int]
 
 CONFIG = "YAML file, or the name of a ready configuration"
 WHERE = (
-    "a configuration of one of the robots, or your own: its section zenoh counts; or an endpoint "
-    "such as tcp/10.0.0.1:7447, where the robots' prefixes are robots/NAME"
+    "a configuration whose section zenoh reaches the fleet's router; or the router's endpoint, "
+    "such as tcp/10.0.0.1:7447, if the robots' prefixes are robots/NAME"
 )
-"""The argument that says at which router the robots of a fleet meet."""
+"""Help of the argument that names the router of a fleet."""
 
 
 LAB_PACKAGES = ("matplotlib", "networkx", "scipy")
@@ -29,7 +29,9 @@ def lazy(module: str, function: str, lab: bool = False) -> Handler:
     """Return a handler that imports its module when it is called.
 
     Args:
-        lab: refuse first if the packages of the extra `lab` are missing.
+        module: name of the module.
+        function: name of the handler in the module.
+        lab: first raise UnavailableError if the packages of the extra `lab` are missing.
     """
 
     def handler(args: argparse.Namespace) -> int:
@@ -44,11 +46,15 @@ def switched(
     parser: argparse.ArgumentParser,
     option: str, on: Handler, on_only: tuple[str, ...], off: Handler, off_only: tuple[str, ...],
 ) -> Handler:  # fmt: skip
-    """Let a command be handled by `on` if an option is given, else by `off`.
+    """Set the handler of a command: `on` if an option is given, else `off`.
 
     Args:
-        option: or several: "--trace or --recover".
-        on_only, off_only: options, or names of arguments, that only one of the two takes.
+        parser: parser of the command.
+        option: the option, or several: "--trace or --recover".
+        on: handler with the option.
+        on_only: options and arguments that are valid only with it.
+        off: handler without the option.
+        off_only: options and arguments that are valid only without it.
     """
 
     def handler(args: argparse.Namespace) -> int:
@@ -64,7 +70,7 @@ def switched(
 
 
 def require_lab() -> None:
-    """Raise UnavailableError if a package of the extra `lab` is missing: now, not after the run."""
+    """Raise UnavailableError if a package of the extra `lab` is missing."""
     missing = [name for name in LAB_PACKAGES if find_spec(name) is None]
     if missing:
         raise UnavailableError(
@@ -73,7 +79,7 @@ def require_lab() -> None:
 
 
 def positive(text: str) -> float:
-    """An option's positive number."""
+    """Parse a positive number."""
     value = float(text)
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"must be positive, got {text}")
@@ -81,7 +87,7 @@ def positive(text: str) -> float:
 
 
 def count(text: str) -> int:
-    """An option's whole number, at least 1."""
+    """Parse a whole number of at least 1."""
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"must be at least 1, got {text}")
@@ -89,15 +95,15 @@ def count(text: str) -> int:
 
 
 def port(text: str) -> int:
-    """An option's TCP port."""
+    """Parse a TCP port."""
     number = int(text)
     if not 1 <= number <= 65535:
-        raise argparse.ArgumentTypeError(f"must be a port, 1 to 65535, got {text}")
+        raise argparse.ArgumentTypeError(f"must be a port from 1 to 65535, got {text}")
     return number
 
 
 def shares(text: str) -> tuple[float, ...]:
-    """An option's probabilities above 0, each once."""
+    """Parse probabilities in (0, 1], separated by commas; duplicates are dropped."""
     try:
         values = tuple(dict.fromkeys(round(float(part), 6) for part in text.split(",")))
     except ValueError:
@@ -109,7 +115,7 @@ def shares(text: str) -> tuple[float, ...]:
 
 
 def seed(text: str) -> int:
-    """An option's seed of random numbers."""
+    """Parse the seed of a random number generator."""
     value = int(text)
     if not 0 <= value < 1 << 63:
         raise argparse.ArgumentTypeError(f"must be between 0 and 2**63 - 1, got {text}")
@@ -117,12 +123,12 @@ def seed(text: str) -> int:
 
 
 def unit_name(text: str) -> str:
-    """A name that a systemd unit and its folders may have."""
+    """Parse a name that is valid for a systemd unit and its folders."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", text):
         raise argparse.ArgumentTypeError(f"expected letters, digits, - and _, got {text!r}")
     return text
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,8 +1,8 @@
-"""Checks a configuration against this installation, before anything is loaded or compiled.
+"""Checks of a configuration against this installation, before anything is loaded or compiled.
 
-`edge run` and `edge demo` start with it, and `edge config` ends with it, so that all refuse the
-same with the same lines. Nothing is opened and nobody is asked: ports, servers and what a model's
-file holds are found out when the service opens them, which is before it compiles its kernels.
+`edge run` and `edge demo` start with them, and `edge config` ends with them, so all report the same
+errors. Nothing is opened and no server is asked. Ports, servers and the content of model files are
+checked when the service opens them, before it compiles its kernels.
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ from edge.tasks.brief import prepared
 
 
 def check(config: Config) -> None:
-    """Refuse what the service could not run with.
+    """Raise UserError if the service cannot run with this configuration.
 
     Raises:
-        UserError: one line for each fault; the exit code is that of the first.
+        UserError: one line for each fault, with the exit code of the first.
     """
     faults: list[UserError] = []
     for part in (*_PARTS, *(partial(_model, model) for model in named_models(config))):
@@ -77,14 +77,14 @@ def check(config: Config) -> None:
 
 
 def check_mission(config: Config) -> None:
-    """Refuse the configuration's own mission if it is not understood, cannot be done, or names
-    what the detector does not know.
+    """Raise UserError if the configured mission cannot be understood or done.
 
-    Where a language model on a server might have to read it, or a checkpoint may hold another one,
-    only the start of the service can tell.
+    It is not checked if a language model on a server may have to translate it, or if a checkpoint
+    may hold another mission.
 
     Raises:
-        UserError: one line; see `edge.tasks.brief.prepared` and `TextEncoder.embed`.
+        UserError: one line: the mission is not understood, is impossible, or names an object that
+            the detector does not know.
     """
     mission = config.mission
     translator = mission.translator
@@ -138,7 +138,7 @@ def _tasks(config: Config) -> None:
 
 
 CLASSES: tuple[Callable[[Config], object], ...] = (find_source, find_sinks, _policy, _planner)
-"""Check that the classes that a configuration names are there, and take its options."""
+"""Checks that the classes that a configuration names exist and accept their options."""
 _PARTS = (*CLASSES, _bus, _http, _translator, _choice, _tasks)
 
 
@@ -146,10 +146,10 @@ class NamedModel(NamedTuple):
     """A model that a configuration names.
 
     Attributes:
-        key: that names it.
-        name: of its card.
-        kind: of its card.
-        providers: that it is to run on.
+        key: key of the configuration that names it.
+        name: name of its card.
+        kind: class of its card.
+        providers: execution providers that it shall run on.
     """
 
     key: str
@@ -159,7 +159,7 @@ class NamedModel(NamedTuple):
 
 
 def named_models(config: Config) -> Iterator[NamedModel]:
-    """Yield each model that the configuration's perception names."""
+    """Yield each model that the section perception names."""
     perception = config.perception
     detector, segmenter, choice = perception.detector, perception.segmenter, perception.choice
     providers: Sequence[str] = CPU_ALONE
@@ -180,18 +180,18 @@ def named_models(config: Config) -> Iterator[NamedModel]:
 
 
 def _model(model: NamedModel, config: Config) -> None:
-    """Check a model's card and the cards that it names, their files and packages."""
+    """Check the card of a model and the cards that it refers to: files, packages, providers."""
     with _about(config, model.key):
         cards = list(_cards(config, model.name, model.kind))
     if any(file.server is None for card in cards for file in card.files):
-        # A model in a process of its own keeps onnxruntime out of this one.
+        # A model in a separate process must not load onnxruntime into this one.
         isolated = config.perception.isolation == "process"
         look = not isolated and tuple(model.providers) != CPU_ALONE
         check_providers(model.providers, f"{model.key.rpartition('.')[0]}.providers", look)
 
 
 def _cards(config: Config, name: str, kind: type[Card]) -> Iterator[Card]:
-    """Yield the card of a name and the cards that it names; check that what they need is here."""
+    """Yield a card and the cards that it refers to; check that all they need is installed."""
     card = load_card(name)
     if kind is not ChoiceCard or not isinstance(card, MarksCard):
         card = load_card_of(kind, name)
@@ -221,7 +221,7 @@ def _cards(config: Config, name: str, kind: type[Card]) -> Iterator[Card]:
 
 @contextmanager
 def _about(config: Config, key: str) -> Iterator[None]:
-    """Begin the errors of the block with the key that they are about."""
+    """Prefix errors of the block with the key of the configuration."""
     try:
         yield
     except (ModelError, PromptError, ChatError) as error:

@@ -1,4 +1,4 @@
-"""Commands whose name has changed: the old one is taken for one release, with a warning."""
+"""Old names of commands, which are accepted with a warning for one release."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ RENAMED = {
     "models bench": "bench --models",
     "eval compare": "eval episodes --compare",
 }
-"""New words by old ones. What followed the old words follows the new ones."""
+"""Old command words → new ones. The arguments after them stay."""
 
 
 def renew(argv: Sequence[str]) -> tuple[list[str], str | None]:
-    """Return the arguments with today's words, and a line that says so if others were given."""
-    at = 0  # of the command, behind options of `edge` itself
+    """Return the arguments with the new command words, and a warning if the old ones were given."""
+    at = 0  # index of the command, after the options of `edge` itself
     while at < len(argv) and argv[at].startswith("-"):
         at += 1 + (argv[at] == "--log-level")
     for n in (1, 2):

@@ -1,6 +1,6 @@
-"""`edge mission`: give a running service, or a fleet, a new mission; pause it, ask how it stands.
+"""`edge mission`: start, pause, resume, cancel and query missions of a service or a fleet.
 
-Light to import, so that the command line can take its arguments from here.
+The command line takes the arguments from here, so nothing expensive is imported.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ _ROW_CHARS = 1000
 NEW_S = 120.0  # a language model may be asked twice, and the mission compiled
 
 PATIENCE_S = 10.0
-_TEXT = {"help": "an instruction for mission.translator of the configuration"}
-_ROBOTS = {"nargs": "*", "metavar": "ROBOT", "help": "names, with --fleet; default: all there"}
+_TEXT = {"help": "instruction in words, for mission.translator of the configuration"}
+_ROBOTS = {"nargs": "*", "metavar": "ROBOT", "help": "with --fleet: names of robots; default: all"}
 
 _VERBS = {
-    "new": "replace the mission that runs",
-    "pause": "stop the robot where it is",
-    "resume": "go on after a pause",
-    "cancel": "end the mission that runs",
-    "status": "how the mission stands",
+    "new": "start a mission, in place of the running one",
+    "pause": "stop the robot, and keep the mission",
+    "resume": "continue after a pause",
+    "cancel": "end the running mission",
+    "status": "show the state of the mission",
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-def]
-    """Add a subcommand for each verb; return the subcommands, for others to add to."""
+    """Add a subcommand for each verb; return the subparsers, so that others can be added."""
     actions = parser.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
     for verb, text in _VERBS.items():
         is_new = verb == "new"
@@ -41,10 +41,14 @@ def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-d
         option("text" if is_new else "robots", **_TEXT if is_new else _ROBOTS)
         option(
             "--timeout", type=_seconds, metavar="S",
-            help=f"how long to wait for the answer; default: {NEW_S if is_new else ANSWER_S:g}",
+            help=f"time to wait for the answer (default: {NEW_S if is_new else ANSWER_S:g})",
         )  # fmt: skip
-        option("--json", action="store_true", help="print the answer as it came")
-        option("--fleet", action="store_true", help="to the robots at a router, not to one")
+        option("--json", action="store_true", help="print the answer as JSON")
+        option(
+            "--fleet",
+            action="store_true",
+            help="send it to the robots of a fleet, not to one service",
+        )
         alone, of_fleet = ((), ("--robots",)) if not is_new else _add_new(action)
         function = lazy("edge.cli.fleet", "new" if is_new else "ask")
         switched(action, "--fleet", function, of_fleet, run, alone)
@@ -52,35 +56,37 @@ def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-d
 
 
 def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Add what a new mission takes; return the options without `--fleet`, and those with it."""
+    """Add the options of `new`; return those only without `--fleet`, and those only with it."""
     kind = action.add_mutually_exclusive_group()
     kind.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
-    kind.add_argument("--task", action="store_true", help="TEXT is a way to drive")
+    kind.add_argument("--task", action="store_true", help="TEXT describes a path to drive")
     add_reading(kind)
     fleet = action.add_argument_group("with --fleet")
     whom = fleet.add_mutually_exclusive_group()
     whom.add_argument(
-        "--to", nargs="+", metavar="ROBOT", help="all of it to each of these; `any`, the default: "
-        "to the one free robot that knows most of what is asked for, and is nearest to it",
+        "--to", nargs="+", metavar="ROBOT", help="send the whole mission to each of these robots; "
+        "default: `any`, the free robot that knows most of the objects and is nearest to them",
     )  # fmt: skip
     whom.add_argument(
-        "--share", action="store_true", help="parts that do not depend on each other to several"
+        "--share", action="store_true", help="divide the mission among several robots, if possible"
     )
     fleet.add_argument(
-        "--anew", action="store_true", help="do not take up such a mission that is not over"
+        "--anew",
+        action="store_true",
+        help="start again, although the same mission is still running",
     )
     fleet.add_argument(
-        "--patience", type=positive, metavar="S", help="how long a robot that is gone is waited "
-        f"for before another gets its part (default: {PATIENCE_S:g})",
+        "--patience", type=positive, metavar="S", help="time to wait for a lost robot before "
+        f"another one gets its part (default: {PATIENCE_S:g})",
     )  # fmt: skip
     return ("--task", "--reading", "--timeout"), ("--to", "--share", "--anew", "--patience")
 
 
 def add_reading(parser) -> None:  # type: ignore[no-untyped-def]
-    """The option that chooses among what an instruction may mean."""
+    """Add the option that chooses a reading of an ambiguous instruction."""
     parser.add_argument(
         "--reading", type=count, metavar="N",
-        help="which one is meant, of an instruction that can be read in several ways",
+        help="number of the reading that is meant, if the instruction is ambiguous",
     )  # fmt: skip
 
 
@@ -88,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     """Handle `edge mission new | pause | resume | cancel | status`.
 
     Raises:
-        RequestError: no service is there, it does not answer, or it refuses.
+        RequestError: no service is running, it does not answer, or it refuses.
         ConfigError: the configuration cannot be read.
     """
     from edge.bus import topics
@@ -110,22 +116,22 @@ def run(args: argparse.Namespace) -> int:
 
 
 def as_text(answer: dict) -> str:
-    """A line for each thing that people ask for, of those that the answer tells."""
-    rows = [(name, one_line(tell(answer), _ROW_CHARS)) for name, tell in _ROWS.items()]
+    """Return the answer as text, one line for each field of `_ROWS` that it has."""
+    rows = [(name, one_line(format_row(answer), _ROW_CHARS)) for name, format_row in _ROWS.items()]
     width = max(map(len, _ROWS)) + 2
     return "\n".join(f"{name + ':':{width}}{text}" for name, text in rows if text) or "done"
 
 
 def _text(key: str, between: str = ", ") -> Callable[[dict], str]:
-    """What an answer has under a key, as text: of a list its entries, of nothing nothing."""
+    """Return a function that formats the value of a key; a list is joined, None is empty."""
 
-    def tell(answer: dict) -> str:
+    def format_value(answer: dict) -> str:
         value = answer.get(key)
         if isinstance(value, list):
             return between.join(str(entry) or "nothing for a step" for entry in value)
         return "" if value is None else str(value)
 
-    return tell
+    return format_value
 
 
 def _state(answer: dict) -> str:
@@ -135,35 +141,35 @@ def _state(answer: dict) -> str:
 
 
 def _phase(answer: dict) -> str:
-    paused = "paused, `edge mission resume` goes on" if answer.get("paused") else ""
+    paused = "paused (continue with `edge mission resume`)" if answer.get("paused") else ""
     return "; ".join(filter(None, [paused, _text("phase")(answer), _text("reason")(answer)]))
 
 
 def _amiss(answer: dict) -> str:
-    """Return why the robot is not ready, as `/readyz` has it."""
+    """Return the reasons why the robot is not ready, as in `/readyz`."""
     robot = answer.get("robot")
     return _text("amiss", "; ")(robot) if isinstance(robot, dict) else ""
 
 
 def _reading(answer: dict) -> str:
-    """Which of its readings an ambiguous instruction was given."""
+    """Return the number of the reading that was chosen, such as `1 of 2`."""
     reading, readings = answer.get("reading"), answer.get("readings")
     return f"{reading} of {len(readings)}" if reading and isinstance(readings, list) else ""
 
 
 def _overtaken(answer: dict) -> str:
     number = answer.get("overtaken")
-    return f"new missions given before this, not begun: {number}" if number else ""
+    return f"{number} missions that were waiting to start" if number else ""
 
 
-def _of_task(tell: Callable[[dict], str]) -> Callable[[dict], str]:
-    """What is told of an answer's task, where there is one."""
+def _of_task(format_task: Callable[[dict], str]) -> Callable[[dict], str]:
+    """Return a function that formats the task of an answer, if it has one."""
 
-    def told(answer: dict) -> str:
+    def format_answer(answer: dict) -> str:
         task = answer.get("task")
-        return tell(task) if isinstance(task, dict) else ""
+        return format_task(task) if isinstance(task, dict) else ""
 
-    return told
+    return format_answer
 
 
 def _trajectory(task: dict) -> str:
@@ -171,21 +177,21 @@ def _trajectory(task: dict) -> str:
     if not task.get("trajectory") or not _are_numbers(length_m, driven_m):
         return ""
     more = again - 1 if _are_numbers(again) else 0
-    changed = f", refined anew {more:g} times since the map had changed" if more > 0 else ""
+    changed = f", refined again {more:g} times because the map changed" if more > 0 else ""
     return f"{driven_m:.1f} of {length_m:.1f} m driven{changed}"
 
 
 def _steps(task: dict) -> str:
-    """How each step stands, of more than one."""
+    """Return the state of each step, if there are several."""
     steps = task.get("steps")
     if not isinstance(steps, list) or len(steps) < 2:
         return ""
-    told = (step for step in steps if isinstance(step, dict))
-    return "; ".join(f"{step.get('state')}: {step.get('said')}" for step in told)
+    valid = (step for step in steps if isinstance(step, dict))
+    return "; ".join(f"{step.get('state')}: {step.get('said')}" for step in valid)
 
 
 def _answers(task: dict) -> str:
-    """How often a model was asked, and what was wrong with its newest answer."""
+    """Return the number of a model's answers, and the error of the newest one."""
     answers, rounds = task.get("answers"), task.get("rounds")
     if not _are_numbers(answers) or not answers:
         return ""

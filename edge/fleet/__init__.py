@@ -1,3 +1,5 @@
-"""Several robots over one router: who is there, who gets which mission, what becomes of it. All by
-the requests that a single robot takes (`edge.bus.client`); what a robot does is not its business.
+"""Fleet: several robots over one router. It lists robots, assigns missions and follows them.
+
+It uses only the requests that a single robot serves (`edge.bus.client`). It does not control how a
+robot does its mission.
 """

@@ -1,4 +1,4 @@
-"""Hands a mission out to robots and tells what becomes of it; see `edge.fleet.orders`."""
+"""Dispatch of a mission to robots, and reports of its progress; see `edge.fleet.orders`."""
 
 from __future__ import annotations
 
@@ -31,8 +31,10 @@ class Plan:
     """A mission and its parts.
 
     Attributes:
-        id: of this mission; of the same one given again later, another.
-        why_whole: why it was not split; "" where it was, or was not to be.
+        id: Id of the mission. The same mission gets another id when it is given again later.
+        parts: Parts of the mission.
+        why_whole: Reason why the mission was not split; "" if it was split, or if no split was
+            requested.
     """
 
     id: str
@@ -48,15 +50,20 @@ def plan(
     share: bool = False,
     anew: bool = False,
 ) -> Plan:
-    """The parts of a mission, named as the robots know them if they are at it already.
+    """Return the parts of a mission.
+
+    If robots already work on such a mission, the parts get the ids that the robots know.
 
     Args:
-        to: a robot each: all of them get the whole. None: one of them does.
-        share: its parts may go to several.
-        anew: though the robots know of such a mission that is not over.
+        brief: The mission.
+        limits: Limits of missions, from the configuration.
+        robots: Robots by name, with their status.
+        to: Names of robots that each get the whole mission. Empty: any one robot gets it.
+        share: Split the mission, so that several robots can share it.
+        anew: Start a new mission even if robots know an unfinished one like it.
 
     Raises:
-        CompileError: see `edge.mission.split`.
+        CompileError: See `edge.mission.split`.
     """
     formula = brief.automaton.formula
     cut = split(formula, limits) if share else None
@@ -87,7 +94,7 @@ def _digest(*of: object) -> str:
 def _unfinished(
     digest: str, robots: Mapping[str, Robot], make: Callable[[str], tuple[Part, ...]]
 ) -> str | None:
-    """Of the missions with this digest that robots know of, one that is not over."""
+    """Return the run id of an unfinished mission with this digest that robots report, if any."""
     accounts = [robot.account for robot in robots.values() if robot.account is not None]
     ids = [id for account in accounts for id in (account.id, *(p.id for p in account.past))]
     runs = {m[1] for id in ids if (m := re.match(rf"{digest}\.([0-9a-f]+)\.", id))}
@@ -104,13 +111,19 @@ def _is_over(parts: Sequence[Part], orders: Orders) -> bool:
 
 
 class Dispatcher:
-    """Looks, decides, gives and tells, until it is over.
+    """A loop that polls the robots, assigns parts and reports progress until the mission is over.
 
     Args:
-        tell: hears what happens, a line each.
-        patience_s: how long a robot that is gone, or gives no account, is hoped to come back;
-            counted from the first look that misses it. A part that no robot there may do fails
-            only after it stayed so for as long, since one look may lack a robot that is there.
+        roster: The fleet.
+        mission: The mission and its parts.
+        tell: Function that is called with each progress line.
+        patience_s: Time to wait for a robot that is offline or reports no status, counted from the
+            first poll without it. A part that no online robot can do also fails only after this
+            time, because one poll may miss a robot.
+        clock: Clock in seconds.
+
+    Attributes:
+        ended_ns: Wall-clock time at which each part ended, by part id.
     """
 
     def __init__(
@@ -121,21 +134,21 @@ class Dispatcher:
         patience_s: float,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._roster, self._plan, self._tell = roster, mission, tell
+        self._roster, self._plan, self._print = roster, mission, tell
         self._patience_s, self._clock = patience_s, clock
-        self._at: dict[str, str] = {}  # who was last known to be at a part
-        self._missed: dict[str, float] = {}  # since when a robot is gone, or gives no account
-        self._lost: dict[str, float] = {}  # since when no robot that is there may do a part
+        self._assigned: dict[str, str] = {}  # by part: robot last known to work on it
+        self._offline_since: dict[str, float] = {}  # by robot: since when no status is reported
+        self._lost: dict[str, float] = {}  # by part: since when no online robot can do it
         self._refused: Counter[tuple[str, str]] = Counter()
         self._forgot: Counter[tuple[str, str]] = Counter()
-        self._has: set[tuple[str, str]] = set()  # which robot took, or reported, which part
+        self._has: set[tuple[str, str]] = set()  # (part, robot) accepted or reported
         self._settled: dict[str, Outcome] = {}
         self._gave: set[tuple[str, str]] = set()
-        self._told: dict[str, object] = {}
+        self._printed: dict[str, object] = {}
         self.ended_ns: dict[str, int] = {}
 
     def run(self) -> Mapping[str, Outcome]:
-        """What became of each part, by id; those that were not begun any more are left out."""
+        """Run until the mission is over; return the outcome of each finished part, by id."""
         while True:
             orders = self.step()
             if orders is not None and self._is_over(orders):
@@ -143,16 +156,16 @@ class Dispatcher:
             self._roster.wait(LOOK_S)
 
     def step(self) -> Orders | None:
-        """Look once, and do what that comes to; None while nobody can be seen."""
+        """Poll the robots once and carry out the orders; return None if the router is gone."""
         robots = self._roster.seen()
         if robots is None:
-            self._once("router", "the router is gone; robots go on, trying to reach it")
-            self._missed.clear()
+            self._once("router", "the router is gone: robots continue and try to reconnect")
+            self._offline_since.clear()
             self._lost.clear()
             return None
         self._once("router", None, "the router is back")
         for at in [at for at in self._refused if at[1] in robots and robots[at[1]].busy_with]:
-            del self._refused[at]  # it refused since it is another's by now
+            del self._refused[at]  # the robot refused because it was busy
         self._count_forgotten(robots)
         orders = decide(
             self._plan.parts, robots, self._away(robots), self._refused, self._settled,
@@ -173,9 +186,10 @@ class Dispatcher:
         return _is_over(self._plan.parts, orders)
 
     def _count_forgotten(self, robots: Mapping[str, Robot]) -> None:
-        """Count the robots that had a part and now report that they never did.
+        """Count the robots that had a part and no longer report it.
 
-        Such a robot lost its memory in a restart, or lies: others get the part first.
+        Such a robot lost its state in a restart, or reports wrongly. Other robots get the part
+        first.
         """
         for part in self._plan.parts:
             for name, robot in robots.items():
@@ -184,10 +198,10 @@ class Dispatcher:
                 elif robot.account is not None and (part.id, name) in self._has:
                     self._has.remove((part.id, name))
                     self._forgot[part.id, name] += 1
-                    self._tell(f"{_safe(name)} forgot what it was given: {part.english}")
+                    self._print(f"{_safe(name)} no longer knows its part: {part.english}")
 
     def _hoped(self, orders: Orders) -> dict[str, Outcome]:
-        """The outcomes of parts that have been lost for less than the patience, by id."""
+        """Return the outcomes of parts that have been lost for less than `patience_s`, by id."""
         now_s = self._clock()
         self._lost = {id: self._lost.get(id, now_s) for id in orders.lost}
         return {
@@ -201,16 +215,16 @@ class Dispatcher:
         for name, robot in robots.items():
             if (account := robot.account) is None:
                 continue
-            self._missed.pop(name, None)
+            self._offline_since.pop(name, None)
             if account.phase not in OVER:
-                self._at[account.id.partition("~")[0]] = name
-        for id, name in self._at.items():
+                self._assigned[account.id.partition("~")[0]] = name
+        for id, name in self._assigned.items():
             silent = name not in robots or robots[name].account is None
-            if silent and now_s - self._missed.setdefault(name, now_s) < self._patience_s:
+            if silent and now_s - self._offline_since.setdefault(name, now_s) < self._patience_s:
                 away[id] = name
         return away
 
-    # -- what is told --------------------------------------------------------------------------
+    # -- progress lines ------------------------------------------------------------------------
 
     def _report(
         self, orders: Orders, robots: Mapping[str, Robot], hoped: Mapping[str, Outcome]
@@ -221,62 +235,62 @@ class Dispatcher:
                 self.ended_ns.pop(part.id, None)
             if (outcome := orders.outcomes.get(part.id)) is not None:
                 self.ended_ns.setdefault(part.id, time.time_ns())
-                told = f"{what}: {outcome.phase} by {_safe(outcome.by)}: {one_line(outcome.reason)}"
+                line = f"{what}: {outcome.phase} by {_safe(outcome.by)}: {one_line(outcome.reason)}"
             elif (name := orders.under_way.get(part.id)) is not None:
                 gave = (part.id, name) in self._gave
-                told = None if gave else f"{what}: {_safe(name)} is at it"
+                line = None if gave else f"{what}: {_safe(name)} is working on it"
                 if name not in robots:
-                    told = (f"{what}: {_safe(name)} is gone; another gets it unless it is back in "
-                            f"{self._patience_s:g} s")  # fmt: skip
+                    line = (f"{what}: {_safe(name)} is offline; another robot gets the part unless "
+                            f"it is back within {self._patience_s:g} s")  # fmt: skip
                 elif robots[name].account is None:
-                    told = f"{what}: {_safe(name)} gives no account: {robots[name].problem}"
+                    line = f"{what}: {_safe(name)} reports no status: {robots[name].problem}"
             elif (outcome := hoped.get(part.id)) is not None:
-                told = (f"{what}: {one_line(outcome.reason)}; failed unless another robot comes "
-                        f"within {self._patience_s:g} s")  # fmt: skip
+                line = (f"{what}: {one_line(outcome.reason)}; the part fails unless another robot "
+                        f"comes online within {self._patience_s:g} s")  # fmt: skip
             else:
-                told = None
-            self._once(part.id, told)
+                line = None
+            self._once(part.id, line)
         waits = "; ".join(f"{_safe(name)}: {why}" for name, why in sorted(orders.waits.items()))
         given = len(orders.outcomes) + len(orders.under_way) + len(orders.give)
         left = len(self._plan.parts) - given
-        self._once(
-            "waits", f"parts that wait for a free robot: {left} ({waits})" if waits else None
-        )
-        self._once("nobody", None if robots else "no robot is there; waiting for one")
+        self._once("waits", f"parts waiting for a free robot: {left} ({waits})" if waits else None)
+        self._once("nobody", None if robots else "no robot is online; waiting for one")
 
     def _once(self, about: str, text: str | None, otherwise: str | None = None) -> None:
-        """Tell what is new about something; `otherwise`, where there was something to tell and
-        is nothing now."""
-        before = self._told.get(about)
-        self._told[about] = text
-        if text != before and (said := text or (otherwise if before else None)):
-            self._tell(said)
+        """Print `text` if it differs from the last text with the key `about`.
 
-    # -- what is asked for, each on a thread of its own ------------------------------------------
+        If `text` is None and the last one was not, print `otherwise`.
+        """
+        before = self._printed.get(about)
+        self._printed[about] = text
+        if text != before and (line := text or (otherwise if before else None)):
+            self._print(line)
+
+    # -- requests to robots, each on its own thread ----------------------------------------------
 
     def _give(self, give: Give) -> None:
         request = {"do": "new", "formula": give.part.formula, "id": give.id, "if_free": True}
         try:
             self._roster.tell(give.robot, request, GIVE_S)
         except RequestError as error:
-            # Late is not never: the next look tells whether it began.
+            # A late robot may still have begun; the next poll shows that.
             self._refused[give.part.id, give.robot] += 1
-            refused = "" if isinstance(error, RefusedError) else "did not answer: "
-            self._tell(f"{refused}{one_line(error)}")
+            refused = "" if isinstance(error, RefusedError) else "no answer: "
+            self._print(f"{refused}{one_line(error)}")
         else:
             self._gave.add((give.part.id, give.robot))
             self._has.add((give.part.id, give.robot))
-            self._at[give.part.id] = give.robot
-            self._tell(f"{_safe(give.robot)} gets: {give.part.english}: {give.why}")
+            self._assigned[give.part.id] = give.robot
+            self._print(f"{_safe(give.robot)} gets: {give.part.english}: {give.why}")
 
     def _cancel(self, cancel: Cancel) -> None:
         request = {"do": "cancel", "id": cancel.id, "why": DOUBLED}
         try:
             self._roster.tell(cancel.robot, request, GIVE_S)
         except RequestError as error:
-            self._tell(one_line(error))
+            self._print(one_line(error))
         else:
-            self._tell(f"{_safe(cancel.robot)} is told to stop: {DOUBLED}")
+            self._print(f"{_safe(cancel.robot)} was cancelled: {DOUBLED}")
 
 
 def _safe(name: str) -> str:

@@ -1,8 +1,7 @@
-"""Who gets which part of a mission: decided from what the robots say of themselves alone.
+"""Assignment of mission parts to robots, from the status that the robots report.
 
-No state is needed: every part has a name, which its robot knows it by, now and after it is over.
-So whoever looks comes to the same orders, the first time or after a restart, alone or beside
-another.
+The decision is stateless: each part has an id, which its robot reports during and after the part.
+Every dispatcher comes to the same orders, also after a restart or next to another dispatcher.
 """
 
 from __future__ import annotations
@@ -19,21 +18,22 @@ from edge.fleet.roster import OVER, Account, Robot
 from edge.text import one_line
 
 DOUBLED = "another robot is at it"
-"""Why a robot's part was cancelled that two had: no failure, and it may have it again."""
+"""Reason for the cancellation of a part that two robots had. It is not a failure: the robot may get
+the part again."""
 TRIES = 3
-"""A robot that refused or forgot a part so often does not get it."""
+"""A robot that refused or forgot a part this many times does not get it again."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """What one robot is to do.
+    """A part of a mission, for one robot.
 
     Attributes:
-        id: of the mission that it becomes.
-        formula: of it, as text.
-        english: the same, for people.
-        words: what may have to be reached.
-        only: the robot that it is for; None: whichever.
+        id: Id of the robot's mission.
+        formula: LTL formula of the robot's mission.
+        english: The formula in English.
+        words: Targets that the robot may have to reach.
+        only: Name of the robot that must do the part; None if any robot can.
     """
 
     id: str
@@ -45,7 +45,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a part, and by whom."""
+    """Result of a part, with the robot that caused it."""
 
     phase: Literal["reached", "failed"]
     by: str
@@ -53,6 +53,8 @@ class Outcome:
 
 
 class Give(NamedTuple):
+    """An order to give a part to a robot, as the mission `id`."""
+
     part: Part
     robot: str
     id: str
@@ -60,20 +62,24 @@ class Give(NamedTuple):
 
 
 class Cancel(NamedTuple):
+    """An order to cancel the mission `id` of a robot."""
+
     robot: str
     id: str
 
 
 @dataclass(frozen=True)
 class Orders:
-    """What is to be done now.
+    """Orders for the robots, with the state of the mission.
 
     Attributes:
-        outcomes: of the parts that are over, by id.
-        under_way: who is at it, of the others, by id.
-        waits: why each robot that is there cannot take a part that waits; empty where none does.
-        lost: ids of the `outcomes` that hold only for the robots that are there now: another
-            robot may still do the part.
+        outcomes: Results of the finished parts, by part id.
+        under_way: Robot that works on each running part, by part id.
+        give: Parts to give to robots now.
+        cancel: Missions to cancel now.
+        waits: Reason why each busy robot cannot take a waiting part; empty if no part waits.
+        lost: Ids of `outcomes` that are not final: a robot that comes online may still do the
+            part.
     """
 
     outcomes: Mapping[str, Outcome]
@@ -85,12 +91,12 @@ class Orders:
 
     @property
     def failed(self) -> bool:
-        """A part is lost, and so is the whole: no more is given out."""
+        """True if a part failed. The mission then fails too, and no more parts are given."""
         return any(outcome.phase == "failed" for outcome in self.outcomes.values())
 
 
 class _Held(NamedTuple):
-    """A part as one robot has, or had, it."""
+    """State of a part on one robot."""
 
     robot: str
     id: str
@@ -107,16 +113,15 @@ def decide(
     settled: Mapping[str, Outcome] = MappingProxyType({}),
     forgot: Mapping[tuple[str, str], int] = MappingProxyType({}),
 ) -> Orders:
-    """The orders for a mission.
+    """Return the orders for a mission.
 
     Args:
-        robots: that are there.
-        away: parts by id, and the robot that was at each when it was last heard of, for as long as
-            it is hoped to come back.
-        refused: how often, by part and robot.
-        settled: outcomes from before, which stand whatever became of the robots since.
-        forgot: how often a robot that had a part reported next that it never had it, by part and
-            robot.
+        parts: Parts of the mission.
+        robots: Online robots, by name.
+        away: By part id, the offline robot that last worked on the part and may still come back.
+        refused: Number of refusals, by part id and robot.
+        settled: Earlier outcomes, by part id. They are final.
+        forgot: How often a robot that had a part no longer reported it, by part id and robot.
     """
     tries = Counter(refused) + Counter(forgot)
     lost: set[str] = set()
@@ -158,7 +163,7 @@ def decide(
 
 
 def holds(part: Part, robot: Robot) -> bool:
-    """Whether a robot reports a part, under way or over."""
+    """Return True if a robot reports this part, running or finished."""
     return any(True for _ in _held(part, {robot.name: robot}))
 
 
@@ -181,9 +186,9 @@ def _may(
 
 
 def _stopped(part: Part, failed: Mapping[str, str]) -> Outcome | None:
-    """The failure that no other robot can undo; None while there is none."""
+    """Return a failure that no other robot can repair, or None."""
     for name, reason in failed.items():
-        # A person's word: no other robot sets out for it.
+        # A person cancelled the part, so no other robot starts it.
         if reason == CANCELLED or name == part.only:
             return Outcome("failed", name, reason)
     return None
@@ -196,13 +201,13 @@ def _lost(
     tries: Mapping[tuple[str, str], int],
     forgot: Mapping[tuple[str, str], int],
 ) -> Outcome | None:
-    """Why no robot that is there will do a part; None while one may."""
+    """Return why no online robot can do a part, or None if one may."""
     if part.only is not None and part.only not in robots:
-        return Outcome("failed", part.only, "it is not there")
+        return Outcome("failed", part.only, "it is offline")
     tried = {name for id, name in tries if id == part.id}
     if not tried | failed.keys() or any(n not in failed for n in _may(part, robots, tries)):
         return None
-    why = {n: "it forgot it" if (part.id, n) in forgot else "it refused" for n in tried}
+    why = {n: "it lost the part" if (part.id, n) in forgot else "it refused" for n in tried}
     why = dict(sorted((why | failed).items()))
     return Outcome("failed", ", ".join(why), "; ".join(f"{n}: {w}" for n, w in why.items()))
 
@@ -213,7 +218,7 @@ def _given(
     robots: Mapping[str, Robot],
     tries: Mapping[tuple[str, str], int],
 ) -> Iterator[Give]:
-    """Each free robot gets one part at most: the pair that suits best first."""
+    """Assign at most one part to each free robot, the best pair first."""
     free = {name for name, robot in robots.items() if not robot.busy_with}
     left = list(parts)
     while True:
@@ -234,13 +239,13 @@ def _given(
 
 
 def _cost(part: Part, account: Account) -> tuple[int, float]:
-    """Words whose place the robot does not know, and metres to the others."""
+    """Return the number of words at unknown places, and the sum of metres to the known ones."""
     places = _places(part, account)
     return len(part.words) - len(places), round(sum(places.values()), 1)
 
 
 def _places(part: Part, account: Account) -> dict[str, float]:
-    """Metres to what the part asks for, of what the robot knows."""
+    """Return the metres to each word of the part that the robot has in its map."""
     found: dict[str, float] = {}
     for label, away_m in account.robot.known.items():
         for word in part.words:

@@ -1,7 +1,7 @@
-"""Who is there, and how each robot stands by its own account.
+"""List of the online robots of a fleet, with the status that each robot reports.
 
-A robot's name is the last word of its `zenoh.prefix`; those whose prefixes are alike but for it are
-a fleet.
+A robot's name is the last word of its `zenoh.prefix`. Robots whose prefixes differ only in this
+word are a fleet.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _FINITE = ConfigDict(allow_inf_nan=False)
 
 @dataclass(frozen=True)
 class Past:
-    """What became of a mission that had a name."""
+    """Result of a finished mission that had an id."""
 
     id: str
     phase: Literal["reached", "failed"]
@@ -42,12 +42,13 @@ class Past:
 
 @dataclass(frozen=True)
 class Body:
-    """A robot as such.
+    """State of a robot, apart from its mission.
 
     Attributes:
-        pose: x and y in metres, yaw in radians, in its own `map`; None before there was any.
-        amiss: why nobody can count on it.
-        known: metres to the nearest thing of each label that is in its map.
+        pose: x and y in metres, yaw in radians, in the robot's own `map`; None before the first.
+        controller: Whether its motion controller answers.
+        amiss: Reasons why the robot is not ready; empty if it is.
+        known: Metres to the nearest object of each label in its map.
     """
 
     __pydantic_config__ = _FINITE
@@ -60,7 +61,11 @@ class Body:
 
 @dataclass(frozen=True)
 class Account:
-    """What a service answers to `status`, as far as a fleet goes by it."""
+    """The fields of a service's reply to `status` that a fleet uses.
+
+    Attributes:
+        past: Results of earlier missions, oldest first.
+    """
 
     __pydantic_config__ = _FINITE
 
@@ -79,11 +84,13 @@ _ACCOUNT = TypeAdapter(Account)
 
 @dataclass(frozen=True)
 class Robot:
-    """One that is there.
+    """An online robot.
 
     Attributes:
-        account: None where it gave none that makes sense; `problem` says why.
-        answer: the same as it came.
+        name: Last word of its prefix.
+        account: Its status; None if there is no valid reply.
+        problem: Reason why there is no valid reply; "" if there is one.
+        answer: The reply as received.
     """
 
     name: str
@@ -93,7 +100,7 @@ class Robot:
 
     @property
     def busy_with(self) -> str:
-        """Why it cannot be given a mission now; "" where it can."""
+        """Reason why the robot cannot take a mission now; "" if it can."""
         if (account := self.account) is None:
             return self.problem
         if account.phase not in OVER:
@@ -104,11 +111,12 @@ class Robot:
 
 
 class Roster:
-    """A fleet as it is seen from one session.
+    """The robots of a fleet that are online in one Zenoh session.
 
     Args:
-        settings: of one robot, or of whoever looks: endpoint, `client_file` and `topics` count, and
-            all of the prefix but its last word.
+        session: The session.
+        settings: Zenoh settings of any robot of the fleet, or of the client. Endpoint,
+            `client_file` and `topics` are used, and the prefix without its last word.
     """
 
     def __init__(self, session: zenoh.Session, settings: Zenoh) -> None:
@@ -124,7 +132,7 @@ class Roster:
 
     @property
     def online(self) -> bool:
-        """Whether there is a router, or a service in its place, to look through."""
+        """True if the session is connected to a router or to a service."""
         info = self._session.info
         return bool([*info.routers_zid(), *info.peers_zid()])
 
@@ -132,21 +140,23 @@ class Roster:
         return sorted(self._sessions())
 
     def look(self) -> dict[str, Robot]:
-        """Every robot that is there, by name; takes as long as the slowest, `ANSWER_S` at most.
+        """Ask every online robot for its status; return the robots by name.
+
+        The call takes as long as the slowest robot, at most `ANSWER_S`.
 
         Raises:
-            BusError: the router did not say who is.
+            BusError: The router did not list the robots.
         """
         there = self._sessions()
         robots = self.ask(there, {"do": "status"}, ANSWER_S)
         for name, sessions in there.items():
             if len(sessions) > 1:
-                problem = f"{len(sessions)} services have this name: stop all but one"
+                problem = f"{len(sessions)} services use this name: stop all but one"
                 robots[name] = replace(robots[name], account=None, problem=problem)
         return robots
 
     def seen(self) -> dict[str, Robot] | None:
-        """The same; None where not all can be seen: whoever is missing then need not be gone."""
+        """Return the same as `look`, or None if the list may lack robots that are online."""
         if not self.online:
             return None
         try:
@@ -158,25 +168,25 @@ class Roster:
     def ask(
         self, names: Iterable[str], request: Mapping[str, Any], timeout_s: float
     ) -> dict[str, Robot]:
-        """What each answers to the same request, in the names' order."""
+        """Send the same request to each robot; return the robots with their replies, in order."""
         return dict(self._pool.map(lambda name: (name, self._ask(name, request, timeout_s)), names))
 
     def each(self, calls: Iterable[Callable[[], None]]) -> None:
-        """Do these at the same time."""
+        """Run the calls in parallel and wait for all."""
         for done in [self._pool.submit(call) for call in calls]:
             done.result()
 
     def tell(self, name: str, request: Mapping[str, Any], timeout_s: float) -> dict:
-        """One robot's answer.
+        """Send a request to one robot and return its reply.
 
         Raises:
-            RequestError: see `edge.bus.client.ask`.
+            RequestError: See `edge.bus.client.ask`.
         """
         key = replaced_last(self._settings, name).key(topics.MISSION_REQUEST)
         return client.ask(self._session, key, dict(request), timeout_s, one_line(name))
 
     def wait(self, seconds: float) -> None:
-        """Until then, or until somebody comes or goes."""
+        """Wait for this time, or until a robot comes online or goes offline."""
         self._changed.wait(seconds)
         self._changed.clear()
 
@@ -187,7 +197,7 @@ class Roster:
     def _sessions(self) -> dict[str, set[str]]:
         found = presence.prefixes(self._session, self.pattern)
         if self._before - found.keys():
-            # An answer now and then lacks one that is there, just as another comes or goes.
+            # The list sometimes lacks a robot that is online, while another one comes or goes.
             time.sleep(_AGAIN_S)
             found = presence.prefixes(self._session, self.pattern) | found
         self._before = found.keys()
@@ -203,21 +213,21 @@ class Roster:
         except ValidationError as error:
             fault = error.errors(include_input=False, include_url=False)[0]
             where = ".".join(map(str, fault["loc"]))
-            return Robot(name, problem=one_line(f"not a service's answer: {where}: {fault['msg']}"))
+            return Robot(name, problem=one_line(f"invalid status reply: {where}: {fault['msg']}"))
 
 
 def replaced_last(settings: Zenoh, name: str) -> Zenoh:
-    """The settings of another robot of the fleet; its name is what a token said."""
+    """Return the settings for the robot with this name, the last word of a liveliness token."""
     parent = settings.prefix.rpartition("/")[0]
     return settings.model_copy(update={"prefix": f"{parent}/{name}" if parent else name})
 
 
 @contextmanager
 def open_roster(settings: Zenoh, patience_s: float = client.CONNECT_S) -> Iterator[Roster]:
-    """A roster with a session of its own.
+    """Open a roster with its own session.
 
     Raises:
-        RequestError: nobody is at the endpoint, or takes us in.
+        RequestError: Nothing listens at the endpoint, or it refuses the connection.
     """
     with client.connect(settings, patience_s, "fleet", "router", "edge fleet router") as session:
         roster = Roster(session, settings)

@@ -1,4 +1,4 @@
-"""What the service needs of the computer it runs on: processes, signals, threads, folders, ports.
+"""The operating system: processes, signals, threads, files, ports, HTTP, systemd.
 
-Nothing here knows of robots.
+Nothing here depends on robots.
 """

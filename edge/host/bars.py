@@ -1,4 +1,4 @@
-"""A bar for work whose amount is known: rewritten on a terminal, printed now and then in a log."""
+"""Progress bars: rewritten in place on a terminal, printed every 5 s to a log."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 class _Lines:
-    """A stderr that is a log: what tqdm would rewrite in place is a line of its own."""
+    """Stream for tqdm that writes each update as a new line to stderr, for logs."""
 
     def write(self, text: str) -> None:
         if line := text.strip():
@@ -28,16 +28,16 @@ class _Lines:
 
 
 class Bar(tqdm):
-    """A context; it shows nothing of work that is done within a period.
+    """A progress bar, used as a context. Work that ends within a period shows nothing.
 
     Args:
-        what: is counted.
-        total: None where it is not known.
-        done: before this began.
-        options: further ones of tqdm.
+        what: what is counted, shown before the bar.
+        total: amount of work; None: unknown.
+        done: amount that was done before.
+        options: further options of tqdm.
     """
 
-    monitor_interval = 0  # its thread would only show that time goes by
+    monitor_interval = 0  # tqdm's monitor thread is not needed
 
     def __init__(self, what: str, total: int | None, done: int = 0, **options: Any) -> None:
         terminal = sys.stderr.isatty()
@@ -49,12 +49,12 @@ class Bar(tqdm):
         )  # fmt: skip
 
     def reach(self, done: int) -> None:
-        """So much is done in all."""
+        """Set the total amount that is done."""
         self.update(done - self.n)
 
 
 def counted(what: str, items: Collection[T]) -> Iterator[T]:
-    """The items one after the other, while a bar says how many are done."""
+    """Yield the items, and show their number on a bar."""
     with Bar(what, len(items)) as bar:
         for item in items:
             yield item

@@ -1,7 +1,7 @@
-"""What the board says of itself: temperatures, throttling, power and memory, from Linux's files.
+"""Readings of the board: temperatures, throttling, power and memory, from files of Linux.
 
-Any Linux has some of them, and a Jetson with JetPack 6 or 7 all. A file that vanishes, cannot be
-read (as the sensor of a part that is switched off) or holds nonsense costs its own figure only.
+Every Linux has some of them, a Jetson with JetPack 6 or 7 all. If a file is missing, unreadable (as
+for a sensor of a part that is switched off) or has invalid content, only its value is missing.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 from edge.host.machine import power_mode_of, text_of
 from edge.text import one_line
 
-_COLDEST_C, _HOTTEST_C = -100.0, 300.0  # a Jetson's sensors without power say -256
+_COLDEST_C, _HOTTEST_C = -100.0, 300.0  # a Jetson's sensors without power read -256
 _TRIPS = ("passive", "hot", "critical")
 _OVER_CURRENT = "soctherm_oc"
 _LONGEST_NAME = 60
@@ -22,18 +22,18 @@ _LONGEST_NAME = 60
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """All that could be read; what could not is not there.
+    """All values that could be read.
 
     Attributes:
-        temperature_c: by thermal zone.
-        trip_c: by (zone, what happens there: `passive` (slowed down), `hot`, `critical` (switched
-            off)).
-        throttled: by what the kernel slows down to cool it, from 0 (not at all) to 1; no fans.
-        over_current: by alarm (`oc1` …), how often a Jetson has slowed itself down since it was
-            started, since it drew too much.
-        power_w: by rail.
-        memory_bytes: of the computer, by `total` and `available`.
-        power_mode: of a Jetson, by name.
+        temperature_c: thermal zone → temperature.
+        trip_c: (zone, kind) → trip temperature; kinds are `passive` (throttling), `hot` and
+            `critical` (shutdown).
+        throttled: cooling device → throttling, from 0 (none) to 1; without fans.
+        over_current: alarm (`oc1` …) → number of times that a Jetson throttled since its start,
+            because it drew too much current.
+        power_w: rail → power.
+        memory_bytes: `total` and `available` memory of the computer.
+        power_mode: name of a Jetson's power mode.
     """
 
     temperature_c: Mapping[str, float]
@@ -46,10 +46,15 @@ class Board:
 
 
 def read_board(root: Path = Path("/")) -> Board:
-    """How the board is now.
+    """Read the present values of the board.
 
     Args:
-        root: where `proc`, `sys`, `etc` and `var` are looked for.
+        root: folder with `proc`, `sys`, `etc` and `var`.
+
+    Example:
+        >>> board = read_board()
+        >>> sorted(board.memory_bytes)
+        ['available', 'total']
     """
     thermal, hwmon = root / "sys/class/thermal", root / "sys/class/hwmon"
     return Board(
@@ -64,18 +69,19 @@ def read_board(root: Path = Path("/")) -> Board:
 
 
 def distress(board: Board, before: Board | None = None, margin_c: float = 0.0) -> str:
-    """Why the board cannot go on like this, in a few words; empty where it can.
+    """Return why the board throttles or soon will, in a few words; "" if it does not.
 
     Args:
-        before: an earlier reading, since which over-currents count.
-        margin_c: how near a zone may come to where something happens to it.
+        board: present values.
+        before: earlier values; only over-currents since then count.
+        margin_c: distance of a zone to its trip temperature that counts as reached.
     """
     for device, share in board.throttled.items():
         if share > 0.0:
-            return f"{device} is slowed down by {share:.0%}"
+            return f"{device} is throttled by {share:.0%}"
     for alarm, events in board.over_current.items():
         if before is not None and events > before.over_current.get(alarm, events):
-            return f"the board slows itself down, it draws too much ({alarm})"
+            return f"the board throttles, it draws too much current ({alarm})"
     for (zone, what), trip_c in board.trip_c.items():
         celsius = board.temperature_c.get(zone)
         if celsius is not None and celsius >= trip_c - margin_c:
@@ -91,7 +97,7 @@ def _temperatures(thermal: Path) -> Iterator[tuple[str, float]]:
 
 
 def _trips(thermal: Path) -> dict[tuple[str, str], float]:
-    """The lowest of each kind."""
+    """Return the lowest trip temperature of each zone and kind."""
     found: dict[tuple[str, str], float] = {}
     for trip in thermal.glob("thermal_zone*/trip_point_*_type"):
         kind = text_of(trip).strip()
@@ -107,7 +113,7 @@ def _throttled(thermal: Path) -> Iterator[tuple[str, float]]:
         state, most = _number(device / "cur_state"), _number(device / "max_state")
         name = _name(device / "type")
         if state is not None and most and "fan" not in name.lower():
-            # What limits nothing now may say -1.
+            # Some devices read -1 while they limit nothing.
             yield name, min(max(state / most, 0.0), 1.0)
 
 
@@ -120,7 +126,7 @@ def _over_current(hwmon: Path) -> Iterator[tuple[str, int]]:
 
 
 def _power(hwmon: Path) -> Iterator[tuple[str, float]]:
-    """A Jetson's rails, and its whole input on a Thor (INA238)."""
+    """Yield the power of a Jetson's rails, and of the whole input on a Thor (INA238)."""
     for chip in _chips(hwmon, "ina3221"):
         for label in chip.glob("in*_label"):
             rail, number = _name(label), label.name[2 : -len("_label")]
@@ -143,7 +149,7 @@ def _chips(hwmon: Path, name: str) -> list[Path]:
 
 
 def _most(found: Iterator[tuple[str, float]]) -> dict[str, float]:
-    """The highest of each name: a processor's cores are all called alike."""
+    """Return the highest value of each name, since all cores of a processor share a name."""
     most: dict[str, float] = {}
     for name, value in found:
         most[name] = max(value, most.get(name, value))
@@ -158,7 +164,7 @@ def _celsius(file: Path) -> float | None:
 
 
 def _number(file: Path) -> int | None:
-    """A whole number of at most 18 digits; None where the file holds anything else."""
+    """Return the whole number in a file, of at most 18 digits; None for other content."""
     match = re.fullmatch(r"-?[0-9]{1,18}", text_of(file).strip())
     return int(match[0]) if match else None
 

@@ -1,7 +1,7 @@
-"""The stream `stderr` of C, to which image decoders print a line or two for each broken picture.
+"""A switch for C's stream `stderr`, to which image decoders print lines for each broken image.
 
-Neither libpng nor libjpeg can be told to be quiet through OpenCV. Only this stream is turned off:
-the descriptor stays, so nothing that Python logs, and no crash, is hidden.
+OpenCV has no option to silence libpng or libjpeg. Only the C stream is switched off. The file
+descriptor stays open, so logs of Python and reports of crashes are still written.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _silencing = 0
 
 
 def _streams() -> tuple[ctypes.c_void_p, int | None, int | None] | None:
-    """Return glibc's variable, the stream in it, and one that goes nowhere; None: no glibc."""
+    """Return glibc's variable `stderr`, its stream, and a stream to /dev/null; None: no glibc."""
     if platform.libc_ver()[0] != "glibc":
         return None
     libc = ctypes.CDLL(None)

@@ -1,8 +1,8 @@
-"""How fast this computer is, against the reference computer that all budgets were measured on.
+"""The speed of this computer, relative to the reference computer of all budgets.
 
-`edge bench --calibrate` times four small pieces of work once, each on one core, and keeps the
-result in the cache. What shows or holds a budget asks `load()`, and stays with the reference
-computer's budgets where nothing was kept, or where it was kept on another machine.
+`edge bench --calibrate` times four small workloads, each on one core, and saves the result in the
+cache. Code that shows or enforces budgets calls `load()`. Without a result, or with one of another
+machine, the budgets of the reference computer apply.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ REFERENCE = "AMD EPYC (Zen 5), 2 virtual cores"
 REFERENCE_MS = {"kernels": 3.45, "arrays": 0.45, "memory": 1.85, "python": 2.55}
 HINT = "measure this computer with `edge bench --calibrate`"
 ROUNDS = 40
-AS_FAST = 1.05  # no one notices less
+AS_FAST = 1.05  # smaller differences count as equal
 _MAX_SLOWDOWN = 1000.0
 _MAX_BYTES = 1 << 16
 _SIDE = 512
@@ -33,17 +33,17 @@ _BYTES = 48 << 20
 
 
 class CalibrationError(FileError):
-    """A calibration that cannot be kept; the message is one line."""
+    """A calibration that cannot be saved; the message is one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """One computer's speed.
+    """The speed of one computer.
 
     Attributes:
-        machine: its name, as `edge.host.machine.identity` gives it.
-        slowdown: geometric mean of `parts`; 2.0 takes twice the reference computer's time.
-        parts: the same of each piece of work.
+        machine: name of the computer (`edge.host.machine.identity`).
+        slowdown: geometric mean of `parts`; 2.0: twice the time of the reference computer.
+        parts: workload → slowdown.
     """
 
     machine: str
@@ -51,7 +51,8 @@ class Calibration:
     parts: dict[str, float]
 
     def __str__(self) -> str:
-        """
+        """Return the speed in words.
+
         >>> print(Calibration("Cortex-A78AE, 8 cores", 1.8, {}))
         1.8 times slower than the reference computer
         """
@@ -64,11 +65,11 @@ class Calibration:
 
 @njit(nogil=True, cache=True)
 def flood(free, seen, queue):
-    """Mark all cells that are joined to the middle one by their edges; returns how many.
+    """Mark all cells that are 4-connected to the middle cell, and return their number.
 
     Args:
         free: (n, n) bool.
-        seen: (n, n) bool, written whole.
+        seen: (n, n) bool, output.
         queue: (n * n,) int32, scratch.
     """
     n = free.shape[0]
@@ -89,8 +90,11 @@ def flood(free, seen, queue):
 
 
 def workloads() -> dict[str, Callable[[], object]]:
-    """What is timed: a compiled kernel, NumPy's arithmetic and indexing, a copy in memory that no
-    cache holds, and the interpreter with its tuples, sets and dictionaries."""
+    """Return the workloads by name.
+
+    They are a compiled kernel, NumPy arithmetic and indexing, a copy of memory larger than any
+    cache, and Python code with tuples, sets and dictionaries.
+    """
     rng = np.random.default_rng(0)
     free = rng.random((_SIDE, _SIDE)) < 0.8
     seen, queue = np.zeros_like(free), np.zeros(_SIDE * _SIDE, np.int32)
@@ -98,7 +102,7 @@ def workloads() -> dict[str, Callable[[], object]]:
     source, target = np.ones(_BYTES, np.uint8), np.zeros(_BYTES, np.uint8)
 
     def arrays() -> object:
-        # No sorting, no matrices: their speed is that of the widest vectors a processor has.
+        # No sorting, no matrices: their speed depends on the vector width of the processor.
         return np.floor(np.hypot(values, values[order]) * np.float32(20.0)).astype(np.int32)
 
     def python() -> object:
@@ -116,7 +120,7 @@ def workloads() -> dict[str, Callable[[], object]]:
 
 
 def time_ms(work: Callable[[], object]) -> float:
-    """Processor time of the quickest round; other processes and a first compilation cost none."""
+    """Return the CPU time of the fastest round, without compilation and other processes."""
     work()
     best_ns = math.inf
     for _ in range(ROUNDS):
@@ -127,14 +131,14 @@ def time_ms(work: Callable[[], object]) -> float:
 
 
 def measure() -> Calibration:
-    """Time this computer; takes about a second when the kernel is compiled."""
+    """Measure this computer; takes about one second if the kernel is compiled."""
     parts = {name: time_ms(work) / REFERENCE_MS[name] for name, work in workloads().items()}
     slowdown = math.exp(sum(map(math.log, parts.values())) / len(parts))
     return Calibration(machine.identity(), slowdown, parts)
 
 
 def path() -> Path:
-    """Where the calibration is kept.
+    """Return the path of the calibration file.
 
     Raises:
         ConfigError: there is no folder for a cache.
@@ -143,7 +147,7 @@ def path() -> Path:
 
 
 def save(calibration: Calibration) -> Path:
-    """Keep it; a reader finds the old or the new one.
+    """Save the calibration atomically, and return its path.
 
     Raises:
         CalibrationError: the file cannot be written.
@@ -154,13 +158,13 @@ def save(calibration: Calibration) -> Path:
     except OSError as error:
         why = error.strerror or error
         raise CalibrationError(
-            f"{file}: cannot be written: {why} (name another folder with EDGE_CACHE_DIR)"
+            f"{file}: cannot be written: {why} (set EDGE_CACHE_DIR to another folder)"
         ) from None
     return file
 
 
 def load() -> Calibration | None:
-    """What was kept of this computer; None when nothing sound was, or of another one."""
+    """Return the calibration of this computer; None if there is no valid one."""
     try:
         kept = Calibration(**json.loads(read_regular(path(), _MAX_BYTES)))
         sound = 1 / _MAX_SLOWDOWN < kept.slowdown < _MAX_SLOWDOWN

@@ -1,9 +1,9 @@
-"""Checkpoint files: written off the caller's thread, atomically; read as untrusted input.
+"""Checkpoint files: written atomically on a separate thread, and read as untrusted input.
 
-A file is one line of JSON and what `np.savez` writes, without pickles:
-`{"format", "version", "sha256", "config", "written_ns", "state"}`. The hash covers every byte after
-itself. A damaged file is set aside, never deleted: it may be all that is left. A file that does not
-begin like a checkpoint belongs to another program. It stays as it is.
+A file is one line of JSON, `{"format", "version", "sha256", "config", "written_ns", "state"}`,
+followed by an archive of `np.savez` without pickles. The hash covers all bytes after itself. A
+damaged file is renamed, never deleted. A file that does not begin like a checkpoint belongs to
+another program and stays as it is.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ log = logging.getLogger("edge.host.checkpoint")
 VERSION = 3
 MAX_STATE_BYTES = 8 << 20
 _MAX_DIRECTORY_BYTES = 64 << 10
-_END_BYTES = 22  # of a zip archive's last record, without a comment
+_END_BYTES = 22  # size of the last record of a zip archive without a comment
 _ZIP64 = b"PK\x06\x07"
 _HEAD = rb'"version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})",'
 _ABOUT = rb'"config":"([0-9a-f]{0,64})","written_ns":([0-9]{1,19}),"state":([^\n]*)\}\n'
@@ -50,17 +50,18 @@ State = TypeVar("State")
 
 
 class CheckpointError(FileError):
-    """A path that can hold no checkpoint: which one, why, what to do."""
+    """A path that cannot hold a checkpoint; the message says which, why, and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint(Generic[State]):
-    """Content of a file.
+    """Content of a checkpoint file.
 
     Attributes:
-        state: JSON-ready dataclass.
-        config: fingerprint of the configuration it was made with.
-        written_ns: wall-clock time.
+        state: dataclass of JSON-ready values.
+        arrays: name → array.
+        config: fingerprint of the configuration that made it.
+        written_ns: wall-clock time of writing.
     """
 
     state: State
@@ -69,19 +70,21 @@ class Checkpoint(Generic[State]):
     written_ns: int = field(default_factory=time.time_ns)
 
     def part(self, name: str) -> Arrays:
-        """Return the arrays `name/…`, without that prefix."""
+        """Return the arrays with names `name/…`, without that prefix."""
         prefix = f"{name}/"
         found = self.arrays.items()
         return {key.removeprefix(prefix): a for key, a in found if key.startswith(prefix)}
 
 
 class CheckpointFormat(Generic[State]):
-    """One kind of checkpoint.
+    """Format of one kind of checkpoint.
 
     Args:
-        name: first value in the file; `title`: the same for people.
+        name: value of `format` in the file.
+        title: name of the format for people.
         state: dataclass of the state, which pydantic validates.
-        check: raises ValueError if a valid state contradicts itself.
+        max_bytes: largest file.
+        check: raises ValueError if a state with valid types is inconsistent.
     """
 
     def __init__(
@@ -100,7 +103,7 @@ class CheckpointFormat(Generic[State]):
         """Return the file's content.
 
         Raises:
-            ValueError: one line; `decode` would not take it.
+            ValueError: `decode` would refuse the content; one line.
         """
         state = self._adapter.dump_json(checkpoint.state)
         self._state(state)
@@ -114,14 +117,14 @@ class CheckpointFormat(Generic[State]):
         body = about + archive.getvalue()
         content = self.begins + b'"version":%d,"sha256":"%s",' % (VERSION, _sha256(body)) + body
         if len(content) > self.max_bytes:
-            raise ValueError(f"{len(content)} bytes, at most {self.max_bytes} are written")
+            raise ValueError(f"{len(content)} bytes, at most {self.max_bytes} are allowed")
         return content
 
     def decode(self, content: bytes) -> Checkpoint[State]:
-        """Return what `encode` was given. Memory is allocated within the limits only.
+        """Return the checkpoint of a file's content; memory is limited by `max_bytes`.
 
         Raises:
-            ValueError: one line: what is wrong.
+            ValueError: the content is not valid; one line.
         """
         if len(content) > self.max_bytes:
             raise ValueError(f"more than {self.max_bytes} bytes")
@@ -154,12 +157,12 @@ def _sha256(content: bytes | memoryview) -> bytes:
 
 
 def _arrays(content: bytes) -> Arrays:
-    """Read an archive in which nothing is compressed, so that it takes no more than its length."""
-    # Python lists the whole directory before anything can be asked of it.
+    """Read an uncompressed archive, so that the arrays are not larger than the file."""
+    # zipfile reads the whole directory when it opens the archive, so check its size before.
     end = content[-_END_BYTES:]
     plain = end[:4] == b"PK\x05\x06" and end[-2:] == b"\0\0" and _ZIP64 not in content[-42:]
     if not plain or int.from_bytes(end[12:16], "little") > _MAX_DIRECTORY_BYTES:
-        raise ValueError("its directory of arrays is too long, or none")
+        raise ValueError("its directory of arrays is missing or too long")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
@@ -167,12 +170,12 @@ def _arrays(content: bytes) -> Arrays:
             if not stored or sum(m.file_size for m in members) > len(content):
                 raise ValueError("more bytes than the file has")
             return {m.filename.removesuffix(".npy"): _array(archive.read(m)) for m in members}
-    except Exception as error:  # whatever these parsers make of bytes that a stranger wrote
+    except Exception as error:  # the parsers may raise anything on hostile input
         raise ValueError(f"its arrays cannot be read: {one_line(error)}") from None
 
 
 def _array(content: bytes) -> np.ndarray:
-    """Read one array, if it declares no more bytes than there are: NumPy would allocate them."""
+    """Read one array. Its header must match the size, since NumPy allocates by the header."""
     file = io.BytesIO(content)
     np.lib.format.read_magic(file)
     shape, _, dtype = np.lib.format.read_array_header_1_0(file)
@@ -190,16 +193,20 @@ def check_arrays(
     most: Mapping[str, float],
     unique: tuple[str, ...] = (),
 ) -> None:
-    """Check arrays of a file against those that a part writes; all text in them is names.
+    """Check the arrays of a file against the `state_dict` of the object that shall load them.
+
+    Text in the arrays must be valid names.
 
     Args:
-        like: the part's own `state_dict`; names, dtypes and shapes have to be the same.
-        rows: arrays of any length: all of a group have as many rows, and at most this many.
-        most: arrays whose values lie from 0 to this. Other floats lie within `FARTHEST_M`.
-        unique: arrays that hold no value twice.
+        state: arrays of the file.
+        like: `state_dict` of the object; names, dtypes and shapes must be the same.
+        rows: groups of arrays with a variable number of rows → largest number. All arrays of a
+            group must have the same number.
+        most: arrays with values from 0 to this. Other floats must be within `FARTHEST_M`.
+        unique: arrays in which no value may occur twice.
 
     Raises:
-        ValueError: one line: which array is wrong.
+        ValueError: an array is wrong; one line that names it.
     """
     if state.keys() != like.keys():
         name = min(state.keys() ^ like.keys())
@@ -219,7 +226,7 @@ def check_arrays(
             far = FARTHEST_M if array.dtype.kind == "f" else _FAR
             far = _FAR_NS if name.endswith(("_ns", "id")) else far
             low, high = (0, most[name]) if name in most else (-far, far)
-            if not (array.min() >= low and array.max() <= high):  # NaN fails it too
+            if not (array.min() >= low and array.max() <= high):  # also False for NaN
                 raise ValueError(f"{name} is not from {low:g} to {high:g}")
     for name in unique:
         if len(np.unique(state[name])) < len(state[name]):
@@ -230,31 +237,31 @@ def _check_names(name: str, words: np.ndarray) -> None:
     try:
         for word in set(words.tolist()):
             names.normalise(word)
-    except (UserError, SystemError) as error:  # NumPy raises the second for no character
+    except (UserError, SystemError) as error:  # NumPy raises SystemError for invalid characters
         raise ValueError(f"{name}: {error}") from None
 
 
 def save(path: Path, checkpoint: Checkpoint[State], form: CheckpointFormat[State]) -> None:
-    """Replace a checkpoint; it has reached the disk when this returns.
+    """Replace a checkpoint file, and return when it is on the disk.
 
     Raises:
-        OSError: it cannot be written; the previous one is untouched.
-        ValueError: `load` would not take it.
+        OSError: the file cannot be written; the previous one is unchanged.
+        ValueError: `load` would refuse the checkpoint.
     """
     path, content = _real(path), form.encode(checkpoint)
     with replace_atomically(path, path.with_name(f".{path.name}.tmp")) as temporary:
         temporary.write_bytes(content)
-    sync(path.parent)  # or the old file may be back after a power cut
+    sync(path.parent)  # else a power cut may restore the old file
 
 
 def load(path: Path, form: CheckpointFormat[State]) -> tuple[Checkpoint[State] | None, str]:
-    """Read a checkpoint. Set a damaged file, or one of another version, aside.
+    """Read a checkpoint; rename a damaged file, or one of another version.
 
     Returns:
-        The checkpoint or None, and the line that was logged if a file was set aside.
+        The checkpoint or None, and the logged line if a file was renamed, else "".
 
     Raises:
-        CheckpointError: the file cannot be read, is no checkpoint, or cannot be set aside.
+        CheckpointError: the file cannot be read or renamed, or is no checkpoint.
     """
     path = _real(path)
     content = _read(path, form, form.max_bytes + 1)
@@ -267,16 +274,18 @@ def load(path: Path, form: CheckpointFormat[State]) -> tuple[Checkpoint[State] |
 
 
 def set_aside(path: Path, problem: str) -> str:
-    """Rename a file that is of no use to the first free `<name>.damaged-N`, and log that line.
+    """Rename an unusable file to the first free `<name>.damaged-N`; log and return a message.
 
     Raises:
-        CheckpointError: it cannot be renamed.
+        CheckpointError: the file cannot be renamed.
     """
     path = _real(path)
     for n in itertools.count(1):
         aside = path.with_name(f"{path.name}.damaged-{n}")
         try:
-            os.close(os.open(aside, os.O_CREAT | os.O_EXCL))  # renaming would overwrite a file
+            os.close(
+                os.open(aside, os.O_CREAT | os.O_EXCL)
+            )  # reserves the name; a rename would overwrite
             os.replace(path, aside)
             break
         except FileExistsError:
@@ -289,14 +298,20 @@ def set_aside(path: Path, problem: str) -> str:
 
 
 class CheckpointWriter(Generic[State]):
-    """Writes the newest checkpoint on its own thread, so that the loop never waits for a disk.
+    """Writer of the newest checkpoint, on a thread of its own, so that the loop never waits.
+
+    Args:
+        path: file of the checkpoint.
+        form: its format.
+        period_s: shortest time between periodic checkpoints (`due`).
 
     Attributes:
-        written: checkpoints that reached the disk; `failed`: those that did not.
-        problem: why the last one did not, "" if it did.
+        written: number of checkpoints on the disk.
+        failed: number of checkpoints that could not be written.
+        problem: reason of the last failure, "" after a success.
 
     Raises:
-        CheckpointError: nothing can be written there, or the file there is no checkpoint.
+        CheckpointError: the path cannot be written, or holds a file that is no checkpoint.
     """
 
     def __init__(self, path: Path, form: CheckpointFormat[State], period_s: float = 1.0) -> None:
@@ -311,25 +326,25 @@ class CheckpointWriter(Generic[State]):
 
     @property
     def idle(self) -> bool:
-        """Whether everything posted is written or has failed."""
+        """True if no posted checkpoint is left to write."""
         return self._worker.idle
 
     def due(self, now_ns: int) -> bool:
-        """Whether the last post is a period old; events need not wait for that."""
+        """Return True if the last post is at least one period old."""
         return self._posted_ns is None or abs(now_ns - self._posted_ns) >= self._period_ns
 
     def post(self, make: Callable[[], Checkpoint[State]], now_ns: int) -> None:
-        """Write this checkpoint next, instead of one that still waits. Never blocks.
+        """Write a checkpoint next, in place of one that still waits; never blocks.
 
         Args:
-            make: called on the writer's thread, which has time.
-            now_ns: of the clock that `due` is asked with.
+            make: returns the checkpoint; called on the writer's thread.
+            now_ns: time on the clock of `due`.
         """
         self._posted_ns = now_ns
         self._worker.submit(make)
 
     def close(self, timeout_s: float = 5.0) -> bool:
-        """Write what waits; return whether that took less than `timeout_s`."""
+        """Write the last checkpoint; return True if that ended within `timeout_s`."""
         return self._worker.close(timeout_s)
 
     def _write(self, make: Callable[[], Checkpoint[State]]) -> None:
@@ -348,7 +363,7 @@ class CheckpointWriter(Generic[State]):
 
 
 def _real(path: Path) -> Path:
-    """Resolve links, so that a link to another disk stays one."""
+    """Resolve links, so that the target is replaced and a link stays a link."""
     return Path(os.path.realpath(path))
 
 
@@ -358,7 +373,7 @@ def _read(path: Path, form: CheckpointFormat[State], most: int) -> bytes | None:
     Raises:
         CheckpointError: the file cannot be read, or does not begin like a checkpoint.
     """
-    # A folder, a device, a loop of links, a pipe: reading one might wait for ever.
+    # A folder, a device, a loop of links, or a pipe, whose read might block forever.
     if os.path.lexists(path) and not os.path.isfile(path):
         raise CheckpointError(
             f"mission.checkpoint: {path}: not a file; name a file in a folder that can be written"
@@ -372,7 +387,7 @@ def _read(path: Path, form: CheckpointFormat[State], most: int) -> bytes | None:
         raise _unusable(path, error) from None
     if not content.startswith(form.begins):
         raise CheckpointError(
-            f"mission.checkpoint: {path}: not a {form.title}, and left as it is; name another "
+            f"mission.checkpoint: {path}: not a {form.title}, left unchanged; name another "
             "file, or move this one away"
         )
     return content
@@ -382,7 +397,7 @@ def _probe(path: Path, form: CheckpointFormat[State]) -> None:
     """Raise CheckpointError unless a checkpoint can be written at `path`."""
     _read(path, form, len(form.begins))
     try:
-        # Not the name that `save` takes: a running service may be writing there.
+        # Not the temporary name of `save`, which a running service may be using.
         with tempfile.NamedTemporaryFile(prefix=f".{path.name}.", dir=path.parent):
             pass
     except OSError as error:

@@ -1,4 +1,4 @@
-"""How a module of ours is started in a process of its own."""
+"""The command line that starts one of our modules in a separate process."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import sys
 from pathlib import Path
 
 _ROOT = str(Path(__file__).parents[2])
-# As `python -m MODULE`, but that imports from the working directory before all else: an `edge` or
-# a `numpy.py` that lies there would be run (`-P`, which forbids it, came with Python 3.11). Only
-# where this package itself was found there, its folder is looked in. It ends as `edge.cli.main`
-# does, without a last look for garbage.
+# Like `python -m MODULE`, but without the working directory in `sys.path`: an `edge` or `numpy.py`
+# there would be imported first (`python -P` needs Python 3.11). The folder of this package is added
+# unless it is in `sys.path`. `gc.freeze` skips the slow garbage collection at exit.
 _RUN = (
     "import atexit, gc, sys; root, module = sys.argv[1:3]; del sys.argv[1:3]; "
     "found = [p for p in sys.path if p]; "
@@ -20,9 +19,9 @@ _RUN = (
 
 
 def python_module(name: str) -> tuple[str, ...]:
-    """The command line, to be followed by arguments, that runs a module as a program.
+    """Return the command line that runs a module; append its arguments.
 
     Args:
-        name: such as `edge.cli.main`; `exporters`, which lies beside `edge`, is found too.
+        name: name of the module, such as `edge.cli.main` or `exporters`.
     """
     return sys.executable, "-c", _RUN, _ROOT, name

@@ -1,8 +1,7 @@
-"""Files with secrets, and the copies of them that a service manager hands over.
+"""Files with secrets, and the copies of them that systemd gives to a service.
 
-`LoadCredential=NAME:FILE` (systemd.exec(5)) gives a service a copy of a file that root alone can
-read, whoever its user is: one that is made up at each start, too. `edge run --install` writes
-such lines.
+`LoadCredential=NAME:FILE` (systemd.exec(5)) gives a service of any user, also a dynamic one, a copy
+of a file that only root can read. `edge run --install` writes such lines.
 """
 
 from __future__ import annotations
@@ -24,13 +23,13 @@ _MAX_BYTES = 4096
 
 
 def handed_over(name: str, path: str) -> Path:
-    """The service manager's copy of a secret, where it has one of this name; else the file."""
+    """Return systemd's copy of a secret if there is one of this name, else the file itself."""
     copy = Path(os.environ.get(COPIES, ""), name)
     return copy if COPIES in os.environ and copy.is_file() else expand(path)
 
 
 def open_to_others(path: str | Path) -> bool:
-    """Whether other users of this machine can read or write the file; what is not there, nobody."""
+    """Return True if other users can read or write the file; False if it does not exist."""
     try:
         return bool(os.stat(path).st_mode & _OTHERS)
     except OSError:
@@ -38,31 +37,32 @@ def open_to_others(path: str | Path) -> bool:
 
 
 class Token:
-    """What whoever asks must know, compared in constant time; it shows itself nowhere."""
+    """A bearer token, compared in constant time and never shown."""
 
     def __init__(self, secret: bytes) -> None:
         self._secret = secret
 
     def is_borne_by(self, authorization: str) -> bool:
-        """Whether a request's header `Authorization` has it (RFC 6750, section 2.1)."""
-        scheme, _, said = authorization.partition(" ")
+        """Return True if a header `Authorization` has this token (RFC 6750, section 2.1)."""
+        scheme, _, given = authorization.partition(" ")
         return scheme.lower() == "bearer" and hmac.compare_digest(
-            said.strip().encode("utf-8", "replace"), self._secret
+            given.strip().encode("utf-8", "replace"), self._secret
         )
 
     def header(self) -> dict[str, str]:
-        """What a request of one's own says."""
+        """Return the header that sends this token."""
         return {"Authorization": f"Bearer {self._secret.decode()}"}
 
 
 def read_token(key: str, name: str) -> Token:
-    """The one line of a file.
+    """Read a token from a file, or from systemd's copy of it.
 
     Args:
-        key: that names the file; its copy has the same name (`handed_over`).
+        key: key of the configuration that names the file; also the name of the copy.
+        name: path of the file.
 
     Raises:
-        ConfigError: it cannot be read, or is no token; one line, which does not quote it.
+        ConfigError: the file cannot be read or has no valid token. The message does not quote it.
     """
     try:
         secret = read_regular(handed_over(key, name), _MAX_BYTES).strip()
@@ -70,7 +70,7 @@ def read_token(key: str, name: str) -> Token:
         raise ConfigError(f"{key}: {name}: {error.strerror}") from None
     if len(secret) < SHORTEST or not all(33 <= byte < 127 for byte in secret):
         raise ConfigError(
-            f"{key}: {name}: expected one word of {SHORTEST} letters or more, "
-            "as `openssl rand -hex 32` makes it"
+            f"{key}: {name}: expected one word of {SHORTEST} characters or more; "
+            "make one with `openssl rand -hex 32`"
         )
     return Token(secret)

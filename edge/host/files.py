@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and files that are read without waiting for them."""
+"""Atomic writes, and reads that never block on pipes or devices."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from typing import BinaryIO
 from edge.errors import FileError
 
 MAX_TEXT_BYTES = 64 << 20
-"""No text that a person or a program writes for `edge` is longer."""
+"""Default size limit of a file that is read."""
 
 
 def open_regular(path: str | os.PathLike[str], max_bytes: int | None = None) -> BinaryIO:
-    """Open a file for reading, at once or not at all.
+    """Open a regular file for reading, without blocking.
 
-    A pipe without a writer would be waited for without end, and a device may have no end.
+    Opening a pipe without a writer would block forever, and a device may have no end.
 
     Raises:
-        OSError: it cannot be opened, is no regular file, or is longer than `max_bytes`; its
-            `strerror` says which.
+        OSError: the file cannot be opened, is not a regular file, or is longer than `max_bytes`;
+            `strerror` has the reason.
     """
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
@@ -42,50 +42,51 @@ def open_regular(path: str | os.PathLike[str], max_bytes: int | None = None) -> 
 
 
 def read_regular(path: str | os.PathLike[str], max_bytes: int = MAX_TEXT_BYTES) -> bytes:
-    """The content of a file; raises OSError as `open_regular` does."""
+    """Return the content of a regular file; raise OSError as `open_regular` does."""
     with open_regular(path, max_bytes) as file:
         return file.read(max_bytes)
 
 
 @contextmanager
-def replace_atomically(path: Path, beside: Path | None = None) -> Iterator[Path]:
-    """Yield a path whose file takes the place of `path` if the block succeeds.
+def replace_atomically(path: Path, temporary: Path | None = None) -> Iterator[Path]:
+    """Yield a temporary path, whose file replaces `path` if the block succeeds.
 
-    A reader sees the old file or the new, never a part, also after a power cut. The folder is
-    made if need be.
+    A reader sees the old or the new file, never a part, also after a power cut. The folder is
+    created if needed.
 
     Args:
-        beside: the path to yield, in the same folder, for one writer at a time: what it leaves
-            there when it is killed, the next writes over. By default one that nobody else has.
+        path: file to replace.
+        temporary: path to yield, in the same folder. Use it if there is only one writer at a time:
+            the next writer overwrites what a killed one left. None: a new, unique path.
 
     Raises:
         OSError: the file cannot be written; nothing is left behind.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    if beside is None:
+    if temporary is None:
         handle, name = tempfile.mkstemp(path.suffix, f".{path.name}.", path.parent)
-        os.fchmod(handle, 0o644)  # mkstemp's 0600 would keep a web server from reading it
+        os.fchmod(handle, 0o644)  # with mkstemp's 0600, a web server could not read the file
         os.close(handle)
-        beside = Path(name)
+        temporary = Path(name)
     try:
-        yield beside
-        sync(beside)
-        beside.replace(path)
+        yield temporary
+        sync(temporary)
+        temporary.replace(path)
     finally:
-        beside.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Replace `path` with `content`; see `replace_atomically`."""
-    with replace_atomically(path) as beside:
-        beside.write_bytes(content)
+    """Replace the content of `path`; see `replace_atomically`."""
+    with replace_atomically(path) as temporary:
+        temporary.write_bytes(content)
 
 
 def save(path: Path, content: bytes) -> None:
-    """`write_atomically`, of a file that a user named.
+    """Write a file that a user named; like `write_atomically`.
 
     Raises:
-        FileError: it cannot be written.
+        FileError: the file cannot be written; one line.
     """
     try:
         write_atomically(path, content)
@@ -94,7 +95,7 @@ def save(path: Path, content: bytes) -> None:
 
 
 def sync(path: Path) -> None:
-    """Have a file's content, or the names in a folder, on the disk and not only in its cache."""
+    """Flush a file's content, or the names in a folder, to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -103,11 +104,7 @@ def sync(path: Path) -> None:
 
 
 def make_writable(directory: Path) -> None:
-    """Make a directory if need be, and see that files can be written there.
-
-    Raises:
-        OSError: they cannot.
-    """
+    """Create a directory if needed, and raise OSError if files cannot be written there."""
     directory.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=directory, prefix=".writable."):
         pass

@@ -1,8 +1,7 @@
-"""HTTP requests that end in time, whatever the server sends.
+"""HTTP requests with a time limit that holds for any server.
 
-httpx limits each read of a socket: a server that sends a byte now and then outlasts that, in a
-header, in the length of a chunk or in what follows the last one. So the connection of a request can
-be cut from another thread, which looks at the clock.
+httpx limits only each read of a socket. A server that sends one byte now and then never exceeds
+that limit. So another thread watches the clock and can cut the connection of a request.
 """
 
 from __future__ import annotations
@@ -22,12 +21,12 @@ from edge.text import one_line
 
 
 class GivenUpError(Exception):
-    """The request was given up by whoever made it."""
+    """The request was cancelled by the caller."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """A server's answer; the body is longer than allowed where it would have sent more."""
+    """Answer of a server. A body longer than the limit means that the server sent too much."""
 
     status: int
     headers: httpx.Headers
@@ -35,11 +34,11 @@ class Reply:
 
 
 class Exchange:
-    """One request, which a thread of its own carries out, as looking up a host name may take long.
+    """One request, on a thread of its own, since the lookup of a host name may take long.
 
     Args:
-        connection: where the client keeps its connection, the one of the requests before; it is
-            of no use any more once a request was given up.
+        connection: connection of the client, shared with earlier requests; None: a new one. It
+            cannot be used again after a request was cancelled.
     """
 
     def __init__(self, connection: Connection | None = None) -> None:
@@ -49,11 +48,17 @@ class Exchange:
     def carry_out(
         self, client: httpx.Client, request: httpx.Request, max_bytes: int, limit_s: float
     ) -> Reply:
-        """Send the request, and wait for the whole answer.
+        """Send the request, and return the whole answer.
+
+        Args:
+            client: the client.
+            request: the request.
+            max_bytes: the body is read only until it is longer than this.
+            limit_s: time for the whole answer.
 
         Raises:
-            TimeoutError: it was not there in time; the connection is cut.
-            GivenUpError: another thread gave the request up.
+            TimeoutError: the answer was not complete in time; the connection is cut.
+            GivenUpError: another thread cancelled the request.
             httpx.HTTPError, UnicodeError: see `failure`.
         """
         arguments = (client, request, max_bytes)
@@ -68,7 +73,7 @@ class Exchange:
         raise outcome
 
     def give_up(self, why: Exception) -> None:
-        """Have whoever waits for the answer get this in its place; from any thread."""
+        """Cancel the request: the waiting caller gets this exception. Callable from any thread."""
         self._outcome.put(why)
         self.connection.cut()
 
@@ -76,12 +81,12 @@ class Exchange:
         try:
             request.extensions["trace"] = self.connection.trace
             self._outcome.put(_receive(client.send(request, stream=True), max_bytes))
-        except Exception as error:  # whatever it is, it is told where the answer is awaited
+        except Exception as error:  # raised again in the thread that waits
             self._outcome.put(error)
 
 
 def _receive(response: httpx.Response, max_bytes: int) -> Reply:
-    """Reads until more than `max_bytes` are there, or to the end."""
+    """Read the body to its end, or until it is longer than `max_bytes`."""
     body = bytearray()
     with closing(response):
         for chunk in response.iter_raw():
@@ -92,9 +97,9 @@ def _receive(response: httpx.Response, max_bytes: int) -> Reply:
 
 
 class Connection:
-    """The connection of one request, or of several after each other, which any thread may cut.
+    """Connection of one request, or of several in sequence, that any thread can cut.
 
-    httpx takes `trace` as the request's extension of that name.
+    Pass `trace` to httpx as the request's extension `trace`.
     """
 
     def __init__(self) -> None:
@@ -102,23 +107,23 @@ class Connection:
         self._is_cut = False
 
     def trace(self, event: str, info: dict[str, Any]) -> None:
-        """Take note of the socket when httpx tells that it is connected."""
+        """Store the socket when httpx reports that it is connected."""
         if event.endswith((".connect_tcp.complete", ".start_tls.complete")):
             self._socket = info["return_value"].get_extra_info("socket")
-            if self._is_cut:  # looked at after the socket is set: `cut` does the reverse
+            if self._is_cut:  # checked after the socket is set; `cut` does both in reverse order
                 self.cut()
 
     def cut(self) -> None:
-        """Whoever waits for the server finds the connection ended, at once."""
+        """Shut the socket down, so that a waiting read ends at once."""
         self._is_cut = True
         if self._socket is not None:
             with suppress(OSError):  # it may have been closed by now
-                # Not SSLSocket's own: after that one, what is still read is not decrypted.
+                # Not SSLSocket.shutdown, after which further reads are not decrypted.
                 socket.socket.shutdown(self._socket, socket.SHUT_RDWR)
 
 
 def explanation(body: bytes) -> str | bytes:
-    """What a server says about an HTTP error, where it says something; not made safe to show."""
+    """Return a server's explanation of an HTTP error, if it sent one; not sanitized."""
     text: Any = body
     with suppress(ValueError, RecursionError):
         text = json.loads(body)
@@ -129,12 +134,12 @@ def explanation(body: bytes) -> str | bytes:
 
 
 def failure(error: Exception) -> str:
-    """Why a request brought no answer, and what to do, in the words of who asked."""
+    """Return why a request failed, and what to do, as the end of a message."""
     cause: BaseException = error
     while inner := cause.__cause__ or cause.__context__:  # httpx wraps what httpcore wraps
         cause = inner
     match cause:
-        case socket.gaierror() | UnicodeError():  # UnicodeError: a label no host name may have
+        case socket.gaierror() | UnicodeError():  # UnicodeError: an invalid label in the name
             return "the host is not known; check the URL"
         case ssl.SSLCertVerificationError():
             return f"its certificate is not trusted ({one_line(cause.verify_message)})"
@@ -148,9 +153,9 @@ def failure(error: Exception) -> str:
             return f"cannot be reached ({cause.strerror or type(cause).__name__}); check the URL"
     if not isinstance(error, httpx.RemoteProtocolError):
         return one_line(error) or type(error).__name__
-    # Of its kind are both a connection that ends early and an answer that is no HTTP.
+    # The same exception stands for a connection that ends early, and for no HTTP.
     ended = any(words in str(error) for words in ("disconnected", "peer closed"))
     return _BROKEN_OFF if ended else f"does not speak HTTP ({one_line(error)}); check the URL"
 
 
-_BROKEN_OFF = "closed the connection before its answer was whole; see the server's log"
+_BROKEN_OFF = "closed the connection before its answer was complete; see the server's log"

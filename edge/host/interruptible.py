@@ -1,4 +1,4 @@
-"""Work that cannot be told to stop, such as compiling: done on threads that nobody waits for."""
+"""Work that cannot be interrupted, such as compiling, on threads that exit does not wait for."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ T = TypeVar("T")
 
 
 def start_unjoined(name: str, work: Callable[..., object], *args: object) -> threading.Thread:
-    """Start a thread that may outlast whoever started it.
+    """Start and return a thread that may still run when the process ends.
 
-    The process must neither wait for it nor let the interpreter go while it runs: the libraries at
-    work in it (onnxruntime, LLVM, Zenoh) would not survive that. See `edge.cli.main`.
+    The process must not wait for it, and must not shut the interpreter down while it runs, since
+    the libraries in it (onnxruntime, LLVM, Zenoh) would crash. `edge.cli.main` uses `os._exit`.
     """
     thread = threading.Thread(target=work, args=args, name=name, daemon=True)
     _unjoined.add(thread)
@@ -32,25 +32,25 @@ def start_unjoined(name: str, work: Callable[..., object], *args: object) -> thr
 
 
 def any_unjoined() -> bool:
-    """Whether such a thread runs."""
+    """Return True if a thread of `start_unjoined` is running."""
     return any(thread.is_alive() for thread in tuple(_unjoined))
 
 
 def raise_if_stopped(stop: threading.Event) -> None:
-    """Raises Stopped once `stop` is set."""
+    """Raise Stopped if `stop` is set."""
     if stop.is_set():
         log.info("stopped before it was ready")
         raise Stopped
 
 
 def unless_stopped(work: Callable[[], T], stop: threading.Event) -> T:
-    """Do a step on a thread of its own, and leave it to that once `stop` is set.
+    """Run `work` on a separate thread, and stop waiting for it when `stop` is set.
 
     Returns:
-        What `work` returns; what it raises is raised here.
+        The result of `work`. Its exceptions are raised here.
 
     Raises:
-        Stopped: `stop` was set before the step was begun or done.
+        Stopped: `stop` was set before the work was done.
     """
     raise_if_stopped(stop)
     outcome: Future[T] = Future()

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept: without a place numba refuses to load them at all."""
+"""The folder for compiled kernels, without which numba refuses to load them."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _VARIABLE = "NUMBA_CACHE_DIR"
 
 @contextmanager
 def kernel_cache() -> Iterator[None]:
-    """Have numba find a folder, in this block and in processes started in it.
+    """Give numba a folder for compiled kernels, in this block and in processes started in it.
 
-    Numba takes what `NUMBA_CACHE_DIR` names, else `__pycache__` beside the code, else the user's
-    cache. Where the code is read-only and the user has no home that can be written, that is
-    `$EDGE_CACHE_DIR`, or a temporary folder, with a warning.
+    Numba uses `NUMBA_CACHE_DIR`, else `__pycache__` next to the code, else the user's cache. If
+    none of these can be written, `$EDGE_CACHE_DIR` is used, else a temporary folder, with a
+    warning.
 
     Raises:
         ConfigError: no folder can be written.
@@ -58,13 +58,13 @@ def _temporary(stack: ExitStack) -> Path:
         folder = stack.enter_context(private_folder("edge-kernels-"))
     except OSError as error:
         raise ConfigError(f"no folder for compiled kernels ({error.strerror}): {todo}") from None
-    log.warning("neither code nor home can be written, so kernels are compiled anew at each start, "
-                "which takes tens of seconds: %s", todo)  # fmt: skip
+    log.warning("no folder can keep compiled kernels, so each start compiles them again, for tens "
+                "of seconds: %s", todo)  # fmt: skip
     return folder
 
 
 def _writable(folder: Path) -> bool:
-    """Whether it can be written, or made."""
+    """Return True if the folder can be written, or created."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK, effective_ids=True)

@@ -1,6 +1,6 @@
-"""What machine this is: whatever a measured time depends on, as plain data.
+"""A description of this machine: all that a measured time depends on, as plain data.
 
-Linux's files only, and `nvidia-smi` where there is one; what cannot be read is left out.
+It comes from files of Linux and from `nvidia-smi`. Values that cannot be read are left out.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ _RUNTIMES = {
     "onnxruntime": ("onnxruntime-gpu", "onnxruntime"),
     "tensorrt": ("tensorrt", "tensorrt-cu12", "tensorrt-cu13"),
 }
-"""Package → the distributions that bring it."""
+"""Package → distributions that install it."""
 
-# Arm's implementer and part numbers, since its kernels give no name (linux: asm/cputype.h).
+# Part numbers of Arm, since its kernels report no name (linux: asm/cputype.h).
 _ARM_PARTS = {
     "0xd03": "Cortex-A53",
     "0xd07": "Cortex-A57",
@@ -48,10 +48,10 @@ _SMI_S = 20.0
 
 
 def describe(root: Path = _ROOT) -> Description:
-    """Processor, memory, system, runtimes, clocks, GPUs and, on a Jetson, its power mode.
+    """Return processor, memory, system, runtimes, clocks, GPUs and a Jetson's power mode.
 
     Args:
-        root: where `proc`, `sys`, `etc` and `var` are looked for.
+        root: folder with `proc`, `sys`, `etc` and `var`.
     """
     cpuinfo = text_of(root / "proc/cpuinfo")
     found: Description = {
@@ -70,7 +70,7 @@ def describe(root: Path = _ROOT) -> Description:
 
 
 def summary(machine: Description) -> str:
-    """One line for a person: processor, cores, memory, GPU, power mode, runtimes."""
+    """Return one line for people: processor, cores, memory, GPU, power mode, runtimes."""
     parts = [f"{machine['cpu']}, {machine['cores']} cores"]
     if memory := machine.get("memory_gb"):
         parts.append(f"{memory:.0f} GB")
@@ -85,10 +85,11 @@ def summary(machine: Description) -> str:
 
 
 def short_name(machine: Description, gpu: str | None = None) -> str:
-    """What tells machines apart: the board or the processor with its cores, and the power mode.
+    """Return a short name: the board, or the processor and its cores, and the power mode.
 
     Args:
-        gpu: the one that was used, if one was; it comes first, but a board's name tells it.
+        machine: as `describe` returns it.
+        gpu: GPU that was used; it comes first. A board's name already implies its GPU.
 
     >>> short_name({"cpu": "AMD EPYC", "cores": 8}, "NVIDIA L4")
     'NVIDIA L4, AMD EPYC, 8 cores'
@@ -101,23 +102,22 @@ def short_name(machine: Description, gpu: str | None = None) -> str:
 
 
 def identity(root: Path = _ROOT) -> str:
-    """What a measured speed belongs to: `short_name` of the whole computer, whichever of its cores
-    this process may use."""
+    """Return the `short_name` of the computer, with all its cores, as key of a measured speed."""
     return short_name({"cpu": this_cpu(root), "cores": os.cpu_count(), "jetson": _jetson(root)})
 
 
 def boot_id(root: Path = _ROOT) -> str:
-    """Another one after each start of the computer; "" where the kernel does not tell."""
+    """Return the kernel's id of this boot; "" if it has none."""
     return text_of(root / "proc/sys/kernel/random/boot_id").strip()[:64]
 
 
 def this_cpu(root: Path = _ROOT) -> str:
-    """This machine's processor: its name, or at least its architecture."""
+    """Return the name of this machine's processor, or its architecture."""
     return cpu_name(text_of(root / "proc/cpuinfo")) or platform.machine()
 
 
 def cpu_name(cpuinfo: str) -> str | None:
-    """The processor's name from the text of /proc/cpuinfo.
+    """Return the processor's name from the text of /proc/cpuinfo.
 
     >>> cpu_name("processor: 0\\nmodel name\\t: AMD EPYC\\n"), cpu_name("CPU part\\t: 0xd42\\n")
     ('AMD EPYC', 'Cortex-A78AE')
@@ -129,13 +129,13 @@ def cpu_name(cpuinfo: str) -> str | None:
 
 
 def tegra_release(path: Path) -> str | None:
-    """Release and revision from /etc/nv_tegra_release; None on what is no Jetson."""
+    """Return release and revision from /etc/nv_tegra_release; None if this is no Jetson."""
     parts = text_of(path).split(",")[:2]
     return ", ".join(part.strip("# \n") for part in parts) or None
 
 
 def power_mode(status: str, conf: str) -> str | None:
-    """The name of the power mode from nvpmodel's own two files; its number where it has no name.
+    """Return the name of the power mode from nvpmodel's two files, or its number.
 
     >>> power_mode("pmode:0002", "< POWER_MODEL ID=0 NAME=MAXN >\\n< POWER_MODEL ID=2 NAME=15W >")
     '15W'
@@ -148,13 +148,13 @@ def power_mode(status: str, conf: str) -> str | None:
 
 
 def power_mode_of(root: Path = _ROOT) -> str | None:
-    """The Jetson's present power mode; None on what is no Jetson."""
+    """Return the Jetson's present power mode; None if this is no Jetson."""
     conf = text_of(root / "etc/nvpmodel.conf")
     return power_mode(text_of(root / "var/lib/nvpmodel/status"), conf)
 
 
 def nvidia_smi(fields: dict[str, str] = _SMI_FIELDS) -> list[dict[str, str]]:
-    """What `nvidia-smi` says of each GPU, by our name of the field; empty where there is none."""
+    """Return the fields of each GPU from `nvidia-smi`, by our names; [] if it does not run."""
     program = shutil.which("nvidia-smi")
     if program is None:
         return []
@@ -168,8 +168,10 @@ def nvidia_smi(fields: dict[str, str] = _SMI_FIELDS) -> list[dict[str, str]]:
 
 
 def busy_s(root: Path = _ROOT) -> float | None:
-    """Processor time that all processes have used since the start, or that a host has taken from
-    this virtual machine; None where it is not told."""
+    """Return the CPU time of all processes since the boot; None if it is unknown.
+
+    It includes time that the host has taken from this virtual machine.
+    """
     match = re.match(r"cpu +(.+)", text_of(root / "proc/stat"))
     if match is None:
         return None
@@ -178,11 +180,11 @@ def busy_s(root: Path = _ROOT) -> float | None:
 
 
 def gpu_memory_mb() -> float | None:
-    """Memory in use on all GPUs, by whatever process; None where nothing says so."""
+    """Return the used memory of all GPUs together; None if it is unknown."""
     used = [row["used"] for row in nvidia_smi({"used": "memory.used"})]
     try:
         return sum(map(float, used)) if used else None
-    except ValueError:  # "[N/A]" on a Jetson, whose GPU shares the processor's memory
+    except ValueError:  # "[N/A]" on a Jetson, whose GPU uses the processor's memory
         return None
 
 
@@ -200,7 +202,7 @@ def _jetson(root: Path) -> Description:
 
 
 def _gpu_clock(devfreq: Path) -> Description:
-    """MHz of the first GPU, and who sets them."""
+    """Return the clocks of the first GPU in MHz, and its governor."""
     folders = sorted(devfreq.iterdir()) if devfreq.is_dir() else []
     for folder in (f for f in folders if _GPU_CLOCKS.match(f.name)):
         hertz = {name: text_of(folder / f"{name}_freq") for name in ("cur", "min", "max")}
@@ -210,7 +212,7 @@ def _gpu_clock(devfreq: Path) -> Description:
 
 
 def _cpu_clock(root: Path, cpuinfo: str) -> Description:
-    """MHz of the allowed cores: now, by core, and the most they may have; and who sets them."""
+    """Return the present and highest clock of each allowed core in MHz, and the governor."""
     found: Description = {"cur_mhz": [], "max_mhz": []}
     for core in sorted(os.sched_getaffinity(0)):
         folder = root / f"sys/devices/system/cpu/cpu{core}/cpufreq"
@@ -239,7 +241,7 @@ def _version(distributions: tuple[str, ...]) -> str | None:
 
 
 def text_of(path: Path) -> str:
-    """A file's text, empty where it cannot be read."""
+    """Return the text of a file; "" if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:

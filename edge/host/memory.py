@@ -1,4 +1,4 @@
-"""Gives memory back to the system."""
+"""Return of freed memory to the operating system."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ EVERY_S = 60.0
 
 
 def trimmed(every_s: float = EVERY_S) -> AbstractContextManager[None]:
-    """While the block lasts, memory that was freed goes back to the system now and then.
+    """Return freed memory to the system every `every_s` seconds, while the block runs.
 
-    glibc keeps what is freed between blocks that are still in use, and lets ever larger blocks
-    come from there: after some reloads and changes of the camera a service held twice what it
-    used. Trimming takes a millisecond, on a thread of its own. Another C library has no
-    `malloc_trim`: nothing is done there.
+    glibc keeps freed memory between blocks that are in use: after some reloads, a service held
+    twice the memory that it used. Trimming takes about 1 ms, on a separate thread. Without
+    `malloc_trim` (another C library) nothing is done.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     return nullcontext() if trim is None else repeated("memory", every_s, partial(trim, 0))

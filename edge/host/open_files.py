@@ -1,4 +1,4 @@
-"""How many files and connections this process may have open (`ulimit -n`)."""
+"""The limit of open files and connections of this process (`ulimit -n`)."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import resource
 from edge.errors import UnavailableError
 
 LEAST = 256
-"""A service, its sensors, models and viewers have up to a hundred open."""
+"""Lowest limit: a service with sensors, models and viewers has up to 100 files open."""
 _WANTED = 4096
 _SHORT = (errno.EMFILE, errno.ENFILE)
 
 
 def claim() -> None:
-    """Raise this process's limit where it may be raised.
+    """Raise the limit of this process, if that is permitted.
 
     Raises:
-        UnavailableError: the limit stays below `LEAST`.
+        UnavailableError: the limit is still below `LEAST`.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     most = _WANTED if hard == resource.RLIM_INFINITY else min(hard, _WANTED)
@@ -27,14 +27,14 @@ def claim() -> None:
         soft = most
     if soft != resource.RLIM_INFINITY and soft < LEAST:
         raise UnavailableError(
-            f"this process may open {soft} files and connections, and needs {LEAST}: raise the "
+            f"this process may open {soft} files and connections, but needs {LEAST}: raise the "
             f"limit (`ulimit -n {_WANTED}`; LimitNOFILE={_WANTED} in a systemd unit; "
             f"--ulimit nofile={_WANTED} for a container)"
         )
 
 
 def shortage() -> str:
-    """Return why no file can be opened now, in one line; empty while one can."""
+    """Return why no file can be opened now, in one line; "" if files can be opened."""
     try:
         os.close(os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC))
     except OSError as error:

@@ -1,4 +1,4 @@
-"""A standard stream that nobody waits for: whoever reads it may be slow, stopped, or gone."""
+"""A non-blocking standard stream: its reader may be slow, stopped, or gone."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ _END_S = 1.0
 
 
 class Outlet(io.TextIOBase):
-    """Takes text at once; a thread writes it to a stream's descriptor.
+    """A stream that accepts text without blocking; a thread writes it to the descriptor.
 
-    Of what comes while `MOST_WAITING` writes wait the newest are lost, and how many that were is
-    told in their place. What nobody reads any more is lost as well.
+    At most `MOST_WAITING` writes are queued. Further writes are dropped, and a line with their
+    number is written in their place. Errors of the descriptor are ignored.
+
+    Args:
+        stream: stream to write to.
+
+    Raises:
+        OSError: the stream has no descriptor.
     """
 
     def __init__(self, stream: TextIO) -> None:
-        """
-        Raises:
-            OSError: the stream has no descriptor.
-        """
         self._stream, self._descriptor = stream, stream.fileno()
         self._waiting: deque[str] = deque()
         self._lost = 0
@@ -37,7 +39,7 @@ class Outlet(io.TextIOBase):
         self._thread = start_unjoined("stderr", self._pass_on)
 
     def write(self, text: str) -> int:
-        """Never waits; after `end` it is the stream's own."""
+        """Queue the text without blocking; after `end`, write it to the stream directly."""
         with self._hand:
             if not self._ends:
                 if len(self._waiting) < MOST_WAITING:
@@ -55,7 +57,7 @@ class Outlet(io.TextIOBase):
         return self._descriptor
 
     def end(self) -> None:
-        """Wait for a second, at most, for what was written to be read."""
+        """Stop queueing, and wait at most 1 s until all text is written."""
         with self._hand:
             self._ends = True
             self._hand.notify()
@@ -68,11 +70,13 @@ class Outlet(io.TextIOBase):
                     self._hand.wait()
                 texts = [self._waiting.popleft() for _ in range(len(self._waiting))]
                 if self._lost:
-                    texts.append(f"({self._lost} lines were not read in time, and are lost)\n")
+                    texts.append(
+                        f"({self._lost} lines of output were dropped: the reader is too slow)\n"
+                    )
                     self._lost = 0
             if not texts:
                 return
-            # Past the stream's buffer, whose lock the interpreter wants at its end.
+            # Not through the stream's buffer, whose lock the interpreter needs at exit.
             with suppress(OSError):
                 _write_all(self._descriptor, "".join(texts).encode("utf-8", "backslashreplace"))
 
@@ -85,11 +89,11 @@ def _write_all(descriptor: int, content: bytes) -> None:
 
 @contextmanager
 def unwaited_stderr() -> Iterator[None]:
-    """Have `sys.stderr` be an `Outlet` in this block; one without a descriptor stays."""
+    """Replace `sys.stderr` with an `Outlet` in this block, if it has a descriptor."""
     stderr = sys.stderr
     try:
         outlet = Outlet(stderr)
-    except (OSError, AttributeError):  # nothing that a program captures for itself is waited for
+    except (OSError, AttributeError):  # captured in memory, so it never blocks
         yield
         return
     stderr.flush()

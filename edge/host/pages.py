@@ -1,13 +1,12 @@
-"""A small HTTP server: pages that are made when they are asked for, for few who ask seldom.
+"""A small HTTP server for few readers; pages are made when they are requested.
 
-Where there is a token, it is asked for, but for public pages: what a browser shows before its user
-can say the token. Of the pages that are probes everybody is told the status, without a word: an
-orchestrator's probe has no token (nor asks Kubernetes' own API server for one at its `/readyz`),
-and would end what is well if it were refused.
+If a token is set, every request must send it, with two exceptions. Public pages are what a browser
+shows before its user can enter the token. Probes return their status without a body to everybody,
+since an orchestrator has no token and would restart a healthy service if it were refused.
 
-Without a token, whoever can reach the port may read, which is this machine; a page of another site
-in a browser here may not (DNS rebinding), so a request has to name this machine. Nothing can be
-changed without a token.
+Without a token, all processes of this machine can read the pages, but nothing can be changed. The
+header `Host` must name this machine, which stops pages of other sites in a local browser (DNS
+rebinding).
 """
 
 from __future__ import annotations
@@ -36,11 +35,11 @@ log = logging.getLogger("edge.host.pages")
 
 MOST_OPEN = 16
 MOST_BYTES = 65536
-"""Of what is posted."""
+"""Largest body of a POST."""
 _PATIENCE_S = 5.0
-_LOOK_S = 0.1  # for the end of the block
+_LOOK_S = 0.1  # period of the check for the end of the block
 _STRANGER, _KNOWN, _BUSY = range(3)
-"""States of a connection: no request on it bore the token; one did; one that did is under way."""
+"""States of a connection: no request had the token; one had it; one with it is in progress."""
 _ELSEWHERE = HTTPStatus.MISDIRECTED_REQUEST
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -52,16 +51,19 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-"""Of every answer: a page runs what came with it, asks nobody else, and lies in no other page."""
+"""Headers of every response: only our own scripts, no requests to other sites, no framing."""
 
 
 @dataclass(frozen=True)
 class Page:
-    """What is answered.
+    """A response.
 
     Attributes:
-        kind: its media type.
-        etag: names what it says; whoever has that already is told so, with 304 and no body.
+        body: content.
+        kind: media type.
+        status: HTTP status.
+        etag: version of the content. A client that has this version gets 304 without a body; "":
+            no version.
     """
 
     body: bytes
@@ -71,21 +73,23 @@ class Page:
 
 
 Pages = Mapping[str, Callable[[], Page]]
-"""By path. What makes one is called on a thread of its own, and waits for nothing."""
+"""Path → function that makes the page. It is called on a thread of its own and must not block."""
 
 Forms = Mapping[str, Callable[[bytes], Page]]
-"""By path, what takes a JSON text that is posted there; called on a thread of its own."""
+"""Path → function that handles a posted JSON text; called on a thread of its own."""
 
 
 @dataclass(frozen=True)
 class Site:
-    """All that is served, and to whom.
+    """All pages of a server, and who may read them.
 
     Attributes:
-        host: as configured.
-        token: must be known to whoever asks; None: nothing need be, and nothing can be posted.
-        probes: pages of which others are told the status.
-        public: pages that others are shown.
+        pages: pages for GET and HEAD.
+        host: host of the configuration.
+        token: token that a request must have; None: none is needed, and POST is refused.
+        probes: pages whose status is returned without the token.
+        forms: handlers for POST.
+        public: pages that are returned without the token.
     """
 
     pages: Pages
@@ -96,12 +100,13 @@ class Site:
     public: Collection[str] = ()
 
 
-def json_page(said: object, status: HTTPStatus = HTTPStatus.OK) -> Page:
-    return Page(json.dumps(said, ensure_ascii=False).encode() + b"\n", "application/json", status)
+def json_page(data: object, status: HTTPStatus = HTTPStatus.OK) -> Page:
+    """Return a page of JSON data."""
+    return Page(json.dumps(data, ensure_ascii=False).encode() + b"\n", "application/json", status)
 
 
-def _page(said: str, status: HTTPStatus) -> Page:
-    return Page(f"{said}\n".encode(), "text/plain; charset=utf-8", status)
+def _page(text: str, status: HTTPStatus) -> Page:
+    return Page(f"{text}\n".encode(), "text/plain; charset=utf-8", status)
 
 
 @contextmanager
@@ -114,29 +119,33 @@ def serve(
     forms: Forms | None = None,
     public: Collection[str] = (),
 ) -> Iterator[int | None]:
-    """Answer GET and HEAD, and POST where there are forms, while the block runs; with no port,
-    nothing is done.
+    """Serve pages and forms while the block runs; `Site` describes the arguments.
 
     Args:
-        port: 0 takes a free one.
-        pages, host, token, probes, forms, public: see `Site`.
+        pages: pages for GET and HEAD.
+        host: address to listen on.
+        port: TCP port; 0: a free one; None: serve nothing.
+        token: token that a request must have.
+        probes: pages whose status is public.
+        forms: handlers for POST.
+        public: pages that are public.
 
     Yields:
-        The port.
+        The port, or None.
 
     Raises:
-        UnavailableError: it cannot be listened on.
+        UnavailableError: the port cannot be listened on.
     """
     if port is None:
         yield None
         return
     try:
         server = _Server(Site(pages, host, token, probes, forms or {}, public), port)
-    except (OSError, UnicodeError) as error:  # UnicodeError: a label that no host name may have
+    except (OSError, UnicodeError) as error:  # UnicodeError: an invalid label in the host name
         reason = getattr(error, "strerror", None) or one_line(error)
         raise UnavailableError(
             f"http.port: cannot listen on {one_line(host)} port {port}: {reason}; "
-            "set http.port to a free one, or to null"
+            "set http.port to a free port, or to null"
         ) from None
     thread = threading.Thread(
         target=server.serve_forever, args=(_LOOK_S,), name="pages", daemon=True
@@ -152,10 +161,10 @@ def serve(
 
 
 class _Server(ThreadingMixIn, HTTPServer):
-    """A thread for each connection, of which there are few: one makes room for a new one, so that
-    whoever keeps connections open, or sends a byte now and then, locks nobody out.
+    """A server with a thread for each connection, and at most `MOST_OPEN` connections.
 
-    The oldest stranger goes first, then the oldest that bore the token and asks for nothing now.
+    A new connection closes an old one, so that idle or slow clients lock nobody out. The oldest
+    connection without the token is closed first, then the oldest idle one with the token.
     """
 
     daemon_threads, block_on_close = True, False
@@ -171,7 +180,7 @@ class _Server(ThreadingMixIn, HTTPServer):
         super().__init__(address[:2], _Handler)
 
     def server_bind(self) -> None:
-        """HTTPServer's own asks the name service who we are, which can take long."""
+        """Bind without HTTPServer's lookup of our host name, which can take long."""
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
@@ -181,31 +190,33 @@ class _Server(ThreadingMixIn, HTTPServer):
         try:
             return super().get_request()
         except OSError:
-            time.sleep(_LOOK_S)  # with no descriptor left, it would be asked for again at once
+            time.sleep(_LOOK_S)  # without a free descriptor, the loop would spin
             raise
 
     def process_request(self, request: Any, client_address: Any) -> None:
         with self._hand:
             if len(self._open) >= MOST_OPEN:
-                first = min(self._open, key=self._open.__getitem__)  # of those alike, the oldest
+                first = min(
+                    self._open, key=self._open.__getitem__
+                )  # the first of equals is the oldest
                 if self._open[first] == _BUSY:
                     first = request
-                self._open.pop(first, None)  # the next of a burst makes room of another
-                with suppress(OSError):  # it may have been closed by now
+                self._open.pop(first, None)  # so that the next connection closes another one
+                with suppress(OSError):  # it may be closed already
                     first.shutdown(socket.SHUT_RDWR)
             if len(self._open) < MOST_OPEN:
                 self._open[request] = _STRANGER
         super().process_request(request, client_address)
 
     def mark(self, request: Any, state: int) -> bool:
-        """Set the state of a connection. Return False if it has made room for another."""
+        """Set the state of a connection; return False if it was closed for a new one."""
         with self._hand:
             if request in self._open:
                 self._open[request] = state
             return request in self._open
 
     def hang_up(self) -> None:
-        """Whoever keeps a connection open is answered nothing more."""
+        """Close all open connections."""
         with self._hand:
             for connection in self._open:
                 with suppress(OSError):
@@ -217,21 +228,21 @@ class _Server(ThreadingMixIn, HTTPServer):
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Whoever goes away in the middle of an answer is no fault of ours."""
+        """Log an error of a connection at debug level: the client has usually gone away."""
         log.debug("a request failed", exc_info=True)
 
-    def tell_once(self, path: str, fault: str) -> None:
-        """Log why a page cannot be made: the first time, since many ask again and again."""
+    def log_once(self, path: str, fault: str) -> None:
+        """Log why a page cannot be made; a warning the first time, then at debug level."""
         with self._hand:
-            told = path in self._faulty
+            logged = path in self._faulty
             self._faulty.add(path)
-        if not told:
+        if not logged:
             log.warning("%s", fault)
         log.debug("%s", fault, exc_info=True)
 
 
 class _RefusedError(Exception):
-    """Why a request is not answered as it was meant."""
+    """A refused request, with its status and reason."""
 
     def __init__(self, status: HTTPStatus, why: str) -> None:
         super().__init__(why)
@@ -242,9 +253,9 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _PATIENCE_S
     server: _Server
     server_version, sys_version = "edge", ""
-    protocol_version = "HTTP/1.1"  # a page that asks five times a second keeps its connection
-    # An answer is one packet, and goes out at once: else its second part waits for the reader to
-    # confirm the first, 40 ms.
+    protocol_version = "HTTP/1.1"  # keep-alive, for pages that poll five times a second
+    # Send a response at once and in one packet. Else its second part waits 40 ms for the reader's
+    # acknowledgement of the first.
     wbufsize, disable_nagle_algorithm = -1, True
 
     def handle_one_request(self) -> None:
@@ -282,55 +293,61 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(self._made(path, partial(take, body)))
 
     def _made(self, path: str, make: Callable[[], Page]) -> Page:
-        """What is to be answered; a fault of whoever makes it is told to who asks."""
+        """Build the response. If the handler raises, return status 500 with the reason."""
         try:
             return make()
         except Exception as error:
-            said = f"{path} failed: {type(error).__name__}: {one_line(error)}"
-            self.server.tell_once(path, said)
-            return _page(f"{said}; see the service's log", HTTPStatus.INTERNAL_SERVER_ERROR)
+            fault = f"{path} failed: {type(error).__name__}: {one_line(error)}"
+            self.server.log_once(path, fault)
+            return _page(f"{fault}; see the service's log", HTTPStatus.INTERNAL_SERVER_ERROR)
 
     def _form(self, path: str) -> Callable[[bytes], Page]:
-        """What takes a post there, from whoever may."""
+        """Return the handler of a POST, or raise _RefusedError."""
         site = self.server.site
         if path not in site.forms:
-            raise _RefusedError(HTTPStatus.METHOD_NOT_ALLOWED, "nothing can be posted here")
+            raise _RefusedError(HTTPStatus.METHOD_NOT_ALLOWED, "POST is not supported here")
         if (stranger := self._stranger()) is not None:
             raise stranger
         if site.token is None:
-            raise _RefusedError(HTTPStatus.FORBIDDEN, "read-only: set http.token_file")
+            raise _RefusedError(
+                HTTPStatus.FORBIDDEN, "read-only: set http.token_file to allow changes"
+            )
         origin = self.headers.get("Origin")
         if origin is not None and _authority(origin) != self.headers.get("Host"):
-            raise _RefusedError(HTTPStatus.FORBIDDEN, "posted by a page of another site")
+            raise _RefusedError(HTTPStatus.FORBIDDEN, "refused: sent by a page of another site")
         return site.forms[path]
 
     def _stranger(self) -> _RefusedError | None:
-        """Why who asks may not know everything."""
+        """Return why the client is not authorized; None if it is."""
         site = self.server.site
         if site.token is None:
             if not _names_this_machine(self.headers.get("Host"), site.host):
-                return _RefusedError(_ELSEWHERE, "asked for another host than this one")
+                return _RefusedError(_ELSEWHERE, "the request names another host than this one")
         elif not site.token.is_borne_by(self.headers.get("Authorization", "")):
-            return _RefusedError(HTTPStatus.UNAUTHORIZED, "who asks must know the token")
+            return _RefusedError(
+                HTTPStatus.UNAUTHORIZED, "a token is required: Authorization: Bearer TOKEN"
+            )
         else:
             self._bore_token = True
-            if not self.server.mark(self.connection, _BUSY):  # no answer would arrive
+            if not self.server.mark(
+                self.connection, _BUSY
+            ):  # the connection was closed for another one
                 return _RefusedError(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections")
         return None
 
     def _body_length(self, most: int) -> int:
-        """How many bytes the body has, as the request says."""
-        said = self.headers.get("Content-Length", "0")
-        if "Transfer-Encoding" in self.headers or not (said.isascii() and said.isdecimal()):
+        """Return the length of the body from the headers."""
+        length = self.headers.get("Content-Length", "0")
+        if "Transfer-Encoding" in self.headers or not (length.isascii() and length.isdecimal()):
             raise _RefusedError(HTTPStatus.LENGTH_REQUIRED, "expected a Content-Length")
-        if len(said) > 18 or int(said) > most:
+        if len(length) > 18 or int(length) > most:
             raise _RefusedError(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"at most {most} bytes are taken"
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"at most {most} bytes are accepted"
             )
-        return int(said)
+        return int(length)
 
     def _body(self) -> bytes:
-        """What is posted, which has to come within `_PATIENCE_S`."""
+        """Read the body of a POST, within `_PATIENCE_S`."""
         length = self._body_length(MOST_BYTES)
         kind = self.headers.get("Content-Type", "").partition(";")[0].strip().lower()
         if kind != "application/json":
@@ -341,19 +358,19 @@ class _Handler(BaseHTTPRequestHandler):
             try:
                 part = self.rfile.read1(length - len(body))
             except TimeoutError:
-                raise _RefusedError(HTTPStatus.REQUEST_TIMEOUT, "the rest did not come") from None
+                raise _RefusedError(HTTPStatus.REQUEST_TIMEOUT, "the body is incomplete") from None
             if not part:
-                raise _RefusedError(HTTPStatus.BAD_REQUEST, "the rest did not come")
+                raise _RefusedError(HTTPStatus.BAD_REQUEST, "the body is incomplete")
             body += part
         self.connection.settimeout(_PATIENCE_S)
         return bytes(body)
 
     def _nothing(self) -> Page:
         there = ", ".join(sorted(self.server.site.pages))
-        return _page(f"no such page (there are: {there})", HTTPStatus.NOT_FOUND)
+        return _page(f"no such page (pages: {there})", HTTPStatus.NOT_FOUND)
 
     def _refuse(self, refused: _RefusedError, close: bool = False) -> None:
-        """Say why; with `close`, what else the request says is not read."""
+        """Send the reason; with `close`, ignore the rest and close the connection."""
         self.close_connection |= close
         self._answer(_page(str(refused), refused.status))
 
@@ -376,7 +393,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(page.body)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Answer what the base class refuses with a page like any other."""
+        """Send an error of the base class in the format of our pages."""
         status = HTTPStatus(code)
         self.close_connection, self.request_version = True, self.protocol_version
         self._answer(_page(one_line(message or status.phrase), status))
@@ -386,7 +403,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _authority(origin: str) -> str:
-    """Host and port of a header `Origin`, as a header `Host` has them."""
+    """Return host and port of a header `Origin`, in the format of a header `Host`."""
     try:
         return urlsplit(origin).netloc
     except ValueError:
@@ -394,9 +411,9 @@ def _authority(origin: str) -> str:
 
 
 def _names_this_machine(asked: str | None, host: str) -> bool:
-    """Whether a request's header `Host` is one that only this machine answers to.
+    """Return True if a header `Host` names this machine, or is missing.
 
-    What is no browser may leave it out (HTTP/1.0).
+    Clients that are no browsers may leave it out (HTTP/1.0).
     """
     if asked is None:
         return True

@@ -1,4 +1,4 @@
-"""This machine's own addresses, and its free TCP ports."""
+"""Loopback addresses and free TCP ports of this machine."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TRIES = 100
 
 
 def is_loopback(host: str) -> bool:
-    """Whether what listens at this address, or name, can be reached from this machine alone."""
+    """Return True if only this machine can reach a server at this address or name."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -24,30 +24,30 @@ def is_loopback(host: str) -> bool:
 
 
 def is_free(host: str, port: int) -> bool:
-    """Return whether a server could listen at this address now."""
+    """Return True if a server could listen at this address now."""
     try:
         family, kind, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind) as probe:
-            # As servers do: a connection that was just closed keeps no port.
+            # As servers do, so that a connection that was just closed does not block the port.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
-            probe.listen()  # two sockets may be bound so, one may listen
-    except (OSError, UnicodeError):  # UnicodeError: a label that no host name may have
+            probe.listen()  # with SO_REUSEADDR several sockets can bind, but only one can listen
+    except (OSError, UnicodeError):  # UnicodeError: an invalid label in the host name
         return False
     return True
 
 
 def free_port() -> int:
-    """A TCP port of 127.0.0.1 that nobody listens on now.
+    """Return a free TCP port of 127.0.0.1.
 
-    It lies below those that the kernel gives to outgoing connections, where there is room, so
-    that none of them takes it before the caller binds it.
+    It is below the ports of outgoing connections, if possible, so that no connection takes it
+    before the caller binds it.
 
     Raises:
         OSError: no port can be bound.
     """
     choices = range(FIRST, _ephemeral_from())
-    # The system's chance, since a seeded one would give the same ports to many processes.
+    # Not a seeded generator, which would give the same ports to many processes.
     chance = random.SystemRandom()
     for port in chance.sample(choices, min(_TRIES, len(choices))):
         try:
@@ -58,7 +58,7 @@ def free_port() -> int:
 
 
 def _ephemeral_from() -> int:
-    """The first port that the kernel gives to an outgoing connection."""
+    """Return the first port that the kernel uses for outgoing connections."""
     try:
         return int(EPHEMERAL.read_text(encoding="ascii").split()[0])
     except (OSError, ValueError, IndexError):
@@ -66,7 +66,7 @@ def _ephemeral_from() -> int:
 
 
 def _bound(port: int) -> int:
-    """The port that could be bound; 0 takes any."""
+    """Bind a port (0: any), close it, and return its number."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", port))
         return int(probe.getsockname()[1])

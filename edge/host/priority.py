@@ -1,4 +1,4 @@
-"""The place of the loop, and of what runs beside it, among the threads of the machine."""
+"""Scheduling priorities of the loop and of background processes."""
 
 from __future__ import annotations
 
@@ -11,21 +11,20 @@ from pathlib import Path
 log = logging.getLogger("edge.host.priority")
 
 BESIDE = 10
-"""How nice a process is whose work can wait: beside one that is not, it gets a tenth of a core."""
+"""Nice value of background processes: about a tenth of a core next to a normal process."""
 
 
 @contextmanager
 def real_time(priority: int) -> Iterator[bool]:
-    """Run a block with a SCHED_FIFO priority, so that no detector's thread holds it up.
+    """Run a block with a SCHED_FIFO priority, so that threads of the detector do not delay it.
 
-    Without it, a thread of the same rank that got the core first keeps it for some milliseconds,
-    more than a whole tick's budget.
+    Without it, another thread keeps a core for some milliseconds, more than the budget of a tick.
 
     Args:
-        priority: 1 to 99; 0 leaves everything as it is.
+        priority: 1 to 99; 0: no change.
 
     Yields:
-        Whether it was given; where the right is missing, that is logged with what to do.
+        True if the priority was set. Without the permission, a warning is logged.
     """
     given = priority > 0 and _schedule(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, priority)
     try:
@@ -36,13 +35,13 @@ def real_time(priority: int) -> Iterator[bool]:
 
 
 def _schedule(policy: int, priority: int) -> bool:
-    """Threads that a real-time thread starts go back to the ordinary ranks (RESET_ON_FORK)."""
+    """Set the scheduler of this thread; log a warning and return False if not permitted."""
     try:
         os.sched_setscheduler(0, policy, os.sched_param(priority))
     except OSError as error:
         log.warning(
             "loop.priority: %d not permitted (%s); run as root, grant CAP_SYS_NICE or set "
-            "LimitRTPRIO, or set it to 0",
+            "LimitRTPRIO, or set loop.priority to 0",
             priority,
             error.strerror,
         )
@@ -51,13 +50,13 @@ def _schedule(policy: int, priority: int) -> bool:
 
 
 def give_way() -> None:
-    """Let this process, and the threads that it will start, get what others leave.
+    """Lower the priority of this process and of the threads that it will start.
 
-    Not for a thread of a process whose other threads must not wait: while it has the interpreter's
-    lock and no core, they do.
+    Do not use it in a process with urgent threads: they wait while a low-priority thread holds the
+    interpreter's lock without getting a core.
     """
-    with suppress(OSError):  # where it is that nice already, or nicer
+    with suppress(OSError):  # the nice value is already higher
         os.setpriority(os.PRIO_PROCESS, 0, BESIDE)
-    # Linux may weigh sessions against each other, whatever their threads.
+    # Linux may schedule by session (autogroup), regardless of the threads' nice values.
     with suppress(OSError):
         Path("/proc/self/autogroup").write_text(str(BESIDE), encoding="ascii")

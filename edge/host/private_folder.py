@@ -1,4 +1,4 @@
-"""Temporary folders that do not outlive their process for long, however it ends."""
+"""Temporary folders that are removed even if their process was killed."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from pathlib import Path
 
 @contextmanager
 def private_folder(prefix: str, parent: str | None = None) -> Iterator[Path]:
-    """A folder that only this user can enter; it goes with the block.
+    """Create a folder that only this user can enter, and remove it after the block.
 
-    Whoever makes one holds a lock on it, which the kernel lets go of when the process ends, and
-    first removes those of the same prefix that nobody holds: what was left by `kill -9`. (A
-    process's number in the name would not do: containers may share the folder but no numbers.)
+    The process holds a lock on its folder, which the kernel releases when the process ends. Folders
+    of the same prefix without a lock, left by `kill -9`, are removed first. Process ids in the name
+    would not work, since containers may share the folder.
 
     Args:
-        parent: where it is made; by default the system's place for temporary files.
+        prefix: start of the folder's name.
+        parent: where to create it; None: the system's folder for temporary files.
 
     Raises:
-        OSError: none can be made.
+        OSError: the folder cannot be created.
     """
     parent = parent or tempfile.gettempdir()
     _remove_stale(prefix, parent)
@@ -37,7 +38,7 @@ def private_folder(prefix: str, parent: str | None = None) -> Iterator[Path]:
 
 
 def _make(prefix: str, parent: str) -> tuple[Path, int]:
-    """A new folder, and the descriptor that its lock hangs on."""
+    """Return a new folder, and the descriptor that holds its lock."""
     while True:
         folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
         with contextlib.suppress(FileNotFoundError):
@@ -45,12 +46,12 @@ def _make(prefix: str, parent: str) -> tuple[Path, int]:
             if folder.is_dir():
                 return folder, fd
             os.close(fd)
-        # Another process has just taken it for a stale one.
+        # Another process has just removed it as stale.
 
 
 def _remove_stale(prefix: str, parent: str) -> None:
     for folder in Path(parent).glob(f"{prefix}*"):
-        # Not a folder, gone meanwhile, or in use: BlockingIOError is an OSError, too.
+        # Not a folder, already gone, or in use (BlockingIOError is an OSError).
         with contextlib.suppress(OSError):
             if folder.lstat().st_uid == os.getuid():
                 fd = _lock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,4 +1,4 @@
-"""What other processes of this user are at, from Linux's /proc."""
+"""Child processes and their resources, from Linux's /proc."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ _COMM_ENDS, _PARENT, _USER, _SYSTEM, _STARTED = b")", 1, 11, 12, 19  # of /proc/
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """A process, and no other that gets its number after it.
+    """A process. Its start time distinguishes it from a later process with the same pid.
 
     Attributes:
-        started: in the kernel's clock ticks since it booted.
+        pid: its id.
+        parent: id of its parent.
+        started: start time in clock ticks of the kernel since the boot.
+        command: its command line.
     """
 
     pid: int
@@ -27,19 +30,21 @@ class Process:
     command: str
 
     def lives(self) -> bool:
-        """Whether it runs: one that has ended and that nobody has asked for does not."""
+        """Return True if the process is running; a zombie is not."""
         now = _read(self.pid)
         return now is not None and now.started == self.started
 
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """What a process has, now.
+    """Present resources of a process.
 
     Attributes:
-        memory_mb: resident and its own: no files, which the kernel may drop, but shared memory,
-            `shared_mb`.
-        cpu_s: of all its threads, since its start.
+        memory_mb: resident memory without mapped files, including `shared_mb`.
+        shared_mb: resident shared memory.
+        threads: number of threads.
+        descriptors: number of open descriptors.
+        cpu_s: CPU time of all threads since the start.
     """
 
     memory_mb: float
@@ -50,24 +55,24 @@ class Usage:
 
 
 def usage(pid: int) -> Usage | None:
-    """None where there is no such process (any more), or it is another user's."""
+    """Return the resources of a process; None if it has ended or is another user's."""
     folder = _PROC / str(pid)
     try:
         lines = (folder / "status").read_text(encoding="utf-8", errors="replace").splitlines()
-        told = dict(line.split(":", 1) for line in lines)
+        status = dict(line.split(":", 1) for line in lines)
         own_mb, shared_mb = (
-            int(told[key].split()[0]) * _MB_A_KB for key in ("RssAnon", "RssShmem")
+            int(status[key].split()[0]) * _MB_A_KB for key in ("RssAnon", "RssShmem")
         )
         fields = _stat(pid)
         cpu_s = (int(fields[_USER]) + int(fields[_SYSTEM])) / _TICKS_A_S
         opened = len(os.listdir(folder / "fd"))
-    except (OSError, KeyError):  # KeyError: it has ended, so has no memory
+    except (OSError, KeyError):  # KeyError: it has ended and has no memory
         return None
-    return Usage(own_mb + shared_mb, shared_mb, int(told["Threads"]), opened, cpu_s)
+    return Usage(own_mb + shared_mb, shared_mb, int(status["Threads"]), opened, cpu_s)
 
 
 def descendants(pid: int) -> list[Process]:
-    """Its children that run, their children, and so on; parents come first."""
+    """Return the running children, their children, and so on; parents come first."""
     children: dict[int, list[Process]] = {}
     for process in _all():
         children.setdefault(process.parent, []).append(process)
@@ -97,6 +102,6 @@ def _read(pid: int) -> Process | None:
 
 
 def _stat(pid: int) -> list[bytes]:
-    """The fields from the state on; a process's name, before it, may hold anything."""
+    """Return the fields from the state on; the name before it may contain any character."""
     content = (_PROC / str(pid) / "stat").read_bytes()
     return content.rpartition(_COMM_ENDS)[2].split()

@@ -1,4 +1,4 @@
-"""Work that is done again and again beside a block."""
+"""Periodic work in the background of a block."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def repeated(name: str, every_s: float, work: Callable[[], object]) -> Iterator[None]:
-    """Do it every so often on a daemon thread, for the first time after `every_s`, until the block
-    ends; then wait for what is under way."""
+    """Call `work` every `every_s` seconds on a daemon thread, while the block runs.
+
+    The first call is after `every_s`. At the end, a running call is waited for.
+    """
     over = threading.Event()
 
     def again() -> None:

@@ -1,4 +1,4 @@
-"""Where things lie: ready configurations, model cards, and the cache."""
+"""Folders of ready configurations, model cards, and the cache."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def data_dir(kind: str) -> Path:
-    """The folder of `config` or `models`: inside an installed wheel, or in a clone."""
+    """Return the folder of `config` or `models`: in an installed wheel, or in a clone."""
     packaged = PACKAGE / "_data" / kind
     return packaged if packaged.is_dir() else PACKAGE.parent / kind
 
 
 def find_config(name_or_path: str) -> Path:
-    """A configuration file by path, or a ready one by name or file name."""
+    """Return a configuration file by path, or a ready one by name; raise ConfigError if none."""
     path = expand(name_or_path)
     if path.exists():
         return path
@@ -29,10 +29,10 @@ def find_config(name_or_path: str) -> Path:
 
 
 def expand(path: str | Path) -> Path:
-    """The path with `~` replaced by the home folder.
+    """Return the path with `~` replaced by the home folder.
 
     Raises:
-        ConfigError: it begins with `~`, and there is no home folder.
+        ConfigError: the path begins with `~`, but the user has no home folder.
     """
     try:
         return Path(path).expanduser()
@@ -43,7 +43,7 @@ def expand(path: str | Path) -> Path:
 
 
 def user_cache() -> Path | None:
-    """`$XDG_CACHE_HOME`, else `~/.cache`; None for a user without a home folder."""
+    """Return `$XDG_CACHE_HOME`, else `~/.cache`; None for a user without a home folder."""
     try:
         return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     except RuntimeError:
@@ -51,21 +51,21 @@ def user_cache() -> Path | None:
 
 
 def cache_dir() -> Path:
-    """`$EDGE_CACHE_DIR`, else `edge-vln` in the user's cache.
+    """Return `$EDGE_CACHE_DIR`, else the folder `edge-vln` in the user's cache.
 
     Raises:
-        ConfigError: neither is there.
+        ConfigError: neither exists.
     """
     if explicit := os.environ.get("EDGE_CACHE_DIR"):
         return expand(explicit)
     if (cache := user_cache()) is not None:
         return cache / "edge-vln"
     raise ConfigError(
-        f"user {os.getuid()} has no home folder: set EDGE_CACHE_DIR to a folder for models that it "
-        "can read and write"
+        f"user {os.getuid()} has no home folder: set EDGE_CACHE_DIR to a folder that it can "
+        "read and write"
     )
 
 
 def models_dir() -> Path:
-    """Where ONNX files and own cards are kept: never in git."""
+    """Return the folder of ONNX files and of your own cards."""
     return cache_dir() / "models"

@@ -1,6 +1,7 @@
-"""What systemd is told of the process that it started, as in `sd_notify(3)`.
+"""Notifications to systemd about this process (`sd_notify(3)`).
 
-No library: those on the package index have not been kept up, and it takes one datagram.
+No library is used: those on the package index are not maintained, and a notification is one
+datagram.
 """
 
 from __future__ import annotations
@@ -15,21 +16,22 @@ from edge.text import one_line
 
 log = logging.getLogger("edge.host.service_manager")
 
-_SHARE = 4  # a sign of life is given so many times in the time that is allowed for one
+_SHARE = 4  # keep-alive pings per watchdog timeout
 _STATUS_CHARS = 400
 
 
 class ServiceManager:
-    """Speaks for this process to `$NOTIFY_SOCKET`; without one, nobody is told and nothing fails.
+    """Sender of notifications to `$NOTIFY_SOCKET`; without that variable it does nothing.
 
-    Any thread may call any method, and none of them waits: what the manager has no room for is
-    dropped.
+    Any thread may call any method. No method blocks: a notification is dropped if systemd's queue
+    is full.
 
     Args:
-        environ: its variables for us are taken out, so that no child speaks in our name.
+        environ: the environment. The variables of systemd are removed from it, so that children do
+            not send notifications.
 
     Attributes:
-        ping_s: how often `alive` is to be called; None where nobody watches.
+        ping_s: period of calls to `alive`; None: no watchdog.
     """
 
     def __init__(self, environ: MutableMapping[str, str] = os.environ) -> None:
@@ -39,44 +41,48 @@ class ServiceManager:
         self.ping_s = (
             int(watchdog_us) * 1e-6 / _SHARE if watchdog_us.isdecimal() and meant else None
         )
-        self._told_of_failure = False
+        self._failure_logged = False
         self._socket: socket.socket | None = None
         if path[:1] in ("/", "@"):
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
             self._address = f"\0{path[1:]}" if path[0] == "@" else path
         elif path:
-            log.warning("NOTIFY_SOCKET: %s: no Unix socket, so nothing is told", one_line(path))
+            log.warning(
+                "NOTIFY_SOCKET: %s: not a Unix socket, systemd gets no notifications",
+                one_line(path),
+            )
 
     def starting(self, what: str, patience_s: float) -> None:
-        """It is not ready yet, and this takes `patience_s` at most."""
-        self._tell(EXTEND_TIMEOUT_USEC=str(int(patience_s * 1e6)), STATUS=what)
+        """Report a step of the start, which takes at most `patience_s`."""
+        self._send(EXTEND_TIMEOUT_USEC=str(int(patience_s * 1e6)), STATUS=what)
 
     def ready(self) -> None:
-        """The start is done, or a reload is, whatever came of it."""
-        self._tell(READY="1")
+        """Report the end of the start, or of a reload, also of a failed one."""
+        self._send(READY="1")
 
     def reloading(self) -> None:
-        """A reload has begun; it ends with `ready`."""
-        self._tell(RELOADING="1", MONOTONIC_USEC=str(time.monotonic_ns() // 1000))
+        """Report the start of a reload; call `ready` at its end."""
+        self._send(RELOADING="1", MONOTONIC_USEC=str(time.monotonic_ns() // 1000))
 
     def stopping(self) -> None:
-        self._tell(STOPPING="1")
+        """Report that the process is stopping."""
+        self._send(STOPPING="1")
 
     def status(self, text: str) -> None:
-        """The line that `systemctl status` shows."""
-        self._tell(STATUS=text)
+        """Set the line that `systemctl status` shows."""
+        self._send(STATUS=text)
 
     def alive(self) -> None:
-        """A sign of life: the process is killed and started again where these stay out."""
-        self._tell(WATCHDOG="1")
+        """Ping the watchdog; without pings, systemd kills and restarts the process."""
+        self._send(WATCHDOG="1")
 
-    def _tell(self, **said: str) -> None:
+    def _send(self, **fields: str) -> None:
         if self._socket is None:
             return
-        lines = (f"{name}={one_line(text, _STATUS_CHARS)}" for name, text in said.items())
+        lines = (f"{name}={one_line(text, _STATUS_CHARS)}" for name, text in fields.items())
         try:
             self._socket.sendto("\n".join(lines).encode(), socket.MSG_DONTWAIT, self._address)
         except OSError as error:
-            if not self._told_of_failure:
-                self._told_of_failure = True
-                log.warning("NOTIFY_SOCKET: not heard (%s)", error.strerror)
+            if not self._failure_logged:
+                self._failure_logged = True
+                log.warning("NOTIFY_SOCKET: systemd was not notified (%s)", error.strerror)

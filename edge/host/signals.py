@@ -1,4 +1,4 @@
-"""What signals do: stop in order, break off, or show where every thread is."""
+"""Signal handlers: stop in order, interrupt, reload, or print the stacks of all threads."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ SHOW = (signal.SIGUSR1, signal.SIGUSR2)
 _PARENT_LOOK_S = 1.0
 _WAKE, _WAKE_S = signal.SIGURG, 0.05
 
-# What is done on a thread of its own as soon as a signal comes. A handler runs in the main thread,
-# when that gets to it: a signal that the kernel gave to another thread does not end what the main
-# thread waits for; and a handler may take no lock, for the main thread may be holding it.
+# Actions that run on a separate thread as soon as a signal comes. A Python handler runs later, in
+# the main thread: a signal to another thread does not wake it, and a handler must take no lock,
+# since the main thread may hold it.
 _actions: dict[int, Callable[[int], None]] = {}
-_written: socket.socket | None = None  # kept open: the interpreter writes to its descriptor
+_written: socket.socket | None = None  # kept open, since the interpreter writes to its descriptor
 
 
 def break_off_on_signals() -> None:
-    """Have any signal of `STOP` break off what is being done as Ctrl-C does: in order."""
+    """Make every signal of `STOP` raise KeyboardInterrupt, as Ctrl-C does."""
     _handle(_break_off)
 
 
 def stop_on_signals(parent: int | None = None) -> threading.Event:
-    """An event that any signal of `STOP` sets.
+    """Return an event that every signal of `STOP` sets.
 
-    A second signal breaks off what is being done, children included; a third ends the process.
+    A second signal raises KeyboardInterrupt; a third one ends the process.
 
     Args:
-        parent: set it too when this process is no longer the parent; one that was killed could
-            not stop its children.
+        parent: process id of the parent. The event is also set when the parent is gone, since a
+            killed parent cannot stop its children. None: do not watch it.
     """
     stop = threading.Event()
     numbers: list[int] = []
@@ -70,10 +70,10 @@ def stop_on_signals(parent: int | None = None) -> threading.Event:
 
 
 def reload_on_hang_up() -> threading.Event:
-    """An event that SIGHUP sets, in place of what `stop_on_signals` has it do.
+    """Return an event that SIGHUP sets, instead of stopping the process.
 
-    A process with a terminal is hung up on when that is closed, and `nohup` has SIGHUP ignored:
-    in both cases it goes on to mean what it meant, and the event is never set.
+    If the process has a terminal, or `nohup` ignores SIGHUP, the meaning of SIGHUP is not changed
+    and the event is never set.
     """
     asked = threading.Event()
     if not _has_terminal() and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
@@ -83,7 +83,7 @@ def reload_on_hang_up() -> threading.Event:
 
 
 def show_stacks_on_signals() -> None:
-    """Have any signal of `SHOW` write to stderr where every thread is, and change nothing else."""
+    """Make every signal of `SHOW` write the stacks of all threads to stderr."""
     _act(dict.fromkeys(SHOW, _show_stacks))
     for number in SHOW:
         signal.signal(number, lambda signum, frame: None)
@@ -91,7 +91,7 @@ def show_stacks_on_signals() -> None:
 
 def _handle(handler: Callable[[int, object], None]) -> None:
     for number in STOP:
-        # `nohup` has the hang-up of a terminal ignored, and means it.
+        # Keep a SIGHUP that `nohup` has set to be ignored.
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, handler)
 
@@ -101,7 +101,7 @@ def _break_off(signum: int, _frame: object) -> None:
 
 
 def _act(actions: dict[int, Callable[[int], None]]) -> None:
-    """Have these done when their signals come that have a handler, too."""
+    """Run these actions when their signals come; each signal needs a Python handler, too."""
     global _written
     _actions.update(actions)
     if _written is None:
@@ -130,19 +130,19 @@ def _wake_main_thread(handled: Callable[[], bool]) -> None:
 
 
 def _show_stacks(_signum: int) -> None:
-    # Not by `faulthandler`: it looks at threads that run, and was seen to crash over that.
+    # Not with `faulthandler`, which reads the frames of running threads and has crashed.
     names = {thread.ident: thread.name for thread in threading.enumerate()}
     parts = []
     for ident, frame in sys._current_frames().items():
         parts.append(f"thread {names.get(ident, ident)} (most recent call last):\n")
         parts += traceback.format_stack(frame)
-    with suppress(OSError):  # nobody reads: the thread that calls this is still needed
+    with suppress(OSError):  # no reader; this thread must go on
         sys.stderr.write("".join(parts))
         sys.stderr.flush()
 
 
 def _has_terminal() -> bool:
-    """Whether there is one that controls this process."""
+    """Return True if the process has a controlling terminal."""
     try:
         os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY | os.O_CLOEXEC))
     except OSError:

@@ -1,4 +1,4 @@
-"""Work beside the loop: newest item in, newest result out, nobody waits."""
+"""Background work: the newest item in, the newest result out, without blocking the caller."""
 
 from __future__ import annotations
 
@@ -25,15 +25,17 @@ Result = TypeVar("Result")
 
 @dataclass(slots=True)
 class Stats:
-    """Counts since the start; written by the worker and its user, read by anyone at any time.
+    """Counts since the start. Any thread may read them at any time.
 
     Attributes:
-        submitted: items taken.
-        replaced: items that a newer one displaced before their turn.
-        unread: results that a newer one displaced before they were polled.
-        last_latency_ns: how long the newest result took.
-        last_error: the newest failure in words, one line, empty when there was none.
-        failures: type of failure → how many; replaced by another dict, never changed.
+        submitted: accepted items.
+        replaced: items that a newer item replaced before they were processed.
+        done: processed items.
+        unread: results that a newer result replaced before they were polled.
+        failed: items whose processing raised.
+        last_latency_ns: processing time of the newest result.
+        last_error: newest failure in one line; "" if there was none.
+        failures: type of exception → count. The dict is replaced, never changed.
         in_a_row: failures since the newest result.
     """
 
@@ -48,27 +50,34 @@ class Stats:
     in_a_row: int = 0
 
     def status(self) -> dict[str, object]:
-        """What came of no use, JSON-ready, as a sink tells it (`edge.loop.result.Sink`)."""
+        """Return failures and drops, JSON-ready, for the status of a sink."""
         return {"failed": self.failed, "dropped": self.replaced, "problem": self.last_error}
 
 
 class Worker(Generic[Item, Result]):
-    """Does one kind of work, on a thread of its own.
+    """Processes items on a thread of its own.
 
-    What waits is displaced by what comes later, what was found by what is found later. Whoever
-    submits an item gives it away: it is worked on or dropped. A failure is counted and outlived.
+    A new item replaces the waiting item of the same key; a new result replaces one that was not
+    polled. The worker owns submitted items: each is processed or dropped. Exceptions of `work` are
+    logged and counted, and do not end the worker.
 
     Args:
-        what: it is, for the log.
-        work: called with each item; what it returns can be polled, unless it is None.
-        inline: no thread: `submit` does the work, so that a run replays the same.
-        rest_s: how long it takes up nothing after work that went well.
-        pause_s: how long after the first failure; twice as long after each that follows. Inline,
-            where no time passes, 2, 4, 8 … items are dropped instead.
-        drop: called with an item that is not worked on.
-        drop_result: called with a result that is not polled.
-        finishes: what waits when it is closed is worked on, not dropped.
-        beat: called after each item, and every `BEAT_S` where none comes.
+        what: name of the work, for the log.
+        work: called with each item. Its result can be polled, unless it is None.
+        inline: True: no thread, `submit` does the work, so that a run replays bit for bit.
+        rest_s: pause after a success.
+        pause_s: pause after the first failure; it doubles with each further failure. With `inline`,
+            2, 4, 8 … items are dropped instead.
+        drop: called with each item that is not processed.
+        drop_result: called with each result that is not polled.
+        finishes: True: `close` processes the waiting items instead of dropping them.
+        beat: called after each item, and every `BEAT_S` if no item comes.
+
+    Example:
+        >>> worker = Worker("double", lambda x: 2 * x, inline=True)
+        >>> worker.submit(21)
+        >>> worker.poll()
+        42
     """
 
     def __init__(
@@ -94,21 +103,26 @@ class Worker(Generic[Item, Result]):
         self._result: Result | None = None
         self._busy = self._closed = False
         self._serial = self._passes = 0
-        self._round = self._begun = 0  # times that all was forgotten: by now, when work began
+        self._round = self._begun = (
+            0  # number of `forget` calls: now, and when the present work began
+        )
         self._thread: threading.Thread | None = None
         if not inline:
-            # A daemon: work that hangs must not keep the process from ending.
+            # A daemon, so that work that hangs does not keep the process alive.
             self._thread = threading.Thread(target=self._run, name=what, daemon=True)
             self._thread.start()
 
     @property
     def idle(self) -> bool:
-        """Whether nothing waits, is worked on, or is rested from."""
+        """True if no item waits or is processed, and no pause is left."""
         with self._changed:
             return not (self._waiting or self._busy)
 
     def submit(self, item: Item, key: Hashable = None) -> None:
-        """Work on this, in the place of what waits under this key. Never blocks, unless inline."""
+        """Process this item next, in place of the waiting one of the same key.
+
+        It never blocks, unless `inline` is set.
+        """
         if self._thread is None:
             self._at_once(item)
             return
@@ -123,7 +137,7 @@ class Worker(Generic[Item, Result]):
             self._drop(displaced)
 
     def queue(self, item: Item) -> None:
-        """Work on this too, after all that waits; of `MOST_QUEUED` the oldest gives way."""
+        """Process this item after all waiting ones; beyond `MOST_QUEUED`, the oldest is dropped."""
         with self._changed:
             self._serial += 1
             self.submit(item, self._serial)
@@ -133,7 +147,7 @@ class Worker(Generic[Item, Result]):
                 self._drop(self._waiting.pop(queued[0]))
 
     def poll(self) -> Result | None:
-        """The newest result that was not polled yet, or None."""
+        """Return the newest result that was not polled yet, or None."""
         if self._result is None:  # as in nearly every tick
             return None
         with self._changed:
@@ -141,7 +155,7 @@ class Worker(Generic[Item, Result]):
         return result
 
     def forget(self) -> None:
-        """What was submitted before is void: no result of it can be polled any more."""
+        """Drop all submitted items and their results, also that of the present item."""
         with self._changed:
             self._round += 1
             waiting, unread = list(self._waiting.values()), self._result
@@ -153,7 +167,7 @@ class Worker(Generic[Item, Result]):
             self._drop_result(unread)
 
     def stop(self) -> None:
-        """Take nothing more."""
+        """Accept no more items."""
         with self._changed:
             self._closed = True
             dropped = [] if self._finishes else list(self._waiting.values())
@@ -164,7 +178,7 @@ class Worker(Generic[Item, Result]):
             self._drop(item)
 
     def close(self, timeout_s: float | None = None) -> bool:
-        """Stop, and let what is worked on come to its end; whether it did in time."""
+        """Stop, wait for the present item, and return True if that ended within `timeout_s`."""
         self.stop()
         if self._thread is not None:
             self._thread.join(timeout_s)
@@ -193,7 +207,7 @@ class Worker(Generic[Item, Result]):
                     self._failed(error)
 
     def _take(self) -> list[Item]:
-        """What waited longest, once something waits or it is time for a beat."""
+        """Wait for an item or the next beat; return the oldest item in a list, or []."""
         with self._changed:
             self._busy = False
             if not self._waiting and not self._closed:
@@ -202,11 +216,11 @@ class Worker(Generic[Item, Result]):
             return [self._waiting.pop(key) for key in list(self._waiting)[:1]]
 
     def _do(self, item: Item) -> bool:
-        """Work on an item; whether that went well."""
+        """Process an item; return True if that did not raise."""
         begin_ns = perf_counter_ns()
         try:
             result = self._work(item)
-        except Exception as error:  # the loop must outlive whatever a model or a sink does
+        except Exception as error:  # a model or sink may raise anything; the loop must go on
             self._failed(error)
             return False
         self._succeeded(result, perf_counter_ns() - begin_ns)
@@ -234,11 +248,11 @@ class Worker(Generic[Item, Result]):
         return min(self._pause_s * 2.0**doublings, MAX_PAUSE_S)
 
     def _failed(self, error: Exception, excused: bool = False) -> None:
-        """Count a failure; tell the first of each kind, and where a pause keeps them few, the first
-        of each row.
+        """Count a failure, and log the first of its type; with pauses, the first of each row.
 
         Args:
-            excused: it makes no row.
+            error: the failure.
+            excused: True: do not count it in `in_a_row`.
         """
         kind, stats = type(error).__name__, self.stats
         stats.failed += 1

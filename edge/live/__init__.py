@@ -1,6 +1,6 @@
-"""The live view: a page that shows what the service sees, plans and does, and takes requests.
+"""Live view: a web page that shows what the service sees, plans and does, and sends requests.
 
-A sink keeps what the page shows, while somebody looks; it is encoded where it is asked for. The
-page itself, in `page/`, is plain HTML, CSS and JavaScript. How HTTP works does not come in here
-(`edge.host.pages`), nor what a request does (`edge.loop.requests`).
+A sink keeps the data while somebody views the page; they are encoded on request. The page in
+`page/` is plain HTML, CSS and JavaScript. HTTP is in `edge.host.pages`, the requests' actions are
+in `edge.loop.requests`.
 """

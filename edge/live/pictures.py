@@ -1,4 +1,4 @@
-"""Grids and camera images, encoded for the page."""
+"""Encoding of grids and camera images for the page."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _FAST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
 def grid_of(grid: Grid) -> dict[str, Any]:
-    """A grid of bytes: its place, and its cells as a grey PNG, row 0 (the lowest y) on top.
+    """Return a grid of bytes: its pose, and its cells as a grey PNG with row 0 (lowest y) on top.
 
-    Occupancy's -1 becomes 255.
+    Occupancy -1 becomes 255.
     """
     grid = thin(grid, MAX_SIDE)
     height, width = grid.cells.shape
@@ -32,7 +32,7 @@ def grid_of(grid: Grid) -> dict[str, Any]:
 
 
 def shot_of(shot: Shot) -> dict[str, Any]:
-    """A camera image as JPEG, with its boxes and letters."""
+    """Return a camera image as JPEG, with boxes and letters."""
     height, width = shot.rgb.shape[:2]
     bgr = cv2.cvtColor(shot.rgb, cv2.COLOR_RGB2BGR)
     return {
@@ -53,7 +53,7 @@ def shot_of(shot: Shot) -> dict[str, Any]:
 
 
 def _encoded(kind: str, image: np.ndarray, options: list[int]) -> str:
-    """In base64; what has no pixels is nothing."""
+    """Return an image in base64; "" if it has no pixels."""
     if image.size == 0:
         return ""
     return base64.b64encode(cv2.imencode(kind, image, options)[1]).decode()

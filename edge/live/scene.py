@@ -1,9 +1,9 @@
-"""What a drawing of an automaton shows: which states, which arrows, which words.
+"""Graph of an automaton to draw: selection of states, transitions and labels.
 
-Letters that lead from a state to the same next one share an arrow. Two kinds of letters have
-none: those that leave the state as it is, and those that make success impossible, which the state
-lists itself ("not tv"). So a letter that stands neither on an arrow nor in that list changes
-nothing, and the drawing still says all that the automaton does.
+Letters that lead from one state to the same next state share an arrow. Two kinds of letters have
+no arrow: those that keep the state, and those that make success impossible. The state lists the
+latter ("not tv"). So a letter that is neither on an arrow nor in that list changes nothing, and the
+drawing is complete.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import numpy as np
 from edge.mission.logic.automaton import NOTHING, Automaton
 from edge.text import shorten
 
-MAX_WHOLE = 40  # states that are drawn without leaving any out
+MAX_WHOLE = 40  # automata with at most this many states are drawn completely
 MAX_PART = 26
-MAX_ARROWS = 160  # more cannot be followed by eye
+MAX_ARROWS = 160  # more are unreadable
 LABEL_LENGTH, CAPTION_LENGTH, MAX_LINES = 22, 15, 3  # characters, lines
 _NO_BREAK = "\u00a0"
 
@@ -31,9 +31,14 @@ class Node(NamedTuple):
     """A state.
 
     Attributes:
-        forbidden: lines about what must not be reached there.
-        hidden: ways on from it to states that are not shown.
-        title: everything about it in one sentence.
+        state: its number.
+        initial: True for the initial state.
+        accepting: True if the mission succeeds here.
+        dead: True if success is impossible from here.
+        current: True for the current state.
+        forbidden: lines with letters that make success impossible here.
+        hidden: number of next states that are not shown.
+        title: a full description in one sentence.
     """
 
     state: int
@@ -47,7 +52,7 @@ class Node(NamedTuple):
 
 
 class Arrow(NamedTuple):
-    """From one state to another; `source` and `target` index the scene's nodes."""
+    """A transition; `source` and `target` index the scene's nodes."""
 
     source: int
     target: int
@@ -57,9 +62,12 @@ class Arrow(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Attributes:
-    nodes: the initial state first, or the current one where that is not shown.
-    note: how to read it, and what is left out.
+    """The graph.
+
+    Attributes:
+        nodes: the initial state first; if it is not shown, the current one.
+        arrows: transitions between them.
+        note: legend, and what is left out.
     """
 
     nodes: tuple[Node, ...]
@@ -73,12 +81,13 @@ def make_scene(
     plan: Sequence[str] = (),
     path: Sequence[str] = (),
 ) -> Scene:
-    """Choose what to draw.
+    """Select the states and transitions to draw.
 
     Args:
-        state: the current one, which is marked; None marks none.
-        plan: letters to be reached from `state` on (from the initial state, without it).
-        path: letters that were reached from the initial state on.
+        automaton: the automaton.
+        state: the current state, which is marked; None: no mark.
+        plan: letters to reach next, from `state` (or the initial state).
+        path: letters reached so far, from the initial state.
     """
     visited = _walk(automaton, 0, path)
     planned = _walk(automaton, 0 if state is None else state, plan)
@@ -108,12 +117,12 @@ def _walk(automaton: Automaton, state: int, word: Sequence[str]) -> list[int]:
 def _roles(
     states: Sequence[int], letters: Sequence[str], role: Role
 ) -> dict[tuple[int, int], tuple[Role, str]]:
-    """What is special about the arrows along a way, and the letter that it takes them by."""
+    """Return the role of each transition along a path, and the letter on which it is taken."""
     return {pair: (role, letter) for pair, letter in zip(pairwise(states), letters, strict=True)}
 
 
 def ways_on(automaton: Automaton, state: int) -> dict[int, list[str]]:
-    """Next state to the letters that lead there; without those that change nothing."""
+    """Return next states with the letters that lead there, without letters that change nothing."""
     ways: dict[int, list[str]] = {}
     for letter, to in zip((*automaton.letters, NOTHING), automaton.delta[state], strict=True):
         if to != state:
@@ -130,9 +139,9 @@ def _fatal(automaton: Automaton, state: int) -> list[str]:
 def _shown(
     automaton: Automaton, state: int | None, planned: Sequence[int], visited: Sequence[int]
 ) -> list[int]:
-    """The states to draw: all of a small automaton, else what is near the current state.
+    """Return the states to draw: all of a small automaton, or those near the current state.
 
-    States without hope are drawn only where the robot is in one, came through one, or began in
+    States without a way to success are drawn only if the robot is in one, was in one, or started in
     one.
     """
     here = 0 if state is None else state
@@ -150,7 +159,7 @@ def _shown(
         ways = (t for s in level for t in ways_on(automaton, s) if not automaton.dead(t))
         level = [t for t in dict.fromkeys(ways) if t not in part]
         while level and not _fits(automaton, [*part, *level]):
-            level = level[:-1] if first else []  # the nearest are worth showing in part
+            level = level[:-1] if first else []  # show at least some of the next states
         part += level
     return sorted(part, key=lambda s: (s != 0, s != here)) if 0 in part else part
 
@@ -160,7 +169,7 @@ def _fits(automaton: Automaton, part: Sequence[int]) -> bool:
 
 
 def _arrows_among(automaton: Automaton, states: Sequence[int]) -> int:
-    """How many pairs of different states have a letter that leads from one to the other."""
+    """Return the number of ordered pairs of different states with a transition."""
     inside = set(states)
     return sum(len(inside.intersection(automaton.delta[s].tolist()) - {s}) for s in states)
 
@@ -173,9 +182,9 @@ def _node(
     parts += ["the robot is here"] if current else []
     parts += ["accepting"] if accepting else []
     parts += ["success impossible"] if left < 0 else []
-    parts += [f"{left} to reach at least"] if left > 0 else []
+    parts += [f"at least {left} to reach"] if left > 0 else []
     parts += [f"not {', '.join(map(_name, fatal))}"] if fatal else []
-    parts += [f"{hidden} more ways on, not shown"] if hidden else []
+    parts += [f"{hidden} more next states, not shown"] if hidden else []
     words = wrap(f"not {in_words(fatal, automaton.letters)}", CAPTION_LENGTH) if fatal else ()
     return Node(state, state == 0, accepting, left < 0, current, words, hidden, "; ".join(parts))
 
@@ -189,7 +198,7 @@ def _arrow(
 ) -> Arrow:
     role, taken = roles.get(ends, ("other", ""))
     title = f"{ends[0]} to {ends[1]}: {', '.join(map(_name, letters))}"
-    if taken in letters and role != "other":  # by its name, and first
+    if taken in letters and role != "other":  # name it, and first
         words = ", ".join(map(_name, dict.fromkeys((taken, *letters))))
     else:
         words = in_words(letters, automaton.letters)
@@ -206,12 +215,12 @@ def _note(automaton: Automaton, shown: Collection[int], nodes: Sequence[Node]) -
     if any(node.dead for node in nodes):
         parts.append("Dashed: success is impossible.")
     if any(node.hidden for node in nodes):
-        parts.append('"+ …": ways on to states not shown.')
-    return " ".join([*parts, "What a state does not name changes nothing there."])
+        parts.append('"+ …": next states that are not shown.')
+    return " ".join([*parts, "Names that a state does not list change nothing there."])
 
 
 def in_words(letters: Sequence[str], alphabet: Sequence[str]) -> str:
-    """A set of letters (`NOTHING` may be one) as a short list.
+    """Format a set of letters (which may include `NOTHING`) as a short list.
 
     >>> in_words(["chair", ""], ["chair", "tv"])
     'chair, nothing'
@@ -234,7 +243,7 @@ def _name(letter: str) -> str:
 
 
 def wrap(words: str, length: int = LABEL_LENGTH) -> tuple[str, ...]:
-    """A list broken at its commas into at most `MAX_LINES` lines of about `length` characters.
+    """Break a list at its commas into at most `MAX_LINES` lines of about `length` characters.
 
     >>> wrap("potted plant, television, sofa")
     ('potted plant,', 'television, sofa')

@@ -1,4 +1,4 @@
-"""What the page shows, kept while somebody looks."""
+"""Sink that keeps the page's data while somebody views the page."""
 
 from __future__ import annotations
 
@@ -21,29 +21,36 @@ from edge.tasks.facts import TaskFacts, same_words
 from edge.types import Detections, Instance, Observation
 
 WATCHED_S = 10.0
-"""Nobody looks who has not asked for so long."""
+"""Time after the last request in which the page counts as viewed."""
 PERIOD_S = 0.2
 MAX_EVENTS = 400
 MAX_SHOT_PX = 960
 MAX_BOXES = 60
 _BEAT_S = 1.0
-_UNBOXED_S = 0.5  # without detections for so long, images are shown without boxes
+_UNBOXED_S = 0.5  # after this time without detections, images are shown without boxes
 _TRAIL = 2048
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
-    """How all stood in one tick.
+    """State of the service in one tick.
 
     Attributes:
-        at_s: on the sink's clock.
-        result: of which only what may be called at other times is called later.
-        n_tasks: counts what there was to tell of tasks: it is another where `task` says something
-            new, but for how far it is driven.
-        letters: id of a candidate to its letter, and what the model gives it.
-        trail: (n, 3) float64 poses, the way driven.
-        beat_hz: ticks with an observation, a second.
-        n_events: how many there were since the start; `events` are the newest.
+        at_s: time on the sink's clock.
+        result: use only methods that other threads may call.
+        mission: the mission.
+        task: the task; None: there is none.
+        n_tasks: version of `task`: increases when it changes, except for progress along it.
+        instances: objects.
+        candidates: candidates for the next goal.
+        way: (n, 2) path to the goal, metres.
+        layers: grids to draw, by name.
+        health: see `edge.loop.result.TickResult`.
+        letters: candidate id to its letter and the model's probability for it.
+        trail: (n, 3) float64 poses of the driven path.
+        beat_hz: ticks with an observation per second.
+        events: the newest events.
+        n_events: number of events since the start.
     """
 
     at_s: float
@@ -64,7 +71,7 @@ class Moment:
 
 
 class Box(NamedTuple):
-    """`xyxy` in shares of the image's width and height."""
+    """A detection; `xyxy` in fractions of the image's width and height."""
 
     label: str
     score: float
@@ -77,11 +84,11 @@ class Shot:
     """A camera image.
 
     Attributes:
-        seq: counts shots.
-        rgb: (h, w, 3) uint8, a copy, thinned where it was large.
-        boxes: of targets, and of what stands around them.
-        letters: (letter, u, v) of the directions that the choice scorer was asked about and that
-            are in view; u and v in shares of the image's width and height.
+        seq: number of the image.
+        rgb: (h, w, 3) uint8, a copy, subsampled if it was large.
+        boxes: of targets and of other objects.
+        letters: (letter, u, v) of candidates that the choice scorer was asked about and that are in
+            view; u and v in fractions of the image's width and height.
     """
 
     seq: int
@@ -91,15 +98,15 @@ class Shot:
 
 
 class LiveSink:
-    """A sink whose calls cost next to nothing while nobody looks.
+    """A sink that costs almost nothing while nobody views the page.
 
     Args:
         clock: seconds.
 
     Attributes:
-        moment: the newest; None while nobody looks.
-        shot: the newest image; None while there was none, or nobody looks.
-        ticked_s: when the loop last came by, on the clock; None: never.
+        moment: the newest state; None while nobody views the page.
+        shot: the newest image; None if there was none, or nobody views the page.
+        ticked_s: time of the loop's last tick, on the clock; None: never.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -107,25 +114,25 @@ class LiveSink:
         self.moment: Moment | None = None
         self.shot: Shot | None = None
         self.ticked_s: float | None = None
-        self._looked_s = self._boxed_s = -math.inf
+        self._viewed_s = self._boxed_s = -math.inf
         self._due_s = self._shot_due_s = -math.inf
         self._trail = Trail(_TRAIL)
         self._events: tuple[Event, ...] = ()
         self._n_events = self._n_shots = self._n_ticks = self._n_tasks = 0
         self._task: TaskFacts | None = None
-        self._beat = (0.0, 0, 0.0)  # since when, ticks until then, and the beat before
+        self._beat = (0.0, 0, 0.0)  # start of the window, ticks until then, previous rate
 
     # -- for any thread ------------------------------------------------------------------------
 
     def look(self) -> float:
-        """Somebody looks; the time on the sink's clock."""
-        self._looked_s = self._clock()
-        return self._looked_s
+        """Record that somebody views the page; return the time on the sink's clock."""
+        self._viewed_s = self._clock()
+        return self._viewed_s
 
     # -- on the loop's thread ------------------------------------------------------------------
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
+        """Keep the state if the page is viewed; see `edge.loop.result.Sink`."""
         now_s = self.ticked_s = self._clock()
         if result.events:
             self._n_events += len(result.events)
@@ -136,8 +143,8 @@ class LiveSink:
         if now_s - self._beat[0] >= _BEAT_S:
             since_s, ticks, _ = self._beat
             self._beat = (now_s, self._n_ticks, (self._n_ticks - ticks) / (now_s - since_s))
-        if now_s - self._looked_s > WATCHED_S:
-            self.moment = self.shot = None  # a moment holds the map of its time
+        if now_s - self._viewed_s > WATCHED_S:
+            self.moment = self.shot = None  # free the map that a moment holds
             return
         if now_s >= self._due_s:
             self._due_s = now_s + PERIOD_S
@@ -146,7 +153,7 @@ class LiveSink:
             self._shoot(result, now_s)
 
     def close(self) -> None:
-        """See `edge.loop.result.Sink`."""
+        """Do nothing; see `edge.loop.result.Sink`."""
 
     def _gather(self, result: TickResult, now_s: float) -> Moment:
         choice, task = result.choice, result.task()
@@ -171,7 +178,7 @@ class LiveSink:
         )
 
     def _shoot(self, result: TickResult, now_s: float) -> None:
-        """Copy the image that boxes came for, or with none for a while, the newest."""
+        """Copy the image with boxes; without detections for a while, the newest image."""
         detections, boxes = result.detections, ()
         if detections is not None:
             observation, self._boxed_s = detections.observation, now_s
@@ -194,8 +201,8 @@ class LiveSink:
 
 
 def _letters(choice: Choice) -> dict[int, tuple[str, float]]:
-    told = zip(choice.ids, LETTERS, choice.p.tolist(), strict=False)
-    return {candidate: (letter, p) for candidate, letter, p in told}
+    entries = zip(choice.ids, LETTERS, choice.p.tolist(), strict=False)
+    return {candidate: (letter, p) for candidate, letter, p in entries}
 
 
 def _boxes(detections: Detections, targets: Sequence[str]) -> tuple[Box, ...]:
@@ -203,11 +210,11 @@ def _boxes(detections: Detections, targets: Sequence[str]) -> tuple[Box, ...]:
     if rgb is None:
         return ()
     height, width = rgb.shape[:2]
-    for told in (detections, detections.around()):
-        if told is not None:
-            shares = (told.xyxy_px / np.float32([width, height, width, height])).tolist()
-            of = zip(told.class_id.tolist(), told.score.tolist(), shares, strict=True)
-            boxes += [(told.prompts[i], score, xyxy) for i, score, xyxy in list(of)[:MAX_BOXES]]
+    for entries in (detections, detections.around()):
+        if entries is not None:
+            shares = (entries.xyxy_px / np.float32([width, height, width, height])).tolist()
+            of = zip(entries.class_id.tolist(), entries.score.tolist(), shares, strict=True)
+            boxes += [(entries.prompts[i], score, xyxy) for i, score, xyxy in list(of)[:MAX_BOXES]]
     return tuple(
         Box(label, score, names.same_as_any(label, targets), tuple(xyxy))
         for label, score, xyxy in boxes
@@ -215,7 +222,7 @@ def _boxes(detections: Detections, targets: Sequence[str]) -> tuple[Box, ...]:
 
 
 def _in_view(observation: Observation, result: TickResult) -> tuple[tuple[str, float, float], ...]:
-    """The letters of directions whose frontiers are still there, where they lie in this image."""
+    """Return letters and image positions of frontiers that still exist and are in view."""
     camera, choice = observation.camera, result.choice
     if camera is None or choice is None:
         return ()

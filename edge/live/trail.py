@@ -1,4 +1,4 @@
-"""The driven path in bounded memory, for the live view and reports."""
+"""The driven path in limited memory, for the live view and reports."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ STEP_NS = 100_000_000
 
 
 class Trail:
-    """A trajectory in a fixed array: when it is full, every other pose goes and steps double."""
+    """A path in a fixed array: if full, every other pose is dropped and the spacing doubles."""
 
     def __init__(self, capacity: int = 16384) -> None:
         self._poses = np.zeros((capacity, 3))
@@ -21,7 +21,7 @@ class Trail:
         self._last: tuple[int, SE2] | None = None
 
     def append(self, stamp_ns: int, pose: SE2) -> None:
-        """Keep the pose if it is `STEP_M` or `STEP_NS` (times the stride) from the last kept."""
+        """Append the pose if it is `STEP_M` or `STEP_NS` (times the stride) from the last one."""
         if self._last is not None:
             last_ns, last = self._last
             moved_m = last.distance_to(pose.x_m, pose.y_m)
@@ -43,5 +43,5 @@ class Trail:
         self._stride *= 2
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """(n, 3) float64 poses and (n,) int64 stamps, copies."""
+        """Return copies of (n, 3) float64 poses and (n,) int64 stamps."""
         return self._poses[: self._n].copy(), self._stamp_ns[: self._n].copy()

@@ -1,4 +1,4 @@
-"""The page, what it asks for, and what it asks the service to do."""
+"""HTTP pages of the live view: the page itself, its data, and requests to the service."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from edge.live.words import MAX_LAYERS, now_of, script_of, story_of
 from edge.loop.vitals import Vitals
 
 ANSWER_S = 120.0
-"""How long a request may take: a language model may have to understand it."""
+"""Timeout of a request: a language model may have to process it."""
 _LATENCY_TICKS = 300
-_TOO_CLOSE = 50  # the map's value of cells near what is occupied, which the page draws apart
+_TOO_CLOSE = 50  # map value of cells near obstacles, which the page draws differently
 _FOLDER = Path(__file__).parent / "page"
 _KINDS = {
     ".html": "text/html",
@@ -40,32 +40,33 @@ _FILES = {
     if path.suffix in _KINDS
 }
 PUBLIC = tuple(_FILES)
-"""The page itself: it says nothing of the robot."""
+"""Pages without a token: they have no data of the robot."""
 
 
 class LiveView:
-    """Answers the page; but for `sink`, on threads of HTTP's.
+    """Serves the page; all methods but `sink.tick` run on HTTP threads.
 
     Args:
-        vitals: tell what is amiss, from the start on.
+        config: the configuration.
+        vitals: health of the service, from its start on.
 
     Attributes:
-        sink: takes the results.
+        sink: receives the results.
     """
 
     def __init__(self, config: Config, vitals: Vitals) -> None:
         self.sink = LiveSink()
         self._config, self._vitals = config, vitals
         self._queues: Mapping[str, RequestQueue] = {}
-        self._hand = threading.Lock()  # one encodes, for all who look
+        self._lock = threading.Lock()  # one thread encodes, for all viewers
         self._kept: dict[str, tuple[object, Page]] = {}
 
     def open(self, queues: Mapping[str, RequestQueue]) -> None:
-        """From now on requests are taken, by key."""
+        """Accept requests from now on, with a queue for each key."""
         self._queues = queues
 
     def pages(self) -> Pages:
-        """The page, and what it asks for."""
+        """Return the page and its data, by path."""
         layers = {f"/live/layers/{i}": partial(self._layer, i) for i in range(MAX_LAYERS)}
         return {
             **{path: partial(_file, file) for path, file in _FILES.items()},
@@ -78,10 +79,10 @@ class LiveView:
         }
 
     def forms(self) -> Forms:
-        """Requests, as over the bus: see `edge.loop.requests`."""
+        """Return the handlers of requests, the same as on the bus: see `edge.loop.requests`."""
         return {f"/{key}": partial(self._request, key) for key in topics.REQUESTS}
 
-    # -- what is told --------------------------------------------------------------------------
+    # -- data ----------------------------------------------------------------------------------
 
     def _now(self) -> Page:
         now_s = self.sink.look()
@@ -100,36 +101,36 @@ class LiveView:
         )
 
     def _story(self) -> Page:
-        moment = self._looked()
+        moment = self._viewed_moment()
         if moment is None:
             return _json(None)
         return _json(story_of(moment, moment.result.latency(last=_LATENCY_TICKS)))
 
     def _task(self) -> Page:
-        moment = self._looked()
+        moment = self._viewed_moment()
         if moment is None or moment.task is None:
             return _json(None)
         task = moment.task
         return self._once("task", moment.n_tasks, lambda: _json(script_of(task, moment.n_tasks)))
 
     def _map(self) -> Page:
-        moment = self._looked()
+        moment = self._viewed_moment()
         if moment is None:
             return _json(None)
         return self._grid("map", partial(moment.result.snapshot, inflated=_TOO_CLOSE))
 
     def _layer(self, index: int) -> Page:
-        moment = self._looked()
+        moment = self._viewed_moment()
         layers = [] if moment is None else list(moment.layers.items())
         return self._grid(*layers[index]) if index < len(layers) else _json(None)
 
     def _camera(self) -> Page:
-        self._looked()
+        self._viewed_moment()
         if (shot := self.sink.shot) is None:
             return _json(None)
         return self._once("camera", shot.seq, lambda: _json(shot_of(shot)))
 
-    def _looked(self) -> Moment | None:
+    def _viewed_moment(self) -> Moment | None:
         self.sink.look()
         return self.sink.moment
 
@@ -141,16 +142,16 @@ class LiveView:
         return self._once(name, tag, lambda: _json({"name": name, **grid_of(grid)}, tag))
 
     def _once(self, name: str, version: object, make: Callable[[], Page]) -> Page:
-        """What is made once for all who ask for the same version."""
-        with self._hand:
+        """Return a page that is encoded once per version, for all viewers."""
+        with self._lock:
             kept = self._kept.get(name)
             if kept is None or kept[0] != version:
-                if len(self._kept) > MAX_LAYERS:  # of missions that are over
+                if len(self._kept) > MAX_LAYERS:  # layers of earlier missions
                     self._kept.clear()
                 kept = self._kept[name] = version, make()
             return kept[1]
 
-    # -- what is asked for ---------------------------------------------------------------------
+    # -- requests ------------------------------------------------------------------------------
 
     def _request(self, key: str, body: bytes) -> Page:
         if key not in self._queues:
@@ -161,7 +162,7 @@ class LiveView:
         try:
             reply, is_error = answers.get(timeout=ANSWER_S)
         except queue.Empty:
-            reply, is_error = error_of(f"not answered within {ANSWER_S:g} s"), True
+            reply, is_error = error_of(f"no answer within {ANSWER_S:g} s"), True
         return Page(reply, _JSON, HTTPStatus.CONFLICT if is_error else HTTPStatus.OK)
 
 

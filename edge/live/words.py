@@ -1,4 +1,4 @@
-"""What the page is told, as JSON types: a moment of the sink, and what stays for longer."""
+"""JSON for the page: the current state of the sink, and data that change less often."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from edge.text import one_line, some_lines
 from edge.types import Goal, GoalStatus
 
 MAX_POINTS = 400
-"""Of a way that is drawn."""
+"""Limit of a path that is drawn."""
 MAX_STEPS = 60
 MAX_LAYERS = 16
 MAX_PROMPT, MAX_CODE, MAX_WORDS, MAX_LINE = 100_000, 20_000, 4_000, 1_000  # characters
@@ -28,7 +28,7 @@ _NS = 1e-9
 
 
 def now_of(moment: Moment) -> dict[str, Any]:
-    """What changes all the time: pose, goal, candidates, things."""
+    """Return what changes all the time: pose, goal, candidates, objects."""
     result, status, pose = moment.result, moment.result.status, moment.result.pose
     return {
         "t_s": result.now_ns * _NS,
@@ -61,7 +61,7 @@ def now_of(moment: Moment) -> dict[str, Any]:
 
 
 def _task(task: TaskFacts, number: int) -> dict[str, Any]:
-    """What of a task changes all the time; `number` says of which `script_of` that is."""
+    """Return what of a task changes all the time; `number` is the version of its `script_of`."""
     index, driven_m = -1, 0.0
     if task.refined is not None:
         index = thinned(task.refined, task.index, MAX_POINTS)[1]
@@ -72,10 +72,10 @@ def _task(task: TaskFacts, number: int) -> dict[str, Any]:
 
 
 def script_of(task: TaskFacts, number: int) -> dict[str, Any]:
-    """What was asked, who wrote what, and the two trajectories; what is too long is cut.
+    """Return a task: instruction, model answers and both trajectories; long texts are cut.
 
-    `refined` are [x, y, heading], `coarse` [x, y]; a round has the model's words where it holds no
-    code.
+    `refined` is [x, y, heading], `coarse` is [x, y]. A round has the text of the model's answer if
+    the answer has no code.
     """
     refined = task.refined
     return {
@@ -123,10 +123,10 @@ def _goal(goal: Goal, answer: GoalStatus | None) -> dict[str, Any]:
 
 
 def _candidates(moment: Moment) -> list[dict[str, Any]]:
-    told = []
+    rows = []
     for kind, i, xy_m, score, path_m, blocked in zip(*moment.candidates, strict=True):
         letter, p = moment.letters.get(int(i), ("", 0.0)) if kind == FRONTIER else ("", 0.0)
-        told.append(
+        rows.append(
             {
                 "kind": _KINDS.get(int(kind), "look"),
                 "id": int(i),
@@ -138,11 +138,11 @@ def _candidates(moment: Moment) -> list[dict[str, Any]]:
                 "p": _number(p),
             }
         )
-    return told
+    return rows
 
 
 def story_of(moment: Moment, latency: LatencyReport) -> dict[str, Any]:
-    """What changes now and then: mission, way driven, times, log, health."""
+    """Return what changes now and then: mission, driven path, latency, log, health."""
     result, mission = moment.result, moment.mission
     return {
         "targets": list(result.targets),
@@ -162,7 +162,7 @@ def story_of(moment: Moment, latency: LatencyReport) -> dict[str, Any]:
 
 
 def scene_of(mission: MissionFacts) -> dict[str, Any]:
-    """The automaton as a graph: see `edge.live.scene`."""
+    """Return the automaton as a graph: see `edge.live.scene`."""
     scene = make_scene(mission.brief.automaton, mission.state, mission.plan.steps, mission.word)
     return {
         "nodes": [node._asdict() for node in scene.nodes],
@@ -172,7 +172,7 @@ def scene_of(mission: MissionFacts) -> dict[str, Any]:
 
 
 def points(xy_m: np.ndarray) -> list[list[float]]:
-    """(n, 2) places as JSON, of many only some, the last among them."""
+    """Return (n, 2) points as JSON, subsampled to `MAX_POINTS` including the last."""
     stride = -(-len(xy_m) // MAX_POINTS) or 1
     return np.round(xy_m[::-1][::stride][::-1].astype(np.float64), 2).tolist()
 
@@ -182,5 +182,5 @@ def _numbers(values: Any) -> list[float | None]:
 
 
 def _number(value: float) -> float | None:
-    """JSON knows no infinity."""
+    """Return a rounded number; None for NaN and infinity, which JSON lacks."""
     return round(float(value), 4) if math.isfinite(value) else None

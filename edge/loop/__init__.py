@@ -1,5 +1,5 @@
-"""The loop: one tick over all stages, the present goal from choice to answer, what both report.
+"""Loop: the tick over all stages, goal tracking, and status reports.
 
-It takes a source, sinks and requests as it is given them, and does not load Zenoh. All
-that it writes is the checkpoint, of the mission and of the map (`checkpoint`).
+The caller passes the source, the sinks and the request servers; this package does not import Zenoh.
+It writes only the checkpoints of the mission and the map (`checkpoint`).
 """

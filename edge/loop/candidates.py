@@ -1,7 +1,7 @@
-"""Gathers the candidates: frontier and instance target points with an identity that lasts.
+"""Candidates: goal points of frontiers and instances, with ids that last over ticks.
 
-A frontier moves as the map grows. It keeps its identity while it stays within `r_assoc_m` of where
-it was first seen.
+A frontier moves as the map grows. It keeps its id while it stays within `r_assoc_m` of its first
+position.
 """
 
 from __future__ import annotations
@@ -21,22 +21,27 @@ from edge.types import Instance
 _DISCARDED = 64
 _LASTING = ("xy_m", "anchor_m", "id", "first_seen_ns", "gain_m2")
 _UNMEASURED = np.float32(-1.0)
-# Frontiers whose gain is measured again in a tick, besides those that are new.
+# Number of frontiers whose gain is measured again in a tick, in addition to new ones.
 _MEASURED = 12
 LOOK_MIN_M2 = 1.5
-"""A turn that shows less is not worth a goal."""
-TURN_M_PER_RAD = 0.15  # what a turn is worth as way
+"""A spin that would show less than this area is no candidate."""
+TURN_M_PER_RAD = 0.15  # cost of a turn, as path length
 _LOOK_SAME_RAD = 0.6
 
 
 class CandidatePool:
-    """Today's candidates, what they continue of yesterday's, and which are left alone.
+    """The candidates of the current tick, with their ids and the discarded ones.
+
+    Args:
+        capacity: Largest number of candidates.
+        r_assoc_m: See `Attributes`.
 
     Attributes:
-        candidates: refreshed in place by every update.
-        shown: the same, read-only.
-        anchor_m: (capacity, 2) float32, where each frontier was first seen.
-        r_assoc_m: how far a frontier may move and be the same; may be set.
+        candidates: The candidates, updated in place.
+        shown: The same, read-only.
+        anchor_m: (capacity, 2) float32, first position of each frontier.
+        r_assoc_m: Distance from its first position within which a frontier keeps its id; may be
+            set.
     """
 
     def __init__(self, capacity: int, r_assoc_m: float) -> None:
@@ -63,14 +68,13 @@ class CandidatePool:
     def update(
         self, frontiers: Frontiers, instances: Sequence[Instance], stamp_ns: int, now_ns: int
     ) -> None:
-        """Replace the candidates by today's, carrying identities over.
+        """Replace the candidates by those of this tick, and keep the ids of known frontiers.
 
         Args:
-            frontiers: target points of the map; more than fit are left out, smallest id last.
-            instances: the live instances of the active target.
-            stamp_ns: of the observation that the map was updated from; what is new was first
-                seen then.
-            now_ns: the loop's time, which `discard` counts in.
+            frontiers: Frontiers of the map. Those beyond the capacity are left out.
+            instances: Instances of the active target.
+            stamp_ns: Stamp of the observation; new frontiers were first seen then.
+            now_ns: Loop time, on the clock of `discard`.
         """
         c = self.candidates
         capacity = len(c.id)
@@ -92,7 +96,7 @@ class CandidatePool:
             self._match, n_new, self._next_id, stamp_ns, anchor_m, old_id, first_seen_ns, gain_m2,
             c.xy_m, self.anchor_m, c.id, c.first_seen_ns, c.gain_m2,
         )  # fmt: skip
-        # Where the sensors' clock was set back, nothing was first seen in the future.
+        # If the sensors' clock was set back, no frontier may have been seen in the future.
         np.minimum(c.first_seen_ns[:n_new], stamp_ns, out=c.first_seen_ns[:n_new])
         c.stamp_ns = stamp_ns
         for i, instance in enumerate(instances[:n_instances], start=n_new):
@@ -113,17 +117,17 @@ class CandidatePool:
 
     @property
     def out_of_reach(self) -> int:
-        """Number of frontiers that no known path leads to."""
+        """Number of frontiers without a known path."""
         c = self.candidates
         frontiers = c.kind[: c.n] == FRONTIER
         return int(np.count_nonzero(frontiers & np.isinf(c.path_m[: c.n])))
 
     def measure(self, grid: RollingMap) -> None:
-        """Fill in how far the candidates are, and what frontiers would show."""
+        """Compute the path lengths of the candidates and the gains of frontiers."""
         c = self.candidates
         grid.reach.paths_m(c.xy_m, c.kind, SNAP_M, c.n, c.path_m)
         n = int(np.count_nonzero(c.kind[: c.n] == FRONTIER))
-        if c.stamp_ns != self._measured_ns:  # the turn goes on once for each observation
+        if c.stamp_ns != self._measured_ns:  # the rotation advances once per observation
             self._measured_ns = c.stamp_ns
             self._measure_next = (self._measure_next + _MEASURED) % max(n, 1)
         k = _to_measure(c.gain_m2, n, self._measure_next, _MEASURED, self._measured)
@@ -131,7 +135,7 @@ class CandidatePool:
             grid.gain.around(c.xy_m, self._measured, k, c.gain_m2)
 
     def add_look(self, grid: RollingMap, pose: SE2, fov_rad: float, now_ns: int) -> None:
-        """Add the turn on the spot that shows the most, where one is worth it."""
+        """Add the spin that would show the largest area, if it is large enough."""
         c = self.candidates
         if c.n == len(c.id):
             return
@@ -164,10 +168,10 @@ class CandidatePool:
     def discard(
         self, kind: int, candidate_id: int, xy_m: tuple[float, float], until_ns: int
     ) -> None:
-        """Leave a candidate alone until `until_ns`.
+        """Block a candidate until `until_ns`.
 
-        An instance is known by its id; frontiers are redrawn, so all within `r_assoc_m` of the
-        point are left alone.
+        An instance is blocked by its id. For other kinds, all candidates of the kind within
+        `r_assoc_m` of the point are blocked, because frontiers change their points.
         """
         i = self._discarded_next
         self._discarded_xy_m[i] = xy_m
@@ -177,11 +181,11 @@ class CandidatePool:
         self._discarded_next = (i + 1) % _DISCARDED
 
     def lift_discards(self) -> None:
-        """Give every discarded candidate another chance."""
+        """Unblock all discarded candidates."""
         self._discarded_until_ns[:] = 0
 
     def state_dict(self) -> Arrays:
-        """Return the frontiers' identities, and what is left alone until when."""
+        """Return the ids of the frontiers and the discarded candidates."""
         n = int(np.count_nonzero(self.candidates.kind[: self.candidates.n] == FRONTIER))
         left = self._discarded_until_ns > 0
         return {
@@ -197,12 +201,12 @@ class CandidatePool:
         }
 
     def load_state_dict(self, state: Arrays, later_ns: int, later_stamp_ns: int) -> None:
-        """Go on with a `state_dict`, with no candidate known yet; rows beyond the capacity are left
-        out.
+        """Restore a `state_dict` into an empty pool. Rows beyond the capacity are left out.
 
         Args:
-            later_ns, later_stamp_ns: how much later it all happened on the clock of `discard`, and
-                on the sensors'.
+            state: The arrays.
+            later_ns: Shift of times on the clock of `discard`.
+            later_stamp_ns: Shift of stamps on the sensors' clock.
         """
         c, look = self.candidates, ("look_id", "look_rad")
         discarded = tuple(f"discarded_{name}" for name in ("kind", "id", "xy_m", "until_ns"))
@@ -222,17 +226,17 @@ class CandidatePool:
             self.discard(int(kind), int(i), (float(xy_m[0]), float(xy_m[1])), until_ns + later_ns)
 
     def clear(self) -> None:
-        """Forget every candidate and every discarded point."""
+        """Remove all candidates and all discarded points."""
         self.candidates.n = self.shown.n = 0
         self.lift_discards()
 
 
 @njit(nogil=True, cache=True)
 def _associate(old_xy, old_anchor, n_old, new_xy, n_new, radius, match, claim):
-    """match[new] = the old entry it continues, or -1; each old one is continued at most once.
+    """Match new frontiers to old ones: match[new] = old index or -1, each old one at most once.
 
-    Of all pairs within the radius the nearest are joined first: a new entry that loses its old
-    one to a nearer rival looks for another.
+    Of all pairs within the radius, the nearest are matched first. A new frontier that loses its old
+    one to a nearer new one searches for another.
     """
     for j in range(n_old):
         claim[j] = -1
@@ -251,7 +255,7 @@ def _associate(old_xy, old_anchor, n_old, new_xy, n_new, radius, match, claim):
 
 @njit(nogil=True, cache=True)
 def _nearest_unclaimed(old_xy, old_anchor, n_old, new_xy, i, r2, claim):
-    """The nearest old entry within reach of a new one that no nearer entry has claimed, or -1."""
+    """Return the nearest old frontier that no nearer new frontier has claimed, or -1."""
     found, best = -1, r2
     for j in range(n_old):
         ax, ay = new_xy[i, 0] - old_anchor[j, 0], new_xy[i, 1] - old_anchor[j, 1]
@@ -275,7 +279,7 @@ def _carry_over(
     match, n_new, next_id, stamp_ns, old_anchor, old_id, old_seen, old_gain,
     xy, anchor, ids, seen, gain,
 ):  # fmt: skip
-    """Fill the new entries from the old ones they continue; returns the next free id."""
+    """Fill the new frontiers from their matches; return the next free id."""
     for i in range(n_new):
         j = match[i]
         if j >= 0:
@@ -312,10 +316,9 @@ def _mark_blocked(
 
 @njit(nogil=True, cache=True)
 def _to_measure(gain, n, start, least, which):
-    """Indices of the frontiers to measure: those that never were, and `least` in turn.
+    """Write to `which` the indices of the frontiers to measure; return their number.
 
-    Returns:
-        How many `which` holds.
+    These are all frontiers that were never measured, and `least` others in rotation.
     """
     k = 0
     for i in range(n):

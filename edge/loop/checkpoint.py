@@ -1,8 +1,8 @@
-"""The checkpoint of a running service: saved while it runs, restored at the start.
+"""Checkpoint of a running service: saved while it runs, restored at the start.
 
-It is two files, because they outlive different things. The mission's is small and written when it
-changes. The map's, next to it, holds everything bound to the frame `map`
-(`edge.loop.map_checkpoint`). A robot whose mission is over saves that too.
+It has two files with different lifetimes. The mission's file is small and is written when the
+mission changes. The map's file, next to it, holds all data in the frame `map`
+(`edge.loop.map_checkpoint`). A finished mission is saved too.
 """
 
 from __future__ import annotations
@@ -29,22 +29,25 @@ log = logging.getLogger("edge.loop.checkpoint")
 
 
 class ServiceCheckpoint:
-    """Saves the mission: at once when it changes, else each second.
+    """The checkpoint of the mission, saved at once when it changes, else each second.
 
     Attributes:
-        saved: the unfinished mission that the file held and that goes on; else None.
-        problem: why a file that was there is of no use, "" if there was none such.
-        map: saves what is bound to `map`.
+        saved: Unfinished mission of the file that will continue; None if there is none.
+        problem: Reason why an existing file cannot be used; "" if there is no problem.
+        map: Checkpoint of the map.
     """
 
     def __init__(self, config: Config, path: Path, asked: str | None) -> None:
-        """
+        """Load the files and start their writers.
+
         Args:
-            asked: instruction on the command line, or None. A saved mission with another
-                instruction then gives way.
+            config: The configuration.
+            path: Path of the mission's file.
+            asked: Instruction on the command line, or None. It replaces a saved mission with
+                another instruction.
 
         Raises:
-            CheckpointError: there is a file and it cannot be read, or none can be written.
+            CheckpointError: A file cannot be read, or cannot be written.
         """
         self._config = config
         text = config.model_dump_json(exclude={"path"})
@@ -57,11 +60,13 @@ class ServiceCheckpoint:
         self._noted: tuple[MissionRun, int] | None = None
 
     def brief(self) -> Brief | None:
-        """Make the saved mission again from its formula, without translating it twice. A task is
-        read again, and goes on with the first step that was not driven.
+        """Return the saved mission, or None.
+
+        It is made from its formula, without another translation. A task is read again and continues
+        with the first step that was not driven.
 
         Raises:
-            MissionError: the limits in the configuration are narrower than they were.
+            MissionError: The limits in the configuration are narrower than they were.
         """
         if (saved := self.saved) is None:
             return None
@@ -73,8 +78,8 @@ class ServiceCheckpoint:
             return brief_of(self._config.mission, translation)
         except UserError as error:
             raise MissionError(
-                f"mission.checkpoint: {self._writer.path}: its mission cannot go on: {error}; "
-                "move the file away to begin without it"
+                f"mission.checkpoint: {self._writer.path}: the saved mission cannot continue: "
+                f"{error}; move the file away to start without it"
             ) from None
 
     def resume(self, mission: MissionRun) -> None:
@@ -86,12 +91,12 @@ class ServiceCheckpoint:
             mission.restore(
                 saved.word, saved.reached, saved.failed, saved.elapsed_s, saved.path_m, saved.paused
             )
-            log.info("going on with the mission: %s (state %d, reached: %s)",
+            log.info("continuing the saved mission: %s (state %d, reached: %s)",
                      one_line(saved.instruction), mission.state,
                      one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip
 
     def goes_on(self, mission: MissionRun, targets: Sequence[str]) -> bool:
-        """Return whether this is the saved mission, and the map was saved with the same targets."""
+        """Return True for the saved mission, if the map was saved with the same targets."""
         return mission is self._resumed and tuple(targets) == mission.brief.prompts
 
     def note(
@@ -102,11 +107,14 @@ class ServiceCheckpoint:
         sighted: Sighted | None,
         now_ns: int,
     ) -> None:
-        """Hand the state to the writers if it is time. Never blocks.
+        """Pass the state to the writers if it is time. Never block.
 
         Args:
-            sighted: the newest observation's; None before there was any.
-            now_ns: the loop's time.
+            mission: The mission.
+            status: Its status.
+            parts: Parts of the map's checkpoint.
+            sighted: Pose and stamp of the newest observation; None before the first.
+            now_ns: Loop time.
         """
         noted, self._noted = self._noted, (mission, mission.changes)
         changed = noted is None or noted[0] is not mission or noted[1] != mission.changes
@@ -128,7 +136,7 @@ class ServiceCheckpoint:
         }  # fmt: skip
 
     def close(self) -> None:
-        """Write what waits."""
+        """Write the last state and stop the writers."""
         self.map.close()
         self._writer.close()
 
@@ -137,7 +145,7 @@ def _unfinished(saved: MissionState, asked: str | None) -> MissionState | None:
     if saved.phase in ("idle", "reached", "failed"):
         return None
     if asked is not None and asked != saved.instruction:
-        log.info("the checkpoint's mission (%s) gives way to the new one",
+        log.info("the saved mission (%s) is replaced by the new one",
                  one_line(saved.instruction))  # fmt: skip
         return None
     return saved

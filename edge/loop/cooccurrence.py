@@ -1,6 +1,6 @@
-"""What a view promises by what stands in it: scores of views that need no vision-language model.
+"""Scores of views from co-occurring objects, without a vision-language model.
 
-The table of which things share a room was counted over furnished houses (see
+The table of objects that share a room was counted over furnished houses (see
 `edge.perception.prior.table`).
 """
 
@@ -17,12 +17,11 @@ from edge.types import Detections
 
 
 class RelatedScores:
-    """A score of VLFM's kind, one for a whole view, from the boxes that a detector found in it.
+    """A score of a whole view from the detector's boxes, in the manner of VLFM.
 
-    For each target it is the highest of score(box) x P(target in the room | the box's word is
-    there) over all boxes, those of context words included; a box of the target itself counts in
-    full. It is 0 where nothing was found, and for a target that the table does not know only its
-    own boxes count.
+    The score of a target is the maximum of score(box) x P(target in the room | class of the box in
+    the room) over all boxes, including context boxes. A box of the target itself has probability 1.
+    The score is 0 without boxes. For a target that is not in the table, only its own boxes count.
     """
 
     def __init__(self) -> None:
@@ -31,7 +30,7 @@ class RelatedScores:
         self._p = np.zeros((0, 0))
 
     def __call__(self, detections: Detections) -> np.ndarray:
-        """(n,) float32 in [0, 1], one for each prompt."""
+        """Return (n,) float32 in [0, 1], a score for each prompt."""
         targets, around = detections.prompts, detections.context
         words = () if around is None else around.words
         if (targets, words) != self._of:
@@ -48,10 +47,11 @@ class RelatedScores:
 
 
 class PriorChoice:
-    """ViTL's two answers by the prior: a scorer of views that asks no model.
+    """A scorer of views that computes ViTL's two answers from the prior, without a model.
 
-    A direction's probability is its lift's share, where "elsewhere" has the lift 1 of an average
-    place; that the view leads to the target at all has the odds of its best direction.
+    The probability of a direction is its share of the likelihood ratios. "Elsewhere" has the ratio
+    1 of an average place. The odds that the view leads to the target at all are the ratio of its
+    best direction.
     """
 
     name = "cooccurrence, by the prior"
@@ -60,7 +60,7 @@ class PriorChoice:
         return view
 
     def answer(self, view: View) -> Choice | None:
-        """None where the prior was not asked."""
+        """Return the choice, or None if the view has no likelihood ratios."""
         if view.lift is None:
             return None
         total, best = 1.0 + float(view.lift.sum()), float(view.lift.max())
@@ -74,15 +74,21 @@ class PriorChoice:
         )
 
     def close(self) -> None:
-        """Nothing to give up."""
+        """Do nothing: there is no background work."""
 
 
 def given(known: table.Table, things: Sequence[str], words: Sequence[str]) -> np.ndarray:
-    """P(a room holds the thing | it holds the word): the thing's share of all rooms, times the
-    lift.
+    """Return P(a room holds the object | it holds the word).
+
+    This is the share of rooms that hold the object, times the likelihood ratio of the pair.
+
+    Args:
+        known: The table.
+        things: n objects.
+        words: m words.
 
     Returns:
-        (n, m) float64: 1 where both are the same, 0 where the table lacks either.
+        (n, m) float64: 1 if both are the same, 0 if the table lacks one of them.
     """
     p = known.lift([*things, *words])[: len(things), len(things) :]
     for i, thing in enumerate(things):

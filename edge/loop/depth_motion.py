@@ -1,4 +1,4 @@
-"""Whether what depth images show moves as the poses say."""
+"""Check that the content of depth images moves as the poses do."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ import numpy as np
 from edge.geometry import FARTHEST_M, CameraModel
 
 MISFIT = 0.45
-"""Of the points that tell, this share in the wrong place is too much: usually it is below 0.1."""
+"""Largest share of informative points in the wrong place. It is usually below 0.1."""
 RETRY_NS, MOST_RETRY_NS = 10_000_000_000, 80_000_000_000
-"""A robot that stands cannot tell whether images and poses fit again: it tries, ever later."""
+"""First and longest time between retries after a failure. A standing robot cannot measure whether
+images and poses fit again, so it retries at growing intervals."""
 _APART_M, _BASELINE_M, _FARTHEST_M = 0.08, 0.2, 0.6  # between views; 1 rad of turn counts as 1 m
 _VIEWS, _SCORES, _GOOD = 4, 3, 12
-_STRIPS, _FEW_STRIPS, _FEWEST = 8, 4, 8  # of the image; points of a strip that tell
-_FLOOR_M = 0.12  # what is lower looks the same from everywhere
-_HASTE, _SLACK = 2.0, 0.02  # a pose that moves faster was corrected: views before it tell nothing
+_STRIPS, _FEW_STRIPS, _FEWEST = 8, 4, 8  # strips; smallest numbers of strips and points of a strip
+_FLOOR_M = 0.12  # lower points look the same from everywhere
+_HASTE, _SLACK = 2.0, 0.02  # a pose that moves faster was corrected, so older views are useless
 
 
 class _View(NamedTuple):
-    """One depth image: its camera's pose, points (n, 3) in `map`, and a sample of its depth."""
+    """A depth image: pose of its camera, points (n, 3) in `map`, and a sample of its depth."""
 
     T_map_camera: np.ndarray
     points_m: np.ndarray
@@ -30,18 +31,21 @@ class _View(NamedTuple):
 
 
 class DepthMotion:
-    """Compares each depth image with one from where the camera was a moment ago.
+    """A comparison of each depth image with an earlier one from a nearby camera pose.
 
-    A point of that view is expected at another depth, by the motion of the pose. It tells something
-    where that differs from what the same pixel showed before: most of a corridor's walls do not.
-    The image is cut into vertical strips, of which three in four have to be wrong, so that
-    somebody who walks in front of the camera is no contradiction.
+    The motion of the pose predicts the depth of each point of the earlier view. A point is
+    informative if this depth differs from the one that the same pixel showed before. Most points of
+    a corridor's walls are not.
+
+    The image is cut into vertical strips. Three in four strips must be wrong, so that a person who
+    walks in front of the camera causes no failure.
 
     Args:
-        max_speed_mps, max_turn_radps: of the robot.
+        max_speed_mps: Largest speed of the robot.
+        max_turn_radps: Largest turn rate of the robot.
 
     Attributes:
-        since_ns: loop time since which the images do not fit.
+        since_ns: Loop time since which the images do not fit.
     """
 
     def __init__(self, max_speed_mps: float, max_turn_radps: float) -> None:
@@ -50,7 +54,7 @@ class DepthMotion:
         self._views: deque[_View] = deque(maxlen=_VIEWS)
         self._scores: deque[tuple[int, float]] = deque(maxlen=_SCORES)
         self._last: tuple[np.ndarray, int] | None = None
-        self._wrong: tuple[float, int] | None = None  # the misfit, and when to try again
+        self._wrong: tuple[float, int] | None = None  # the misfit, and the time of the next retry
         self._retry_ns, self._good = RETRY_NS, 0
 
     def misfit(
@@ -65,12 +69,18 @@ class DepthMotion:
         now_ns: int,
         repeats: bool,
     ) -> float:
-        """Return the share of points in the wrong place; NaN while nothing can be told.
+        """Return the share of points in the wrong place; NaN while it cannot be measured.
 
         Args:
-            sample_m: every stride-th row and column of the image.
-            floor_m: height of the base in `map`.
-            repeats: the image was seen before, so it tells nothing new.
+            depth_m: (h, w) float32 depth image.
+            sample_m: Every stride-th row and column of the image.
+            stride: Rows and columns between sampled pixels.
+            camera: Intrinsics of the camera.
+            T_map_camera: (4, 4) pose of the camera (optical).
+            floor_m: Height of the base in `map`.
+            stamp_ns: Stamp of the image.
+            now_ns: Loop time.
+            repeats: True if the image is a repetition, which has no information.
         """
         if self._wrong is not None:
             value, until_ns = self._wrong
@@ -135,7 +145,7 @@ def _view(
     T_map_camera: np.ndarray,
     floor_m: float,
 ) -> _View:
-    """Take the sampled pixels to points in `map`, without the floor's."""
+    """Return the view of the sampled pixels, as points in `map` without the floor."""
     (v, u), z = stride, sample_m
     row = (v // 2 + v * np.arange(z.shape[0]) - camera.cy_px) / camera.fy_px
     column = (u // 2 + u * np.arange(z.shape[1]) - camera.cx_px) / camera.fx_px
@@ -154,8 +164,10 @@ def _score(
     camera: CameraModel,
     T_map_camera: np.ndarray,
 ) -> float:
-    """Return the lower quartile over the strips of the share of a view's points that are not where
-    they should be; NaN if too few strips have points that tell."""
+    """Return the share of a view's points in the wrong place, as lower quartile over the strips.
+
+    NaN if too few strips have informative points.
+    """
     height, width = depth_m.shape
     points = (view.points_m - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
     points = points[points[:, 2] > 0.1]
@@ -170,10 +182,10 @@ def _score(
         np.minimum(v // stride[0], rows - 1), np.minimum(u // stride[1], columns - 1)
     ]
     change, noise = np.abs(expected - before), 0.03 + 0.02 * expected
-    tells = (seen > 0.0) & (before > 0.0) & (change > 2.0 * noise)
-    wrong = tells & (np.abs(seen - expected) > 0.5 * change + noise)
+    informative = (seen > 0.0) & (before > 0.0) & (change > 2.0 * noise)
+    wrong = informative & (np.abs(seen - expected) > 0.5 * change + noise)
     strip = u * _STRIPS // width
-    number = np.bincount(strip[tells], minlength=_STRIPS)
+    number = np.bincount(strip[informative], minlength=_STRIPS)
     share = np.bincount(strip[wrong], minlength=_STRIPS) / np.maximum(number, 1)
     share = np.sort(share[number >= _FEWEST])
     return math.nan if len(share) < _FEW_STRIPS else float(share[(len(share) - 1) // 4])

@@ -1,4 +1,4 @@
-"""Metrics as a page for Prometheus: tables of what there is, read when the page is asked for."""
+"""Prometheus page of metrics. Tables list the metrics; a scrape reads their values."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from edge.loop.histogram import Histogram
 from edge.text import one_line
 
 MOST_SERIES = 100
-"""Of one counter. What is counted by names of others' making may come to any number of them, and
-each would be kept by Prometheus for weeks: the rest is summed up as `OTHER`."""
+"""Largest number of series of one counter. Labels from outside may have any number of values, and
+Prometheus keeps each series for weeks. All further values are summed up as `OTHER`."""
 OTHER = "other"
 _LONGEST_LABEL = 100
 
@@ -45,16 +45,17 @@ _FAMILIES = {
 
 @dataclass(frozen=True, slots=True)
 class Metric(Generic[Source]):
-    """One line of a table.
+    """The definition of one metric.
 
     Attributes:
-        name: in base units (seconds, bytes); a counter's ends in `_total`.
-        help: what it is, for people.
-        read: from the source: a number, or a `Histogram`; where there are labels, a mapping from
-            a label's value, or a tuple of values, to that. A state's is its name. None: there is
-            none now.
-        labels: names.
-        states: all that a `state` can be; it has a series for each, 1 for the present one.
+        name: Name in base units (seconds, bytes). The name of a counter ends in `_total`.
+        kind: Kind of the metric.
+        help: Description for people.
+        read: Returns the value from the source: a number, a `Histogram`, or the name of a state.
+            With labels: a mapping from a label value, or a tuple of values, to numbers or
+            histograms. None: there is no value now.
+        labels: Names of the labels.
+        states: All values of a `state`. Each has a series, which is 1 for the current state.
     """
 
     name: str
@@ -69,7 +70,7 @@ Read = Callable[[], Iterable[Family]]
 
 
 def families(table: Iterable[Metric[Source]], source: Source) -> Iterator[Family]:
-    """The metrics of a table as they stand in a source."""
+    """Yield the metrics of a table with their current values in a source."""
     for metric in table:
         found = metric.read(source)
         if metric.kind == "state":
@@ -85,10 +86,10 @@ def families(table: Iterable[Metric[Source]], source: Source) -> Iterator[Family
 
 
 class Exposition(Collector):
-    """What a scrape of the service gets: the process and its interpreter, and what `read` yields.
+    """The collector of a scrape: process and interpreter metrics, and the metrics of `read`.
 
     Args:
-        read: called at every scrape, on a thread of its own.
+        read: Yields the metrics. Each scrape calls it on its own thread.
     """
 
     def __init__(self, read: Read) -> None:
@@ -102,12 +103,12 @@ class Exposition(Collector):
         return self._read()
 
     def page(self) -> Page:
-        """In Prometheus' text format."""
+        """Return the page in the text format of Prometheus."""
         return Page(generate_latest(self._registry), CONTENT_TYPE_LATEST)
 
 
 def _fill(family: Any, samples: Mapping[Any, float]) -> None:
-    """Add a sample for each label, or tuple of labels; two that look alike are one."""
+    """Add a sample for each label, or tuple of labels. Equal labels (after cleaning) are merged."""
     merged: dict[tuple[str, ...], float] = {}
     for key, value in samples.items():
         labels = tuple(one_line(text, _LONGEST_LABEL) for text in _labels(key))
@@ -121,7 +122,7 @@ def _fill(family: Any, samples: Mapping[Any, float]) -> None:
 
 
 def _fill_buckets(family: Any, samples: Mapping[Any, Histogram]) -> None:
-    """Add the buckets of each label; in Prometheus' a bucket holds all that is shorter, too."""
+    """Add the buckets of each label. Buckets of Prometheus are cumulative."""
     for key, histogram in samples.items():
         upto, buckets = 0, []
         bounds = (*map(repr, histogram.bounds_s), "+Inf")

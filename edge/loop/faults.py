@@ -1,9 +1,9 @@
-"""What the loop's steps raised, and that the loop outlives it.
+"""Error boundary of the loop: it catches and counts the exceptions of the loop's steps.
 
-A step (a tick, a request, a sink) that raises costs what it was at, and nothing else: the next one
-comes all the same. The first of each kind is told (at debug level with its traceback), the others
-are counted. A step that fails without end makes the service `degraded` until it goes well again.
-What is to end the process (`Stopped`, KeyboardInterrupt, SystemExit) passes through.
+If a step (a tick, a request, a sink) raises, only its own work is lost and the loop continues. The
+first error of each kind is logged (at debug level with its traceback), the others are only counted.
+A step that fails again and again makes the service `degraded` until it succeeds. Exceptions that
+end the process (`Stopped`, KeyboardInterrupt, SystemExit) pass through.
 """
 
 from __future__ import annotations
@@ -20,22 +20,29 @@ from edge.text import one_line
 log = logging.getLogger("edge.loop.faults")
 
 DEGRADED_AFTER = 30
-"""So many failures in a row, of one step, are no bad moment: 1 s of ticks."""
+"""Consecutive failures of one step after which the service is degraded: 1 s of ticks."""
 TICK, IDLE = "tick", "idle"
 
 T = TypeVar("T")
 
 
 class Faults:
-    """For one thread, the loop's.
+    """The error boundary; for the loop's thread.
 
     Args:
-        event: tells of something that a person would want to know, at a time.
+        event: Reports an event for people, at a loop time.
 
     Attributes:
-        failed: how many exceptions the loop has outlived.
-        failures: `where: type` of exception → how many.
-        last_error: the newest of them in words; empty when there was none.
+        failed: Number of exceptions that were caught.
+        failures: Number of exceptions by `where: type`.
+        last_error: Text of the newest exception; "" if there was none.
+
+    Example:
+        >>> faults = Faults(lambda text, now_ns: None)
+        >>> with faults.outlived("sink", now_ns=0):
+        ...     raise KeyError("x")
+        >>> faults.failures
+        {'sink: KeyError': 1}
     """
 
     def __init__(self, event: Callable[[str, int], None]) -> None:
@@ -53,7 +60,7 @@ class Faults:
 
     @contextmanager
     def outlived(self, step: str, now_ns: int) -> Iterator[None]:
-        """Counts what the body raises, instead of raising it."""
+        """Catch and count an exception of the body."""
         try:
             yield
         except Exception as error:
@@ -62,10 +69,10 @@ class Faults:
             self.passed(step, now_ns)
 
     def attempt(self, step: str, now_ns: int, work: Callable[[], T]) -> T | None:
-        """What the work returns, or None where it raised.
+        """Call `work` and return its result, or None if it raised.
 
-        Returning nothing (None, an empty list, False) is no sign that the step goes well: there may
-        have been nothing to do.
+        An empty result (None, an empty list, False) does not count as success: there may have been
+        nothing to do.
         """
         try:
             found = work()
@@ -77,13 +84,16 @@ class Faults:
         return found
 
     def caught(self, step: str, error: Exception, now_ns: int, where: str = "") -> None:
-        """A step failed.
+        """Count a failure of a step, and log the first of its kind.
 
         Args:
-            where: the part of the step that raised, if that is known.
+            step: Name of the step.
+            error: The exception.
+            now_ns: Loop time.
+            where: Part of the step that raised, if known.
 
         Raises:
-            Stopped: that is what `error` is, and no failure.
+            Stopped: `error` is Stopped, which is not a failure.
         """
         if isinstance(error, Stopped):
             raise error
@@ -93,20 +103,20 @@ class Faults:
         self._in_a_row[step] = self._in_a_row.get(step, 0) + 1
         self.last_error = one_line(f"{kind} at {_place(error)}: {error}")
         if self.failures[kind] == 1:
-            log.error("%s (more of these are only counted)", self.last_error)
+            log.error("%s (further errors of this kind are only counted)", self.last_error)
             log.debug("%s", kind, exc_info=error)
             self._event(f"failed: {self.last_error}", now_ns)
         if self._in_a_row[step] == DEGRADED_AFTER:
             log.error("degraded: %s", self.last_error)
-            self._event(f"degraded: {step} fails again and again: {self.last_error}", now_ns)
+            self._event(f"degraded: {step} keeps failing: {self.last_error}", now_ns)
 
     def passed(self, step: str, now_ns: int) -> None:
-        """A step went well."""
+        """Record the success of a step."""
         if self._in_a_row and self._in_a_row.pop(step, 0) >= DEGRADED_AFTER:
-            self._event(f"{step}: goes well again", now_ns)
+            self._event(f"{step}: works again", now_ns)
 
     def status(self) -> dict[str, object]:
-        """For the status message."""
+        """Return the part of the status message."""
         return {
             "state": self.state,
             "failed": self.failed,
@@ -116,7 +126,7 @@ class Faults:
 
 
 def _place(error: Exception) -> str:
-    """The line of code that raised it."""
+    """Return the file and line that raised the error."""
     trace = error.__traceback__
     if trace is None:
         return "an unknown place"

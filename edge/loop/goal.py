@@ -1,8 +1,8 @@
-"""The present goal, from its choice to the controller's answer and what follows from that.
+"""Goal tracking: from the choice of a goal to the controller's status and its consequences.
 
-Here alone is kept what the robot is sent to, and what was tried in vain. A controller drives to the
-last goal that it heard until it is there, so a goal that is given up is taken back: by one at the
-place where the robot is.
+Only this module stores the current goal and the failed attempts. A controller drives to the last
+goal that it received. To abandon a goal, the tracker therefore sends a goal at the robot's own
+position.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ from edge.policies.select import Held, choose, ranked
 from edge.text import one_line
 from edge.types import CandidateKind, Goal, GoalStatus, Instance, MissionPhase
 
-# A detector that stands still refutes nothing: so many images have to be searched on the spot.
+# Number of images that the detector must process at the goal before an object is rejected. A
+# detector that hangs must not reject anything.
 MIN_IMAGES = 5
-# A goal that is dropped in one tick and chosen again in one of the next is not taken back.
+# A goal that is dropped and chosen again within this time is not taken back.
 GRACE_NS = 300_000_000
 
 # A place whose cell is closed is reached next to it; a goal there that failed is tried again.
@@ -46,38 +47,41 @@ Verdict = Literal["reached", "refuted", "out of reach"]
 
 @dataclass(slots=True, eq=False)
 class _Present:
-    """The goal being driven to, and all that ends with it.
+    """The current goal, with the state that ends with it.
 
     Attributes:
-        peak: the best score of its candidate so far.
-        view: what is to be seen from there, where that is what it is for.
-        told: whether it was sent.
-        answer: the controller's newest.
-        verifying_since_ns: when the robot was there and near enough to verify the instance;
-            `images_before`: how many the detector had searched by then.
+        goal: The goal.
+        peak: Best score of its candidate so far.
+        view: The viewpoint, if the goal is one (see `NextBestView`).
+        sent: True if the goal was sent.
+        answer: Newest goal status of the controller.
+        verifying_since_ns: Time at which the robot was at the goal and near enough to verify the
+            instance; None before that.
+        images_before: Number of images that the detector had processed by then.
     """
 
     goal: Goal
     peak: float = 0.0
     view: Viewpoint | None = None
-    told: bool = False
+    sent: bool = False
     answer: GoalStatus | None = None
     verifying_since_ns: int | None = None
     images_before: int = 0
 
 
 class GoalTracker:
-    """Follows one goal after another; for one thread.
+    """The tracker of the current goal; for one thread.
 
     Args:
-        pool: the candidates; those that were tried in vain are discarded there.
-        tracker: the instances; those that were reached or refuted are marked there.
-        send: hands a goal to those who transmit it.
-        event: tells of something that a person would want to know.
+        config: The configuration.
+        pool: Candidates. The tracker discards those that failed.
+        tracker: Instances. The goal tracker marks those that were reached or rejected.
+        send: Transmits a goal.
+        event: Reports an event for people, at a loop time.
 
     Attributes:
-        phase: what the robot is at: searching, approaching or verifying.
-        client: sends the goals.
+        phase: Phase of the goal: searching, approaching or verifying.
+        client: Sends the goals and handles the controller's statuses.
     """
 
     def __init__(
@@ -99,69 +103,73 @@ class GoalTracker:
         self._warned_of: set[int] = set()
         self._turns = -1
         self._place_failures = 0
-        self._restored: tuple[str, Search, _Present | None] | None = None  # and its target
+        self._restored: tuple[str, Search, _Present | None] | None = None  # first its target
         self._without_since_ns: int | None = None
         self._grace_ns = GRACE_NS
 
-    # -- what others read -------------------------------------------------------------------
+    # -- state for other modules --------------------------------------------------------------
 
     @property
     def goal(self) -> Goal | None:
-        """Where the robot is sent; None: nowhere."""
+        """Current goal of the robot, or None."""
         return None if self._present is None else self._present.goal
 
     @property
     def answer(self) -> GoalStatus | None:
-        """The controller's newest answer to the present goal; None before it came."""
+        """Newest status of the current goal from the controller; None before the first."""
         return None if self._present is None else self._present.answer
 
     @property
     def searched(self) -> bool:
-        """Whether nothing was left to go to: what was passed over as doubtful is what is left."""
+        """True if all candidates are used up.
+
+        Instances that were more often detected as another class then count as candidates too.
+        """
         return self._search.exhausted
 
     @property
     def exhausted(self) -> bool:
-        """Nothing is left to go to, nor to look at again."""
+        """True if no candidate and no viewpoint is left."""
         return self._search.exhausted and self._next_view.done
 
     @property
     def views(self) -> int:
-        """How many views of what had been seen badly it has seen, in this mission."""
+        """Number of viewpoints that the robot has seen in this mission."""
         return self._next_view.views
 
     def why_in_vain(self, mission: MissionRun, grid: RollingMap) -> str:
-        """What was tried to get to the mission's target, when it is exhausted, and what barred."""
+        """Return why the target was not reached, when all attempts are exhausted."""
         target, views = mission.target, self.views
         seen = target in mission.detected or target in mission.places
-        found = "no way to" if seen else "found no"
-        again = f", looked again at {views} place{'s' * (views > 1)}" if views else ""
-        barred = _barred(grid)
-        left = self._pool.out_of_reach if barred else 0
-        explored = "explored all that can be reached"
+        found = "found no path to" if seen else "found no"
+        again = f", looked again from {views} viewpoint{'s' * (views > 1)}" if views else ""
+        blocked = _blocked(grid)
+        left = self._pool.out_of_reach if blocked else 0
+        explored = "explored all reachable space"
         if left:
-            explored = f"no way to the {left} frontier{'s' * (left > 1)} left"
-        return f"{explored}{again}, {found} {target}{barred}"
+            explored = f"no path to the {left} remaining frontier{'s' * (left > 1)}"
+        return f"{explored}{again}, {found} {target}{blocked}"
 
     # -- choosing ---------------------------------------------------------------------------
 
     def choose(
         self, context: Context, grid: RollingMap, score: np.ndarray, images: int
     ) -> Goal | None:
-        """Algorithm 2 of VL-Nav over the scored candidates: the goal of this tick.
+        """Choose the goal of this tick from the scored candidates (VL-Nav algorithm 2).
 
-        With none left the robot turns on the spot. Then those that were given up come once more,
-        and the ways on which the robot was held up, as soon as the reach field leads there; then
-        what the detector has seen badly is looked at again.
+        If no candidate is left, the robot turns on the spot. After that, discarded candidates get
+        one more chance, and blocked places are opened again and tried once the travel-cost field
+        reaches them. Last, the robot goes to viewpoints of objects that the detector saw badly.
 
         Args:
-            grid: opened again where the robot was held up, and searched for views.
-            score: (n,) float32, of the context's candidates.
-            images: how many the detector has searched so far.
+            context: Candidates, pose and time of the tick.
+            grid: The map. Blocked places are opened in it, and it is searched for viewpoints.
+            score: (n,) float32, scores of the context's candidates.
+            images: Number of images that the detector has processed so far.
 
         Returns:
-            A goal on a free cell that the robot can reach, facing its candidate, the same object
-            as before while it stands; or None.
+            A goal on a free, reachable cell that faces its candidate, or None. It is the same
+            object as before as long as the goal stays.
         """
         self._leave_vanished(context)
         chosen = self._towards_best(context, score) or self._turn(context)
@@ -198,8 +206,15 @@ class GoalTracker:
         return self.goal
 
     def lead(self, pose: SE2, mission: MissionRun, now_ns: int, apart_m: float) -> Goal:
-        """A task's goal, in the place of the present one; of a goal that moves the present one
-        stays until it is farther than `apart_m` from where it should be, 0: until it is another."""
+        """Replace the current goal by a task's goal and return it.
+
+        Args:
+            pose: Wanted pose.
+            mission: The mission.
+            now_ns: Loop time.
+            apart_m: The current goal of the task is kept while it is at most this far from `pose`.
+                0: it is kept only if it equals `pose`.
+        """
         goal = self.goal
         if (
             goal is None
@@ -212,7 +227,7 @@ class GoalTracker:
         return goal
 
     def _towards_best(self, context: Context, score: np.ndarray) -> _Present | None:
-        """To the best candidate; the present goal, where that serves it still."""
+        """Return a goal for the best candidate; the current goal if it still serves."""
         c, policy, search = context.candidates, self._config.policy, self._search
         present, held = self._present, None
         order = ranked(c, score, context.pose, policy.delta_reached_m)
@@ -235,7 +250,7 @@ class GoalTracker:
         return present
 
     def _turn(self, context: Context) -> _Present | None:
-        """With nowhere to go, on the spot."""
+        """Return a goal that turns the robot on the spot, if it may turn."""
         turning = self.goal is not None and self.goal.kind == "look"
         if not self._search.may_turn(turning, context.now_ns):
             return None
@@ -246,7 +261,7 @@ class GoalTracker:
         return _Present(_look(SE2(at.x_m, at.y_m, yaw_rad), context.now_ns, context.target))
 
     def _look_again(self, context: Context, grid: RollingMap, images: int) -> _Present | None:
-        """To where something can be seen that was seen badly."""
+        """Return a goal at the next viewpoint, if there is one."""
         view, present = self._next_view.choose(grid, images), self._present
         if view is None:
             return None
@@ -257,7 +272,11 @@ class GoalTracker:
         return _Present(_look(pose, context.now_ns, context.target), view=view)
 
     def _leave_vanished(self, context: Context) -> None:
-        """A frontier that shows from afar alone would have the robot come and go without end."""
+        """Discard the goal's frontier if it vanished and is not reliable.
+
+        A frontier that is visible only from afar would otherwise make the robot come and go
+        forever.
+        """
         goal, search = self.goal, self._search
         if goal is None or goal.kind != "frontier":
             return
@@ -268,14 +287,14 @@ class GoalTracker:
     # -- sending ----------------------------------------------------------------------------
 
     def tell(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
-        """Send the present goal, if that was not done; without one the last is taken back."""
+        """Send the current goal if it was not sent yet. Without a goal, make the robot stand."""
         self.client.notice_silence(now_ns)
         present = self._present
         if present is not None:
             self._without_since_ns = None
-            if not present.told:
+            if not present.sent:
                 self._send(present.goal, now_ns)
-                present.told = True
+                present.sent = True
                 self._warn_of_neighbours(present.goal, mission, now_ns)
             return
         if self._without_since_ns is None:
@@ -284,15 +303,15 @@ class GoalTracker:
             self.stand(mission, pose, now_ns)
 
     def stand(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
-        """Have the robot stay where it is; the goal for that is nobody's to follow up."""
+        """Make the robot stand still, with a goal at its own pose that is not tracked."""
         self._present = None
         self._send(_look(pose, now_ns, mission.target), now_ns)
         self.client.driving = False
 
     def answered(self, answer: GoalStatus) -> None:
-        """The controller said something, which may be of an old goal."""
+        """Handle a goal status of the controller, which may be for an old goal."""
         present = self._present
-        if present is not None and not present.told:
+        if present is not None and not present.sent:
             present = None
         goal = None if present is None else present.goal
         if self.client.answered(answer, goal) and present is not None:
@@ -303,9 +322,9 @@ class GoalTracker:
         self.client.send(goal, now_ns)
 
     def _warn_of_neighbours(self, goal: Goal, mission: MissionRun, now_ns: int) -> None:
-        """Report, before the robot stops there, a goal beside what must not be reached now.
+        """Warn if a new goal is next to an object that must not be reached now.
 
-        Each thing is told once, until a goal is not beside it.
+        Each object is reported once, and again after a goal that was not next to it.
         """
         near: set[int] = set()
         for label in mission.forbidden:
@@ -324,18 +343,21 @@ class GoalTracker:
     def judge(
         self, grid: RollingMap, pose: SE2, mission: MissionRun, images: int, now_ns: int
     ) -> bool:
-        """Handle what became of the present goal; `FollowBehaviour` handles a trajectory's own.
+        """Handle the progress of the current goal; `FollowBehaviour` handles those of a trajectory.
 
         Args:
-            grid: closed where the robot is held up.
-            images: how many the detector has searched so far.
+            grid: The map. It is closed where the robot is blocked.
+            pose: Pose of the robot.
+            mission: The mission.
+            images: Number of images that the detector has processed so far.
+            now_ns: Loop time.
 
         Returns:
-            Whether the robot was to drive and stands still.
+            True if the robot is stuck: it should drive but stands still.
         """
         present = self._present
         self._standstill.told(grid, pose, self.client.take_blocked(), now_ns)
-        if present is not None and present.told and present.answer is None:
+        if present is not None and present.sent and present.answer is None:
             present.answer = self.client.arrived(present.goal, pose, now_ns)
         instance = None
         if present is not None and present.goal.kind == "instance":
@@ -350,7 +372,7 @@ class GoalTracker:
             self._follow_to_place(present, pose, mission, now_ns)
         elif present is not None and verdict is None:
             self._follow(present, pose, now_ns, images)
-        # If nobody drives the robot, it is not the candidate's fault that it stands.
+        # If no controller drives the robot, its standstill is not the candidate's fault.
         driven_to = self.goal if self.client.is_driven(pose) else None
         stuck = self._standstill.noticed(grid, pose, driven_to, now_ns)
         if stuck:
@@ -361,11 +383,11 @@ class GoalTracker:
     def _verdict(
         self, present: _Present, instance: Instance, pose: SE2, now_ns: int, images: int
     ) -> Verdict | None:
-        """Is the instance that the robot goes to the thing, and is the robot near it?
+        """Return the verdict on the goal's instance, or None while there is none.
 
-        `reached` is declared only when the robot stopped on a goal of its own choosing within
-        `reach_m` of the instance's nearest surface point and the detector confirmed it
-        (DESIGN.md, "Reached means").
+        `reached` needs three conditions: the controller reported the goal as reached, the nearest
+        surface point of the instance is within `mission.reach_m`, and the detector has confirmed
+        the instance.
         """
         config = self._config.mission
         if present.answer is None or present.answer.state != "reached":
@@ -392,14 +414,14 @@ class GoalTracker:
         now_ns: int,
     ) -> None:
         if verdict == "reached" and mission.brief.steps is not None:
-            self.drop()  # of a task, it is made sure of: nothing more was wanted here
+            self.drop()  # a task wanted only the confirmation of this object
             return
         if verdict == "reached":
             self._tracker.mark_reached(instance.id)
             label = mission.target
             mission.arrive(f"confirmed, seen in {instance.hits} images", now_ns)
             if mission.target == label and not mission.done:
-                # A second visit to a thing of this kind: another one, or later.
+                # The mission visits this target again: use another object, or this one later.
                 self._discard(now_ns)
             return
         if verdict == "refuted":
@@ -408,14 +430,14 @@ class GoalTracker:
         else:
             at = present.goal.pose
             if not self._search.missed(instance.id, (at.x_m, at.y_m)):
-                self.drop()  # what came to be known on the way here may lead nearer
+                self.drop()  # with the map as it is now, a goal may be nearer to the object
                 return
             self._discard(now_ns)
         x, y, _ = instance.center_m
         self._event(f"{verdict}: {instance.label} #{instance.id} at ({x:.1f}, {y:.1f})", now_ns)
 
     def _follow(self, present: _Present, pose: SE2, now_ns: int, images: int) -> None:
-        """Take up the controller's answers about frontiers, turns and views."""
+        """Handle the controller's status of a goal for a frontier, a turn or a viewpoint."""
         goal, answer = present.goal, present.answer
         if goal.kind == "trajectory":
             return
@@ -435,8 +457,8 @@ class GoalTracker:
             state == "reached"
             or pose.distance_to(*goal.candidate_xy_m) <= self._config.policy.delta_reached_m
         ):
-            # Been there. Algorithm 2 leaves out what is this near; were that all, the robot would
-            # turn to another frontier, and back as soon as it is a little farther away.
+            # The frontier was visited. Algorithm 2 only ignores frontiers that are this near. The
+            # robot would turn to another frontier, and back as soon as it is a little farther away.
             self._discard(now_ns)
 
     def _follow_to_place(
@@ -454,26 +476,26 @@ class GoalTracker:
             self._event(f"goal failed: {reason}", now_ns)
             self._discard(now_ns)
             if self._place_failures >= _PLACE_TRIES:
-                mission.give_up(f"no way to {goal.target}: {one_line(reason)}", now_ns)
+                mission.give_up(f"found no path to {goal.target}: {one_line(reason)}", now_ns)
 
-    # -- leaving ----------------------------------------------------------------------------
+    # -- abandoning a goal, new targets -------------------------------------------------------
 
     def drop(self) -> None:
-        """Leave the present goal; its candidate may be chosen again, and answers to it are void."""
+        """Abandon the current goal. Late statuses for it are ignored, its candidate stays."""
         self._present = None
         self._next_view.drop()
 
     def rest(self) -> None:
-        """There is nothing to be done: the robot is to stand, unless something turns up at once."""
+        """Abandon the current goal. Unless a new one comes in this tick, the robot stands still."""
         self.drop()
         self._grace_ns = 0
 
     def follows(self, mission: MissionRun) -> bool:
-        """Whether it has set out for the mission's present target."""
+        """Return True if the tracker already works on the mission's active target."""
         return self._turns == mission.turns
 
     def set_out(self, mission: MissionRun) -> None:
-        """For another target: nothing that held for the last one does."""
+        """Start on another target: forget goal and attempts of the last one."""
         self._turns = mission.turns
         self.drop()
         self._search, self._place_failures = Search(), 0
@@ -482,7 +504,7 @@ class GoalTracker:
             _, self._search, self._present = restored
 
     def state_dict(self) -> Arrays:
-        """Return the present goal and what was tried in vain, but no view and no task's goal."""
+        """Return the current goal and the failed attempts, but no viewpoint and no task's goal."""
         present, goals = self._present, []
         if present is not None and present.view is None and present.goal.kind in _KINDS:
             goals = [(present.goal, present.peak)]
@@ -499,9 +521,9 @@ class GoalTracker:
         }
 
     def load_state_dict(self, state: Arrays, target: str, now_ns: int) -> None:
-        """Go on with a `state_dict` as soon as it sets out for this target, if it does so first.
+        """Restore a `state_dict` when the tracker starts on `target`, if this is its first target.
 
-        The goal is sent again, by another stamp: what became of the last sending is not known.
+        The goal is sent again with a new stamp, because the result of the old one is unknown.
         """
         present, goal_rows = None, ("kind", "id", "at")
         rows = {goal_rows: 1, ("left_m",): LEFT, ("missed",): 1}
@@ -515,7 +537,7 @@ class GoalTracker:
         self._restored = (target, Search.of_state_dict(state), present)
 
     def forget_mission(self) -> None:
-        """Another mission has other goals, and forbids other things."""
+        """Forget everything about the last mission."""
         self._warned_of = set()
         self._restored = None
         self._turns = -1
@@ -523,19 +545,19 @@ class GoalTracker:
         self._next_view.start_over()
 
     def reconfigure(self, config: Config) -> None:
-        """Go by another configuration; see `edge.loop.reload.LIVE` for what may differ."""
+        """Use another configuration; see `edge.loop.reload.LIVE` for the keys that may differ."""
         self._config = config
         self._next_view.enough = config.perception.confirm_hits
 
     def forget_places(self) -> None:
-        """The pose jumped. The robot is told to stand unless the next tick finds a goal."""
+        """Handle a pose jump. The robot stands still unless the next tick finds a goal."""
         self.rest()
         self.client.forget_places()
         self._search, self._restored = Search(), None
         self._standstill.reset()
 
     def _discard(self, now_ns: int) -> None:
-        """Leave the present goal's candidate alone for a while and choose another."""
+        """Abandon the current goal and ignore its candidate for `mission.discard_s`."""
         present = self._present
         if present is not None and present.view is not None:
             self._next_view.give_up()
@@ -554,16 +576,16 @@ class GoalTracker:
         self.drop()
 
 
-def _barred(grid: RollingMap) -> str:
-    """What held the robot up, for the end of a reason; empty where nothing did."""
+def _blocked(grid: RollingMap) -> str:
+    """Return the places where the robot was blocked, as the end of a reason; "" if none."""
     places_m = grid.bumps.known_m
     if not places_m:
         return ""
     x, y = places_m[0]
     more = f" and {len(places_m) - 1} more" if len(places_m) > 1 else ""
-    return f"; held up at ({x:.1f}, {y:.1f}){more}"
+    return f"; blocked at ({x:.1f}, {y:.1f}){more}"
 
 
 def _look(pose: SE2, now_ns: int, target: str) -> Goal:
-    """A goal that is for no candidate: to turn on the spot, to see a view, or to stand."""
+    """Return a goal that is for no candidate: a turn on the spot, a viewpoint, or a stop."""
     return Goal(now_ns, pose, "look", 0, (pose.x_m, pose.y_m), 0.0, target)

@@ -1,8 +1,9 @@
-"""Gives up what is dear when the computer cannot keep up, and takes it back when it can.
+"""Load shedder: it drops expensive work when the computer cannot keep up, and restores it later.
 
-What is given up, and in which order, is `perception.governor.ladder`; when, `edge.loop.ladder`
-says. A cheaper model is swapped in as `edge models use` does it, without waiting for it; whoever
-asks for another model by that has it, and the governor stands aside.
+`perception.governor.ladder` lists the work to drop, in order. Each entry is a rung. The module
+`edge.loop.ladder` decides when to step. A cheaper model is swapped in as by `edge models use`,
+without waiting. If a user swaps in another model, the governor waits until the model of its rung
+runs again.
 """
 
 from __future__ import annotations
@@ -24,25 +25,27 @@ from edge.perception.worker import DetectorWorker
 
 SECOND_NS = 1_000_000_000
 BOARD_S = 2.0
-MARGIN_C = 3.0  # so near to where it throttles a board is in distress
-COOL_C = 5.0  # so much further from where it throttles a board is cool
-_MOST_TIMES = 256  # of the detector, in a second
+MARGIN_C = 3.0  # a board this near to its throttling temperature is in distress
+COOL_C = 5.0  # a board is cool if it is this much below the limit of distress
+_MOST_TIMES = 256  # largest number of detector times in a second
 
 
 class Governor:
-    """For the loop's thread; never waits.
+    """The load shedder; for the loop's thread. It never waits.
 
     Args:
-        perception: with a ladder.
-        scorers: what the ladder's rungs rest.
-        tell: called with a line for every step, and the loop's time.
-        board: reads the computer's sensors; on a thread of its own.
+        perception: The configuration, with a ladder.
+        worker: Background worker of the detector.
+        swapper: Swaps the detector's model.
+        scorers: The scorers, which rungs of the ladder may rest.
+        tell: Reports each step, one line, at a loop time.
+        board: Reads the computer's sensors, on its own thread.
 
     Raises:
-        ModelError: the ladder names a model that is not here.
+        ModelError: The ladder names a model that is not on this computer.
 
     Attributes:
-        steps: that were taken, by direction.
+        steps: Number of steps, by direction.
     """
 
     def __init__(
@@ -59,35 +62,36 @@ class Governor:
         for name in filter(None, (rung.model for rung in self._rungs)):
             _check_here(name)
         self._worker, self._swapper, self._scorers = worker, swapper, scorers
-        self._tell = tell
+        self._log = tell
         self.steps = {"down": 0, "up": 0}
         self._why = ""
         self._unfit: set[str] = set()
         self._times_ms: deque[float] = deque(maxlen=_MOST_TIMES)
         self._done = 0
         self._begun_ns = 0
-        self._move: Move | None = None  # that waits for its model
+        self._move: Move | None = None  # the step that waits for its model
         self._seen: Board | None = None
         self._distress, self._cool = "", True
         self._board: Worker[bool, Board] = Worker("board", lambda _: board(), rest_s=BOARD_S)
-        self._begin_anew()
+        self._restart()
 
     def reconfigure(self, perception: Perception) -> None:
-        """Go by another configuration, but for its ladder; its detector runs, if it is another."""
+        """Use another configuration with the same ladder. Its detector already runs."""
         before, self._perception = self._perception, perception
         self._ladder.budget_ms = perception.swap.budget_ms
         parts = ("detector", "isolation", "process")
         if any(getattr(before, part) != getattr(perception, part) for part in parts):
-            self._begin_anew()
+            self._restart()
 
     @property
     def rung(self) -> int:
+        """Current rung; 0: nothing is dropped."""
         return self._ladder.rung
 
     def step(self, now_ns: int) -> None:
-        """Look, and take the next step if it is time for one: between two ticks."""
+        """Measure the load and take the next step if it is due, between two ticks."""
         self._measure()
-        self._look_at_board(now_ns)
+        self._check_board(now_ns)
         if self._move is not None:
             self._follow(self._move, now_ns)
         elif self._aside:
@@ -100,7 +104,7 @@ class Governor:
                 self._begin(move, now_ns)
 
     def status(self) -> dict[str, object]:
-        """For the status message."""
+        """Return the part of the status message."""
         return {
             "rung": self.rung,
             "rungs": len(self._rungs),
@@ -113,18 +117,18 @@ class Governor:
         }
 
     def close(self) -> None:
-        """A sensor that hangs is not waited for."""
+        """Stop reading the board. Wait `BOARD_S` at most, since a sensor may hang."""
         self._board.close(timeout_s=BOARD_S)
 
     @property
     def _aside(self) -> bool:
-        """Another swap is under way, or somebody has asked for a model of no, or another, rung."""
+        """True if another swap runs, or if the current model is not that of the rung."""
         wanted = self._model_on(self.rung)
         running = wanted is None or self._swapper.running == wanted
         return not running or self._swapper.state not in ("idle", *OVER)
 
-    def _begin_anew(self) -> None:
-        """On the first rung, whose model runs."""
+    def _restart(self) -> None:
+        """Restart at rung 0, whose model runs."""
         detector = self._perception.detector
         self._model = detector.model if detector.kind == "onnx" else None
         self._ladder = Ladder(len(self._rungs), self._perception.swap.budget_ms)
@@ -138,7 +142,7 @@ class Governor:
             self._done = stats.done
             self._times_ms.append(stats.last_latency_ns * 1e-6)
 
-    def _look_at_board(self, now_ns: int) -> None:
+    def _check_board(self, now_ns: int) -> None:
         if self._board.idle:
             self._board.submit(True)
         board = self._board.poll()
@@ -149,10 +153,10 @@ class Governor:
         self._cool = not distress(board, before, MARGIN_C + COOL_C)
         if before is not None and board.power_mode != before.power_mode:
             self._ladder.forget()
-            self._tell(f"governor: power mode {board.power_mode}, was {before.power_mode}", now_ns)
+            self._log(f"governor: power mode {board.power_mode}, was {before.power_mode}", now_ns)
 
     def _second(self) -> Second:
-        """What there was since the last one."""
+        """Return the load since the last call."""
         took_ms = median(self._times_ms) if self._times_ms else None
         state, detail = detector_health(self._worker)
         ill = f"the detector is degraded: {detail}" if state == "degraded" else ""
@@ -168,22 +172,22 @@ class Governor:
         wanted = self._model_on(move.rung)
         what = f"model {wanted}"
         if rested is not None:
-            what = f"rest {rested}" if down else f"ask {rested} again"
+            what = f"rest {rested}" if down else f"resume {rested}"
         where = f"{'down' if down else 'up'} to rung {move.rung} of {len(self._rungs)}"
         self._why = f"{where}: {what}: {move.why}"
-        self._tell(f"governor: step {self._why}", now_ns)
+        self._log(f"governor: step {self._why}", now_ns)
         if wanted in (None, self._swapper.running):
             self._arrive(move, now_ns)
             return
         try:
             self._swapper.request(wanted, True, now_ns)
         except SwapError as error:
-            self._give_up(move, str(error), now_ns)
+            self._abort(move, str(error), now_ns)
         else:
             self._move = move
 
     def _follow(self, move: Move, now_ns: int) -> None:
-        """See how the swap goes that a step needs."""
+        """Check the swap that a step waits for."""
         swap = self._swapper.status()
         if swap["state"] not in OVER:
             return
@@ -192,7 +196,7 @@ class Governor:
             return
         if move.rung > self.rung:
             self._unfit.add(str(swap["model"]))  # the next rung is tried without it
-        self._give_up(move, str(swap["detail"]), now_ns)
+        self._abort(move, str(swap["detail"]), now_ns)
 
     def _arrive(self, move: Move, now_ns: int) -> None:
         self.steps["down" if move.rung > self.rung else "up"] += 1
@@ -201,18 +205,18 @@ class Governor:
         self._rest(move.rung)
         self._begin_second(now_ns)
 
-    def _give_up(self, move: Move, why: str, now_ns: int) -> None:
+    def _abort(self, move: Move, why: str, now_ns: int) -> None:
         self._move = None
-        self._why = f"rung {move.rung} is not to be had: {why}"
-        self._tell(f"governor: {self._why}", now_ns)
-        if self._model_on(move.rung) == self._swapper.running:  # all that it has besides is
+        self._why = f"rung {move.rung} cannot be used: {why}"
+        self._log(f"governor: {self._why}", now_ns)
+        if self._model_on(move.rung) == self._swapper.running:  # the rest of the rung can be used
             self._arrive(move, now_ns)
         else:
             self._ladder.refused(now_ns)
             self._begin_second(now_ns)
 
     def _model_on(self, rung: int) -> str | None:
-        """The model of a rung; None where the detector has none."""
+        """Return the model of a rung, or None if the detector has no model."""
         named = [r.model for r in self._rungs[:rung] if r.model and r.model not in self._unfit]
         return named[-1] if named else self._model
 
@@ -228,6 +232,6 @@ def _check_here(name: str) -> None:
     card = load_detector_card(name)
     if card.server is None and not card.is_here():
         raise ModelError(
-            f"{card.path}: model {name} of perception.governor.ladder is not there; "
+            f"{card.path}: model {name} of perception.governor.ladder is not on this computer; "
             f"{how_to_get(card)}"
         )

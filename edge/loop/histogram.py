@@ -1,4 +1,4 @@
-"""How many durations were how long: counts by bucket, exact since the start."""
+"""Histograms of durations: exact counts by bucket since the start."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from typing import NamedTuple
 
-# Close together where budgets lie, and around a camera's period.
+# The bounds are close together near the budgets and near the period of a camera.
 SPANS_S = (
     1e-4, 2e-4, 3e-4, 5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 5e-3,
     0.01, 0.02, 0.033, 0.05, 0.1, 0.2, 0.5, 1.0,
@@ -15,12 +15,12 @@ INTERVALS_S = (5e-3, 0.01, 0.02, 0.03, 0.035, 0.04, 0.05, 0.07, 0.1, 0.2, 0.5, 1
 
 
 class Histogram(NamedTuple):
-    """One distribution.
+    """A histogram of durations.
 
     Attributes:
-        bounds_s: the longest that a bucket holds, rising; one more bucket holds all else.
-        counts: by bucket, each for itself.
-        sum_s: of all that was counted.
+        bounds_s: Upper bounds of the buckets, ascending. One more bucket has no bound.
+        counts: Number of durations in each bucket, not cumulative.
+        sum_s: Sum of all durations.
     """
 
     bounds_s: tuple[float, ...]
@@ -29,9 +29,13 @@ class Histogram(NamedTuple):
 
 
 class Histograms:
-    """As many histograms with the same buckets as a row of durations has columns.
+    """Histograms with the same buckets, one for each column of a row of durations.
 
-    Lists and `bisect`: for the ten numbers of a tick that is twice as fast as NumPy.
+    They use lists and `bisect`, which are twice as fast as NumPy for the ten numbers of a tick.
+
+    Args:
+        columns: Number of histograms.
+        bounds_s: Upper bounds of the buckets, ascending.
     """
 
     def __init__(self, columns: int, bounds_s: Sequence[float]) -> None:
@@ -41,18 +45,18 @@ class Histograms:
         self._sum_ns = [0] * columns
 
     def add(self, durations_ns: Sequence[int]) -> None:
-        """Count one duration a column; what is negative did not happen."""
+        """Count one duration for each column. A negative value means that there was none."""
         for column, duration_ns in enumerate(durations_ns):
             if duration_ns >= 0:
                 self.add_one(column, duration_ns)
 
     def add_one(self, column: int, duration_ns: int) -> None:
-        """Count one duration, which is not negative, in one column."""
+        """Count one duration, not negative, in one column."""
         self._counts[column][bisect_left(self._bounds_ns, duration_ns)] += 1
         self._sum_ns[column] += duration_ns
 
     def read(self) -> list[Histogram]:
-        """All as they stand, by column."""
+        """Return the current histograms, by column."""
         return [
             Histogram(self._bounds_s, tuple(counts), sum_ns * 1e-9)
             for counts, sum_ns in zip(self._counts, self._sum_ns, strict=True)

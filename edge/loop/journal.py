@@ -1,7 +1,7 @@
-"""What comes into the loop from beside it, in order.
+"""Input log: all that enters the loop in addition to observations, in order.
 
-With the observations it decides all that the loop does: a service that is given the same again
-does the same again (`edge.recording.replay`).
+Observations and this log determine all that the loop does. A service that gets the same again does
+the same again (`edge.recording.replay`).
 """
 
 from __future__ import annotations
@@ -13,19 +13,20 @@ from typing import Any, NamedTuple
 DETECTOR = "detector"
 TASK = "task"
 ELSEWHERE = "elsewhere"
-"""As a decision: why `map` is not the frame of before a restart, "" where it is."""
+"""Recorded decision: why `map` is not the frame of the checkpoint, "" if it is the same."""
 USE, SIGHTED = "use", "sighted"
-"""As decisions: what an observation is good for (`edge.loop.plausibility.Use`), and the loop time
-until which a refused one shows the surroundings."""
-_KEPT = 4096  # of what came between two results, the newest
+"""Recorded decisions: the permitted use of an observation (`edge.loop.plausibility.Use`), and the
+loop time until which a refused observation still shows the surroundings."""
+_KEPT = 4096  # largest number of entries between two results; older entries are dropped
 
 
 class Input(NamedTuple):
-    """One thing that came.
+    """One entry of the input log.
 
     Attributes:
-        n: counts them from 0, so that a gap is seen.
-        kind: what it is, and with it which `fields` there are: see docs/recording.md.
+        n: Number of the entry, from 0. A gap shows lost entries.
+        kind: Kind of the entry. It determines the `fields`; see docs/recording.md.
+        fields: Values by name.
     """
 
     n: int
@@ -34,10 +35,10 @@ class Input(NamedTuple):
 
 
 class Journal:
-    """Notes all that comes in; for one thread, the loop's.
+    """The input log; for the loop's thread.
 
     Attributes:
-        pending: since the last result; bounded, however long ago that is.
+        pending: Entries since the last result; bounded.
     """
 
     def __init__(self) -> None:
@@ -45,29 +46,33 @@ class Journal:
         self._n = 0
 
     def note(self, kind: str, **fields: Any) -> None:
-        """Something came. What is given is kept as it is, and must not change any more."""
+        """Add an entry. The log keeps the values without a copy, so they must not change."""
         self.pending.append(Input(self._n, kind, fields))
         self._n += 1
 
     def decided(self, what: str, decide: Callable[[], str], usual: str | None = None) -> str:
-        """What only the run itself can know, by its computer and its clocks; noted.
+        """Make and log a decision that depends on this computer or its clocks.
 
         Args:
-            usual: the answer that is not noted, and that a replay takes if none was.
+            what: Name of the decision.
+            decide: Function that makes the decision.
+            usual: A decision that is not logged. A replay uses it if none was logged.
         """
-        said = decide()
-        if said != usual:
-            self.note("decided", what=what, said=said)
-        return said
+        decision = decide()
+        if decision != usual:
+            self.note("decided", what=what, said=decision)
+        return decision
 
     def beside(self, name: str, worker: Any) -> Any:
-        """A worker with the same interface, of which is noted when it was asked, and what it found
-        when the loop took it up."""
-        return _Noted(name, worker, self)
+        """Return a worker with the same interface that logs its requests and results.
+
+        A result is logged when the loop polls it.
+        """
+        return _LoggedWorker(name, worker, self)
 
 
-class _Noted:
-    """See `Journal.beside`."""
+class _LoggedWorker:
+    """A worker that logs its requests and results; see `Journal.beside`."""
 
     def __init__(self, name: str, worker: Any, journal: Journal) -> None:
         self._name, self._worker, self._journal = name, worker, journal
@@ -76,7 +81,7 @@ class _Noted:
         return getattr(self._worker, name)
 
     def submit(self, item: Any) -> None:
-        if self._name != DETECTOR:  # which is handed every image
+        if self._name != DETECTOR:  # the detector gets every image, so this is not logged
             self._journal.note("asked", worker=self._name)
         self._worker.submit(item)
 

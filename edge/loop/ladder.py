@@ -1,7 +1,7 @@
-"""When to give something up so that the computer keeps up, and when to take it back.
+"""Decision when to shed load and when to restore it.
 
-Arithmetic alone: time is handed in, and nothing is known of models. Rung 0 of the ladder is all
-that is configured; on rung n the first n things of it are given up.
+This module only computes: the caller passes the time, and there is no access to models. On rung 0,
+all configured work runs. On rung n, the first n entries of the ladder are dropped.
 """
 
 from __future__ import annotations
@@ -9,24 +9,24 @@ from __future__ import annotations
 from typing import NamedTuple
 
 OVER_S, DWELL_S, ROOM_S = 3.0, 15.0, 60.0
-"""How long it is too much before a step down, how long between steps, and how long there is room
-before a step up."""
+"""Time of overload before a step down, shortest time between two steps, and time of low load before
+a step up."""
 ROOM = 0.7
-"""There is room if the detector takes less than this share of its budget."""
+"""The load is low if the detector takes at most this share of its budget."""
 MOST_DOUBLINGS = 6
-"""Of `ROOM_S`, however often a step up was in vain: an hour or so."""
+"""Largest number of doublings of `ROOM_S` after failed steps up: about an hour."""
 UNLIKELY = 4
-"""Doublings to wait for a step up that should not fit, by what its rung cost before: the load may
-be another by now, so it is tried all the same, but seldom."""
+"""Doublings of `ROOM_S` before a step up that should not fit, by the earlier times of that rung.
+The step is tried seldom, because the load may have changed."""
 
 
 class Second(NamedTuple):
-    """What the last second or so was like.
+    """The load of the last interval, about a second.
 
     Attributes:
-        detect_ms: the detector's median time; None: it has found nothing out.
-        distress: why it must not go on like this, but for that time; empty where it may.
-        cool: the board is far from distress.
+        detect_ms: Median time of the detector; None if it finished no image.
+        distress: Other reason to shed load, apart from `detect_ms`; "" if there is none.
+        cool: True if the board is far from its limits.
     """
 
     detect_ms: float | None
@@ -35,21 +35,31 @@ class Second(NamedTuple):
 
 
 class Move(NamedTuple):
-    """A step to the rung before or after the present one, and why."""
+    """A step to a neighbouring rung, with the reason."""
 
     rung: int
     why: str
 
 
 class Ladder:
-    """Steps down what is too much, and up again where there is room.
+    """The decision of steps: one rung further under overload, one rung back at low load.
 
-    No two steps come within `DWELL_S`. A step up that does not last as long as twice what was
-    waited for it was in vain, and doubles the next wait.
+    There are at least `DWELL_S` between two steps. A step up has failed if it does not last twice
+    as long as the wait before it. The next wait is then doubled.
+
+    Args:
+        rungs: Number of rungs, without rung 0.
+        budget_ms: See `Attributes`.
 
     Attributes:
-        rung: the present one.
-        budget_ms: what the detector may take; may be set.
+        rung: Current rung.
+        budget_ms: Time budget of the detector; may be set.
+
+    Example:
+        >>> ladder = Ladder(rungs=2, budget_ms=33.0)
+        >>> moves = [ladder.look(Second(50.0), k * 1_000_000_000) for k in range(4)]
+        >>> moves[:3], moves[3].rung
+        ([None, None, None], 1)
     """
 
     def __init__(self, rungs: int, budget_ms: float) -> None:
@@ -59,15 +69,17 @@ class Ladder:
         self._strained_ns: int | None = None  # since when, without a break
         self._roomy_ns: int | None = None
         self._moved_ns: int | None = None
-        self._rose: tuple[int, int] | None = None  # when, and how long that must last
+        self._rose: tuple[int, int] | None = (
+            None  # time of the last step up, and how long it must last
+        )
         self._doublings = 0
-        self._left_ms: float | None = None  # what detect took on the rung above, when it was left
-        self._ratio = [1.0] * self._rungs  # what detect takes on a rung, by what on the next
+        self._left_ms: float | None = None  # detector time on the previous rung, when it was left
+        self._ratio = [1.0] * self._rungs  # detector time on a rung, divided by that on the next
 
     def look(self, second: Second, now_ns: int) -> Move | None:
-        """The step that is due.
+        """Return the step that is due, or None.
 
-        Whoever takes it says so by `arrived`, or `refused`, before the next look.
+        The caller must call `arrived` or `refused` before the next call.
         """
         took_ms = second.detect_ms
         if took_ms is not None and self._left_ms is not None:
@@ -83,32 +95,32 @@ class Ladder:
             if now_ns - self._strained_ns < self._over_ns:
                 return None
             self._left_ms = took_ms
-            return Move(self.rung + 1, f"{why}, for {OVER_S:g} s and more")
+            return Move(self.rung + 1, f"{why}, for over {OVER_S:g} s")
         if self._roomy_ns is not None and took_ms is not None and self.rung > 0:
             waited_ns = now_ns - self._roomy_ns
             if waited_ns >= self._wait_ns(took_ms):
-                return Move(self.rung - 1, f"there was room for {waited_ns * 1e-9:.0f} s")
+                return Move(self.rung - 1, f"the load was low for {waited_ns * 1e-9:.0f} s")
         return None
 
     def arrived(self, rung: int, now_ns: int) -> None:
-        """A step was taken."""
+        """Record that a step was taken."""
         if rung < self.rung:
             self._rose = now_ns, 2 * (self._room_ns << self._doublings)
         elif self._rose is not None:
             rose_ns, lasting_ns = self._rose
-            self._count(in_vain=now_ns - rose_ns < lasting_ns)
+            self._count(failed=now_ns - rose_ns < lasting_ns)
             self._rose = None
         self.rung = rung
-        self._begin_anew(now_ns)
+        self._restart(now_ns)
 
     def refused(self, now_ns: int) -> None:
-        """A step cannot be taken."""
+        """Record that a step cannot be taken."""
         self._left_ms = None
-        self._count(in_vain=True)
-        self._begin_anew(now_ns)
+        self._count(failed=True)
+        self._restart(now_ns)
 
     def forget(self) -> None:
-        """What was learnt of this computer is void: it has become faster or slower."""
+        """Forget the measured times, since the computer has become faster or slower."""
         self._ratio = [1.0] * self._rungs
         self._doublings = 0
 
@@ -116,22 +128,22 @@ class Ladder:
         if second.distress or second.detect_ms is None or second.detect_ms <= self.budget_ms:
             return second.distress
         return (
-            f"detect takes {second.detect_ms:.0f} ms at the median, perception.swap.budget_ms is "
-            f"{self.budget_ms:g}"
+            f"detect takes {second.detect_ms:.0f} ms (median), above perception.swap.budget_ms "
+            f"({self.budget_ms:g})"
         )
 
     def _fits(self, detect_ms: float | None) -> bool:
         return detect_ms is not None and detect_ms <= ROOM * self.budget_ms
 
     def _wait_ns(self, took_ms: float) -> int:
-        """How long there must be room before the next step up."""
+        """Return how long the load must be low before the next step up."""
         fits = self._fits(took_ms * self._ratio[self.rung - 1])
         return self._room_ns << (self._doublings if fits else max(self._doublings, UNLIKELY))
 
-    def _count(self, in_vain: bool) -> None:
-        self._doublings = min(self._doublings + 1, MOST_DOUBLINGS) if in_vain else 0
+    def _count(self, failed: bool) -> None:
+        self._doublings = min(self._doublings + 1, MOST_DOUBLINGS) if failed else 0
 
-    def _begin_anew(self, now_ns: int) -> None:
+    def _restart(self, now_ns: int) -> None:
         self._moved_ns, self._strained_ns, self._roomy_ns = now_ns, None, None
 
 

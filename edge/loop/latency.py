@@ -1,13 +1,13 @@
-"""How long every stage takes: a preallocated ring of spans, percentiles, budgets, reports.
+"""Latency of the stages: a preallocated ring of spans, with percentiles, budgets and reports.
 
-The service reads the clock (`time.perf_counter_ns`) and hands the values in:
+The service reads the clock (`time.perf_counter_ns`) and passes the values:
 
     ring.begin_tick(clock())
     observation = source.poll();  ring.mark(INGEST, clock())
     mapper.update(observation);   ring.mark(MAP, clock())
     ring.end_tick(clock())
 
-Stages beside the tick (the detector's worker) call `span` from their own thread.
+Background stages (the detector's worker) call `span` from their own thread.
 """
 
 from __future__ import annotations
@@ -30,12 +30,14 @@ _QUANTILES = np.array([0.50, 0.95, 0.99, 1.0])
 
 
 class Span(NamedTuple):
-    """One stage of one tick, the tick itself, or one piece of work beside it.
+    """A time span: one stage of one tick, a whole tick, or one run of a background stage.
 
     Attributes:
-        begin_ns: on the clock that the ring is handed (`time.perf_counter_ns`). Stages follow each
-            other; of what ran beside the tick it is known only when the loop took it up, which is
-            taken for its end.
+        name: Name of the stage, or `tick`.
+        begin_ns: Start on the clock of the ring (`time.perf_counter_ns`). Stages of a tick follow
+            each other. A background stage counts as ended when the loop received its result.
+        took_ns: Duration.
+        in_tick: True if the time is part of a tick.
     """
 
     name: str
@@ -46,17 +48,21 @@ class Span(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class StageLatency:
-    """One row of the report.
+    """One row of the latency report.
 
     Attributes:
-        budget_ms: what p95 should stay under; None where nothing says how long the stage may take.
-        n: spans in the window that the percentiles are taken over (ticks in which the
-            stage did not run are not counted).
-        p50_ms, p95_ms, p99_ms, max_ms: over the window; 0 where `n` is 0.
-        count: spans since the start.
-        overruns: of those, how many took longer than the budget; for the tick itself,
-            longer than `TICK_DEADLINE_MS`.
-        drops: inputs that the stage let go, or failed on, since the start.
+        name: Name of the stage, or `tick`.
+        budget_ms: Budget for p95; None if the stage has none on this computer.
+        n: Number of spans in the window of the percentiles. Ticks in which the stage did not run
+            are not counted.
+        p50_ms: Percentile over the window; 0 if `n` is 0.
+        p95_ms: As `p50_ms`.
+        p99_ms: As `p50_ms`.
+        max_ms: Longest span of the window; 0 if `n` is 0.
+        count: Number of spans since the start.
+        overruns: Number of these spans over the budget; for the tick, over `TICK_DEADLINE_MS`.
+        drops: Number of inputs that the stage dropped, or failed on, since the start.
+        in_tick: True if the stage is part of the tick.
     """
 
     name: str
@@ -73,7 +79,7 @@ class StageLatency:
 
     @property
     def verdict(self) -> str:
-        """`ok` or `over` by p95 against the budget; `-` without a budget, or without a run."""
+        """`ok` or `over`: p95 compared with the budget; `-` without a budget or without spans."""
         if self.n == 0 or self.budget_ms is None:
             return "-"
         return "ok" if self.p95_ms <= self.budget_ms else "over"
@@ -81,11 +87,14 @@ class StageLatency:
 
 @dataclass(frozen=True, slots=True)
 class LatencyReport:
-    """Every stage in the order of the stage table, and the tick as a whole.
+    """The latency of every stage, in the order of the stage table, and of the tick.
 
     Attributes:
-        calibration: of the computer that it was taken on, which budgets were scaled by. None where
-            it was never calibrated: only the deadlines of the tick and the detector are known then.
+        stages: Rows of the stages.
+        tick: Row of the whole tick.
+        deadline_ms: Deadline of the tick.
+        calibration: Calibration of this computer, which scales the budgets. None if it was never
+            calibrated; then only the tick and the detector have limits, their deadlines.
     """
 
     stages: tuple[StageLatency, ...]
@@ -95,16 +104,16 @@ class LatencyReport:
 
     @property
     def computer(self) -> str:
-        """What the stages are held to on this computer."""
+        """Text about the budgets of this computer."""
         if self.calibration is None:
             return f"for a budget of each stage, {HINT}"
-        return f"this computer is {self.calibration}, and its budgets are scaled by that"
+        return f"this computer is {self.calibration}; its budgets are scaled by that"
 
     def stage(self, name: str) -> StageLatency:
-        """The row of one stage.
+        """Return the row of a stage, or of the tick.
 
         Raises:
-            KeyError: there is no such stage.
+            KeyError: There is no such stage.
         """
         for row in self.rows:
             if row.name == name:
@@ -113,7 +122,7 @@ class LatencyReport:
 
     @property
     def limit(self) -> str:
-        """The name of what p95 is held to: `budget`, or `deadline` without a calibration."""
+        """Name of the limit of p95: `budget`, or `deadline` without a calibration."""
         return "deadline" if self.calibration is None else "budget"
 
     @property
@@ -121,7 +130,7 @@ class LatencyReport:
         return (*self.stages, self.tick)
 
     def as_dict(self) -> dict[str, Any]:
-        """What goes out as JSON on `edge.bus.topics.LATENCY`; times in ms."""
+        """Return the JSON object that is sent on `edge.bus.topics.LATENCY`; times in ms."""
 
         def brief(row: StageLatency) -> dict[str, Any]:
             values = {key: _rounded(getattr(row, key)) for key in _COLUMNS}
@@ -135,7 +144,7 @@ class LatencyReport:
         }
 
     def table(self) -> str:
-        """The report as aligned text, one line a stage, the tick last."""
+        """Return the report as an aligned text table, one line for each stage, the tick last."""
         limit = self.limit
         header = ("stage", "n", "p50", "p95", "p99", "max", limit, "over", "drops", f"p95/{limit}")
         lines = [_line(header)]
@@ -144,7 +153,7 @@ class LatencyReport:
         lines.insert(-1, "-" * len(lines[0]))
         lines.append(
             f"times in ms; tick deadline {self.deadline_ms:g} ms missed "
-            f"{self.tick.overruns} of {self.tick.count}; * runs beside the tick"
+            f"{self.tick.overruns} of {self.tick.count}; * runs in parallel to the tick"
         )
         lines.append(self.computer)
         return "\n".join(lines)
@@ -173,7 +182,7 @@ def _cells(row: StageLatency) -> tuple[str, ...]:
 
 
 def _bar(row: StageLatency, width: int = 10) -> str:
-    """p95 as a share of the budget; a full bar that ends in `>` is over it."""
+    """Return p95 as a share of the budget; a full bar that ends in `>` is over the budget."""
     if row.budget_ms is None:
         return ""
     filled = min(width, round(width * row.p95_ms / row.budget_ms))
@@ -183,10 +192,12 @@ def _bar(row: StageLatency, width: int = 10) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LatencyHistograms:
-    """How long everything took since the start; stages by name.
+    """Histograms of all durations since the start.
 
     Attributes:
-        interval: from the beginning of a tick to that of the next.
+        stages: By stage name.
+        tick: Duration of the ticks.
+        interval: Time from the start of a tick to the start of the next.
     """
 
     stages: dict[str, Histogram]
@@ -195,16 +206,25 @@ class LatencyHistograms:
 
 
 class LatencyRing:
-    """The spans of the last `capacity` ticks, and as many of each stage beside the tick.
+    """The spans of the last `capacity` ticks, and of as many runs of each background stage.
 
-    One thread ticks; others may call `span` for stages beside the tick, `report` and `histograms`.
-    A tick enters the ring as a whole in `end_tick`, so a report never sees half of one.
+    One thread runs the ticks. Other threads may call `report`, `histograms`, and `span` for
+    background stages. A tick enters the ring as a whole in `end_tick`, so a report never sees half
+    a tick.
 
     Args:
-        capacity: ticks kept.
-        stages: the stage table; indices are positions in it.
-        calibration: of this computer, which budgets are scaled by. Without one, stages have no
-            budgets but their deadlines, as the tick has: 1.5 ms of another computer say nothing.
+        capacity: Number of ticks to keep.
+        stages: The stage table. Stage numbers are positions in it.
+        calibration: Calibration of this computer, which scales the budgets. Without it, only
+            deadlines count, because 1.5 ms on another computer mean nothing.
+
+    Example:
+        >>> ring = LatencyRing(capacity=8)
+        >>> ring.begin_tick(0)
+        >>> ring.mark(0, 2_000_000)  # stage 0 took 2 ms
+        >>> ring.end_tick(3_000_000)
+        >>> ring.report().stages[0].p50_ms, ring.report().tick.p50_ms
+        (2.0, 3.0)
     """
 
     def __init__(
@@ -224,11 +244,11 @@ class LatencyRing:
             self._tick_budget_ms = min(TICK_BUDGET_MS * slowdown, TICK_DEADLINE_MS)
         self._capacity = capacity
         n = len(stages)
-        # Column n is the tick itself. Stages in the tick share a head, others have their own.
+        # Column n is the tick. Stages of the tick share a write position, others have their own.
         self._spans_ns = np.full((capacity, n + 1), NOT_RUN, dtype=np.int64)
         self._begins_ns = np.zeros(capacity, dtype=np.int64)  # of the ticks
-        self._taken_up_ns = np.zeros((capacity, n), dtype=np.int64)  # what ran beside them
-        # A list while the tick runs: setting an array's items one by one costs twice as much.
+        self._received_ns = np.zeros((capacity, n), dtype=np.int64)  # ends of background spans
+        # A list while the tick runs: setting the items of an array one by one takes twice as long.
         self._blank = [NOT_RUN] * (n + 1)
         self._now_ns = list(self._blank)
         self._tick_ns = np.full(n + 1, NOT_RUN, dtype=np.int64)
@@ -250,42 +270,42 @@ class LatencyRing:
         self._lock = threading.Lock()
 
     def begin_tick(self, t_ns: int) -> None:
-        """Start a tick; one that was begun and never ended is forgotten."""
+        """Start a tick. A tick that was not ended is dropped."""
         self._now_ns[:] = self._blank
         self._began_ns = self._marked_ns = self._looked_ns = t_ns
 
     def mark(self, stage: int, t_ns: int) -> None:
-        """Stage `stage` has just ended: it took the time since the last mark or the beginning.
+        """End a stage: it took the time since the last mark, or since the start of the tick.
 
-        A stage that is marked twice in a tick took the sum of both.
+        If a stage is marked twice in a tick, its times are added.
         """
         self.span(stage, t_ns - self._marked_ns)
         self._marked_ns = t_ns
 
     def span(self, stage: int, duration_ns: int) -> None:
-        """Stage `stage` took `duration_ns`; added up where it runs more than once in a tick."""
+        """Add a duration of a stage. Durations of one tick are added up."""
         if self._in_tick[stage]:
             before_ns = self._now_ns[stage]
             self._now_ns[stage] = duration_ns if before_ns < 0 else before_ns + duration_ns
         else:
-            self._span_beside(stage, duration_ns)
+            self._background_span(stage, duration_ns)
 
-    def _span_beside(self, stage: int, duration_ns: int) -> None:
+    def _background_span(self, stage: int, duration_ns: int) -> None:
         with self._lock:
             i = self._count[stage] % self._capacity
             self._spans_ns[i, stage] = duration_ns
-            self._taken_up_ns[i, stage] = self._marked_ns
+            self._received_ns[i, stage] = self._marked_ns
             self._count[stage] += 1
             self._overruns[stage] += duration_ns > self._limit_ns[stage]
             self._lasted.add_one(stage, duration_ns)
 
     def resume(self, t_ns: int) -> None:
-        """What happened since the last mark was no part of the tick."""
+        """Exclude the time since the last mark from the tick."""
         self._began_ns += t_ns - self._marked_ns
         self._marked_ns = t_ns
 
     def end_tick(self, t_ns: int) -> None:
-        """The tick is over and enters the ring."""
+        """End the tick and add it to the ring."""
         self._now_ns[-1] = t_ns - self._began_ns
         now = self._tick_ns
         now[:] = self._now_ns
@@ -304,19 +324,21 @@ class LatencyRing:
                 self._apart.add_one(0, self._looked_ns - before_ns)
 
     def abandon_tick(self, stage: int) -> None:
-        """The tick ended in an error of this stage, which so dropped its input.
+        """Count a tick that ended in an error of this stage, as a drop of the stage.
 
-        Half a tick would spoil the percentiles: it does not enter the ring.
+        The tick does not enter the ring, because half a tick would distort the percentiles.
         """
         self._abandoned[stage] += 1
 
     def set_drops(self, stage: int, total: int) -> None:
-        """Stage `stage` has let go of `total` inputs since the start, as it counts them itself;
-        those of abandoned ticks come on top."""
+        """Set the number of inputs that a stage has dropped since the start, by its own count.
+
+        Abandoned ticks are added to it.
+        """
         self._drops[stage] = total
 
     def report(self, last: int | None = None) -> LatencyReport:
-        """Percentiles over the last `last` ticks (and spans beside them), or all that are kept."""
+        """Return percentiles over the last `last` ticks and background spans (None: all kept)."""
         with self._lock:
             windows = list(self._spans_ns[self._newest(self._ticks, last)].T)
             for i in np.flatnonzero(~self._in_tick_columns):
@@ -334,7 +356,7 @@ class LatencyRing:
         return LatencyReport(rows, tick, calibration=self._calibration)
 
     def histograms(self) -> LatencyHistograms:
-        """Every tick since the start, and every span beside one."""
+        """Return histograms of all ticks and background spans since the start."""
         with self._lock:
             *stages, tick = self._lasted.read()
             (interval,) = self._apart.read()
@@ -342,18 +364,18 @@ class LatencyRing:
         return LatencyHistograms(dict(zip(names, stages, strict=True)), tick, interval)
 
     def spans(self, after_ns: int = 0, before_ns: int | None = None) -> list[Span]:
-        """The single spans that are kept, oldest tick first, then those beside the ticks.
+        """Return the kept spans: ticks with their stages, oldest first, then background spans.
 
         Args:
-            after_ns: of ticks that began later than this, and of work that was taken up later.
-            before_ns: … and not later than this.
+            after_ns: Only ticks that began, and background spans that ended, after this time.
+            before_ns: Only those at or before this time; None: no limit.
         """
         columns = np.flatnonzero(~self._in_tick_columns)
         with self._lock:
             rows = self._newest(self._ticks, None)
             begins_ns, spans_ns = self._begins_ns[rows], self._spans_ns[rows]
-            beside = [(i, self._newest(int(self._count[i]), None)) for i in columns]
-            ends_ns = [(i, self._taken_up_ns[at, i], self._spans_ns[at, i]) for i, at in beside]
+            background = [(i, self._newest(int(self._count[i]), None)) for i in columns]
+            ends_ns = [(i, self._received_ns[at, i], self._spans_ns[at, i]) for i, at in background]
         until_ns = np.iinfo(np.int64).max if before_ns is None else before_ns
         wanted = (begins_ns > after_ns) & (begins_ns <= until_ns)
         names = [stage.name for stage in self._stages]
@@ -373,16 +395,16 @@ class LatencyRing:
         return found
 
     def _newest(self, written: int, last: int | None) -> np.ndarray:
-        """Rows of the newest `last` spans, where `written` were written so far."""
+        """Return the rows of the newest `last` spans of the `written` ones."""
         kept = min(written, self._capacity)
         take = kept if last is None else max(0, min(last, kept))
         return np.arange(written - take, written) % self._capacity
 
 
 def _summary(window_ns: np.ndarray) -> tuple[int, float, float, float, float]:
-    """(n, p50, p95, p99, max) in ms of the spans that ran, linear between neighbours.
+    """Return (n, p50, p95, p99, max) in ms of the spans that ran, with linear interpolation.
 
-    One sort serves all four; `np.percentile` would sort and check its arguments for each.
+    One sort is used for all four. `np.percentile` would sort and check its arguments for each.
     """
     spans = np.sort(window_ns[window_ns >= 0])
     n = len(spans)

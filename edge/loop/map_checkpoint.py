@@ -1,11 +1,12 @@
-"""The checkpoint of everything bound to the frame `map`: saved while the service runs, restored.
+"""Checkpoint of all data in the frame `map`: saved while the service runs, restored at the start.
 
 It holds the arrays of each part's `state_dict`, as `part/array`, and the map's tiles, all of one
-tick. A file is tried on empty parts at the start, so that a bad one never meets a running service.
+tick. At the start, a file is first loaded into empty parts, so that a bad file cannot damage the
+service.
 
-Not saved is what follows from the rest or passes within seconds. Inflation, bit planes and frontier
-cells follow from the cells. The reach field, rooms (`prior`) and travel costs follow from the map
-within some ticks. The scorers are asked again.
+Data that can be computed from the rest, or that lasts only seconds, is not saved. Inflation, bit
+planes and frontier cells are computed from the cells. The travel-cost field, the rooms (`prior`)
+and travel costs are computed from the map within some ticks. The scorers are queried again.
 """
 
 from __future__ import annotations
@@ -42,12 +43,12 @@ from edge.policies.base import Policy, Remembers
 log = logging.getLogger("edge.loop.map_checkpoint")
 
 PERIOD_S = 3.0
-"""How often copying begins; the copy is on the disk some ticks and a write later."""
+"""Period of the copies. A copy takes some ticks, and is then written to the disk."""
 SUFFIX = ".map"
-_LAST_S = 5.0  # for the last write
-_HASTE = 1.5  # robots are faster than their limits say
-_MAX_TURN_RAD = 1.0  # what a pose may be turned at once
-_DRIVES_ON_S = 10.0
+_LAST_S = 5.0  # longest wait for the last write
+_HASTE = 1.5  # robots drive faster than their limits
+_MAX_TURN_RAD = 1.0  # largest sudden turn of a pose in the same frame
+_DRIVES_ON_S = 10.0  # time that a robot may drive on without the service
 _SCALES: tuple[Literal["resolution_m", "obstacle_max_m"], ...] = ("resolution_m", "obstacle_max_m")
 _NAMES = Annotated[tuple[Annotated[str, Field(max_length=1000)], ...], Field(max_length=64)]
 _METRES = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
@@ -56,16 +57,21 @@ _STAMP = Annotated[int, Field(ge=-(1 << 61), le=1 << 61)]
 
 @dataclass(frozen=True)
 class MapState:
-    """When, where and under which settings the arrays were taken.
+    """Time, pose and settings of the saved arrays.
 
     Attributes:
-        boot: see `edge.host.machine.boot_id`.
-        policy: its kind.
-        targets: of the mission; `target` is the active one.
-        pose: x_m, y_m, yaw_rad, at `stamp_ns` of the sensors' clock and `now_ns` of the loop's.
-        resolution_m, obstacle_max_m: of `mapping`: what a cell's numbers mean.
-        value_source, value_targets, value_side: the scorer of the value maps, a map for each of
-            these, and cells on the side of a tile.
+        boot: See `edge.host.machine.boot_id`.
+        policy: Kind of the policy.
+        targets: Targets of the mission.
+        target: Active target.
+        pose: x_m, y_m, yaw_rad at `stamp_ns`.
+        stamp_ns: Stamp of the observation on the sensors' clock.
+        now_ns: Loop time.
+        resolution_m: Value of `mapping.resolution_m`.
+        obstacle_max_m: Value of `mapping.obstacle_max_m`.
+        value_source: Scorer of the value maps; "" if there is none.
+        value_targets: Targets of the value maps.
+        value_side: Cells on the side of a tile of the value maps.
     """
 
     __pydantic_config__ = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
@@ -88,7 +94,7 @@ MAP = CheckpointFormat("edge-map", "map", MapState, 96 << 20)
 
 
 class Parts(NamedTuple):
-    """The parts of a service that are bound to `map`."""
+    """The parts of a service with data in the frame `map`."""
 
     map: SemanticMap
     goals: GoalTracker
@@ -96,7 +102,7 @@ class Parts(NamedTuple):
 
 
 class Sighted(NamedTuple):
-    """An observation's pose and stamp on the sensors' clock, and the loop's time."""
+    """Pose and stamp of an observation (sensors' clock), with the loop time."""
 
     pose: SE2
     stamp_ns: int
@@ -106,7 +112,7 @@ class Sighted(NamedTuple):
 def state_of(
     parts: Parts, sighted: Sighted, boot: str, targets: tuple[str, ...], target: str
 ) -> Checkpoint[MapState]:
-    """Return all but the tiles, as it stands; see `MapState` for the arguments."""
+    """Return the current state without the tiles; see `MapState` for the arguments."""
     config, values, policy = parts.map.config, parts.map.grid.values, parts.policy
     x_m, y_m, yaw_rad = map(float, astuple(sighted.pose))
     state = MapState(
@@ -122,16 +128,19 @@ def state_of(
 
 
 def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
-    """Make the map again, and try all else on empty parts; fast, yet not for a tick.
+    """Return the map of a checkpoint, and test all other data on empty parts.
+
+    The function is fast, but too slow for a tick.
 
     Raises:
-        ValueError: one line: the map has another resolution or scale of heights, or is none.
+        ValueError: The map has another resolution or height scale, or the data is invalid. The
+            message is one line.
     """
     state, mapping, perception = checkpoint.state, config.mapping, config.perception
     for scale in _SCALES:
         was, now = getattr(state, scale), getattr(mapping, scale)
         if was != now:
-            raise ValueError(f"made with mapping.{scale} {was:g}, which now is {now:g}")
+            raise ValueError(f"made with mapping.{scale} {was:g}, but it is now {now:g}")
     part, grid = checkpoint.part, RollingMap(mapping, config.robot)
     values = grid.values
     same = (state.value_source, state.value_side) == (config.value_source or "", values.side)
@@ -161,17 +170,20 @@ def restore(
     sighted: Sighted,
     goes_on: bool,
 ) -> None:
-    """Have the parts go on with a checkpoint.
+    """Restore the parts from a checkpoint.
 
-    A time limit keeps what was left of it. If a clock was set back, its stamps are moved with it.
+    Time limits keep their remaining time. If a clock was set back, its stamps are shifted with it.
 
     Args:
-        grid: of `make_map`.
-        goes_on: whether the mission does, and with it what was tried, and what the policy
-            remembers if it is of the same kind.
+        parts: Parts to restore.
+        grid: Map from `make_map`.
+        checkpoint: The checkpoint.
+        sighted: Pose and stamp of the first observation.
+        goes_on: True if the mission continues. Then the failed attempts are restored too, and the
+            policy's memory if the policy is of the same kind.
 
     Raises:
-        ValueError: the policy refuses what it is to remember; all else has been restored.
+        ValueError: The policy rejects its memory. All other parts have been restored.
     """
     state, part = checkpoint.state, checkpoint.part
     later_ns = min(sighted.now_ns - state.now_ns, 0)
@@ -188,25 +200,28 @@ def restore(
 
 
 class MapCheckpoint:
-    """Saves the map and what is bound to it; for the loop's thread.
+    """The checkpoint of the map and all data in its frame; for the loop's thread.
 
-    What the file held waits for the first observation, which shows whether `map` is still the same
+    The loaded data is kept until the first observation, which shows whether `map` is still the same
     frame. Until then nothing is written.
 
     Attributes:
-        problem: why the file that was there is of no use, "" if there was none such.
-        loaded: content of the file, as long as it may be restored.
-        waiting: its map, until the first observation.
-        writer: of the file.
+        problem: Reason why an existing file cannot be used; "" if there is no problem.
+        loaded: Content of the file while it can still be restored, else None.
+        waiting: Map of the file, until the first observation.
+        writer: Writer of the file.
     """
 
     def __init__(self, config: Config, path: Path, fingerprint: str = "") -> None:
-        """
+        """Load the file and start its writer.
+
         Args:
-            fingerprint: of the configuration.
+            config: The configuration.
+            path: Path of the file.
+            fingerprint: Fingerprint of the configuration.
 
         Raises:
-            CheckpointError: there is a file and it cannot be read, or none can be written.
+            CheckpointError: The file cannot be read, or cannot be written.
         """
         self._config, self._path, self._boot = config, path, boot_id()
         self._fingerprint = fingerprint
@@ -218,7 +233,7 @@ class MapCheckpoint:
         self._last: tuple[Parts, Sighted, tuple[str, ...], str] | None = None
 
     def prepare(self) -> None:
-        """Make the map, so that the first tick only has to take it."""
+        """Make the map, so that the first tick need not do it."""
         if self.loaded is None:
             return
         try:
@@ -227,12 +242,12 @@ class MapCheckpoint:
             self.loaded, self.problem = None, set_aside(self._path, str(error))
 
     def why_elsewhere(self, sighted: Sighted) -> str:
-        """Return why `map` is not believed to be the saved frame; "" if it is the same.
+        """Return why `map` is probably not the saved frame; "" if it is the same.
 
-        A pose of `source.localised` is always in the same frame. Odometry is, if it went on: the
-        computer was not rebooted, and the robot stands where it was, or as far from there as it may
-        have driven. Without a service it ends its last goal and goes no farther, so only the first
-        seconds count. Odometry that began again at the very place and heading is not recognised.
+        With `source.localised`, the frame is always the same. Odometry has the same frame if the
+        computer was not rebooted and the robot is within the distance that it may have driven.
+        Without the service it only ends its last goal, so only the first seconds count. Odometry
+        that restarted at the same place and heading is not detected.
         """
         source, robot = self._config.source, self._config.robot
         if source.localised or self.loaded is None:
@@ -240,9 +255,9 @@ class MapCheckpoint:
         state = self.loaded.state
         passed_s = (sighted.stamp_ns - state.stamp_ns) * 1e-9
         if state.boot != self._boot:
-            return "the computer was started anew, and its odometry with it"
+            return "the computer was rebooted, so its odometry restarted"
         if passed_s < 0.0:
-            return "the sensors' clock began anew"
+            return "the sensors' clock restarted"
         x_m, y_m, yaw_rad = state.pose
         driving_s = _HASTE * min(passed_s, _DRIVES_ON_S)
         moved_m = sighted.pose.distance_to(x_m, y_m)
@@ -250,32 +265,35 @@ class MapCheckpoint:
         if moved_m > source.max_pose_jump_m + robot.max_speed_mps * driving_s:
             return f"the robot is {moved_m:.1f} m from where it was"
         if turned_rad > _MAX_TURN_RAD + robot.max_turn_radps * driving_s:
-            return f"the robot is turned by {turned_rad:.1f} rad from how it stood"
+            return f"the robot has turned by {turned_rad:.1f} rad"
         return ""
 
     def take(self, elsewhere: str) -> tuple[RollingMap, Checkpoint[MapState]] | None:
-        """Return what waits, once.
+        """Return the loaded map and data, once.
 
         Args:
-            elsewhere: why the robot's frame is another, "" if it is the same. If it is another,
-                what waits is dropped.
+            elsewhere: Reason why the frame is another; "" if it is the same. If it is another, the
+                data is dropped.
         """
         grid, self.waiting = self.waiting, None
         loaded = self.loaded
-        if not self._config.source.localised:  # nothing goes back to it any more
+        if not self._config.source.localised:  # it cannot be used later
             self.loaded = None
         if grid is None or loaded is None:
             return None
         if elsewhere:
-            log.info("%s: what was mapped and seen before the restart is dropped", elsewhere)
+            log.info("%s: map and objects of the checkpoint are dropped", elsewhere)
             return None
         if loaded.arrays["map/cells"] != grid.window.n:
-            log.info("mapping.extent_m is another than before the restart: the map is cut to it")
+            log.info("mapping.extent_m has changed since the checkpoint: the map is cut to it")
         return grid, loaded
 
     def jumped(self) -> None:
-        """Handle a jump of the pose. With a pose in a map that lasts, only what was mapped since
-        the start is void: the robot may have found only now where it is."""
+        """Handle a pose jump.
+
+        With `source.localised`, only the data since the start is wrong, because the robot may have
+        been localised only now. The loaded map is then prepared again.
+        """
         if self._config.source.localised:
             self._last = None
             self.prepare()
@@ -283,13 +301,18 @@ class MapCheckpoint:
     def note(
         self, parts: Parts, sighted: Sighted, targets: tuple[str, ...], target: str, changed: bool
     ) -> None:
-        """Copy a share if it is time, and hand a whole copy to the writer; never blocks.
+        """Copy a part of the map if it is time, and pass a complete copy to the writer.
+
+        Never block.
 
         Args:
-            targets: of the mission; `target` is the active one.
-            changed: in a way that is worth saving at once.
+            parts: The parts to save.
+            sighted: Pose and stamp of the newest observation.
+            targets: Targets of the mission.
+            target: Active target.
+            changed: True if the mission changed, so that the state should be saved at once.
         """
-        if self.waiting is not None:  # nothing was observed yet
+        if self.waiting is not None:  # there was no observation yet
             return
         self._last = parts, sighted, targets, target
         self._due = self._due or changed or self.writer.due(sighted.now_ns)
@@ -297,7 +320,7 @@ class MapCheckpoint:
             self._copy(MOST_PER_STEP + parts.map.grid.tiles_of_update)
 
     def close(self) -> None:
-        """Write how it stands, if there is time."""
+        """Write the current state, if there is time, and stop the writer."""
         until_s = time.monotonic() + _LAST_S
         while not self.writer.idle and time.monotonic() < until_s:
             time.sleep(0.005)
@@ -326,7 +349,7 @@ class MapCheckpoint:
         self._packed.update(batches)
         tiles = self._packed.state_dict(checkpoint.arrays["map/origin"], n)
         arrays = checkpoint.arrays | {f"tiles/{name}": array for name, array in tiles.items()}
-        for name, array in arrays.items():  # the good file stays if a part has gone wrong
+        for name, array in arrays.items():  # do not replace a good file by bad data
             own = not name.startswith("policy/") and array.dtype.kind == "f"
             if own and not np.isfinite(array).all():
                 raise ValueError(f"{name} is not finite")

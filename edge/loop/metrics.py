@@ -1,13 +1,14 @@
-"""The service as metrics, for Prometheus: `/metrics` (docs/metrics.md).
+"""Prometheus metrics of the service: `/metrics` (docs/metrics.md).
 
-Nothing is gathered for it in the loop: a scrape reads, on a thread of its own, what the service
-counts anyway. What it reads are numbers, strings and frozen objects that the loop's thread replaces
-as a whole, dicts of counts (copied in one step of the interpreter), and what says itself that
-any thread may call it (`LatencyRing`, `RollingMap.known_m2`, `Detector.health`). Two figures may so
-be from two ticks. Nothing waits for the loop, but for the ring's lock, which it holds for
-microseconds: a loop that hangs is told of, too.
+The loop does no work for the metrics. A scrape reads, on its own thread, the numbers that the
+service counts anyway: numbers, strings and frozen objects that the loop's thread replaces as a
+whole, dicts of counts (copied in one step of the interpreter), and methods that any thread may call
+(`LatencyRing`, `RollingMap.known_m2`, `Detector.health`). Two values may therefore come from two
+ticks. A scrape does not wait for the loop, except for the lock of the ring, which the loop holds
+for microseconds. So a loop that hangs is visible, too.
 
-Texts of others (instructions, targets, errors) are no labels: each would be a series for ever.
+Outside texts (instructions, targets, errors) are not labels, because each would create a series
+that lasts forever.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _MS = 1e-3
 
 
 class Look:
-    """What one scrape sees of a running service."""
+    """The state of a running service at one scrape."""
 
     def __init__(self, running: Running, sinks: Sequence[Sink]) -> None:
         service = running.service
@@ -56,22 +57,22 @@ class Look:
         self.checkpoint = None if service.checkpoint is None else service.checkpoint.status()
 
     def stages(self, value: Callable[[Any], float]) -> dict[str, float]:
-        """By stage, of its row in the latency report."""
+        """Return a value of each stage's row in the latency report, by stage."""
         return {row.name: value(row) for row in self.rows.stages}
 
     def held(self, value: Callable[[Any], float]) -> dict[str, float]:
-        """Return the same of the stages that are held to a budget."""
+        """Return a value of the rows that have a budget, by stage."""
         return {row.name: value(row) for row in self.rows.stages if row.budget_ms is not None}
 
     def of_sinks(self, name: str) -> dict[str, int]:
-        """By sink, of those that tell it as a number."""
-        told = {sink: status.get(name) for sink, status in self.sinks.items()}
-        return {sink: n for sink, n in told.items() if isinstance(n, int)}
+        """Return an integer field of the sinks' status, by sink, if it has the field."""
+        values = {sink: status.get(name) for sink, status in self.sinks.items()}
+        return {sink: n for sink, n in values.items() if isinstance(n, int)}
 
     def models(self) -> Iterator[tuple[str, str]]:
-        """(what it is for, its name) of every model at work."""
+        """Yield (part, name) of every model in use."""
         yield "detector", self.detector.name
-        yield from ((part, str(said["model"])) for part, said in self.scorers.items())
+        yield from ((part, str(status["model"])) for part, status in self.scorers.items())
 
 
 def _seconds(ms: float | None) -> float:
@@ -79,7 +80,7 @@ def _seconds(ms: float | None) -> float:
 
 
 def _faults(look: Look) -> dict[tuple[str, str], int]:
-    """By (step, type of error)."""
+    """Count the errors by (step, type of error)."""
     kinds = dict(look.service.faults.failures)
     return {(kind.partition(": ")[0], kind.partition(": ")[2]): n for kind, n in kinds.items()}
 
@@ -92,63 +93,63 @@ def _task_steps(look: Look) -> dict[str, int]:
 
 
 def _answers(look: Look) -> dict[tuple[str, str], int]:
-    """By (scorer, how a question ended)."""
+    """Count the questions by (scorer, outcome)."""
     return {
-        (part, how): said[how]
-        for part, said in look.scorers.items()
-        for how in ("answered", "failed")
-        if how in said
+        (part, outcome): status[outcome]
+        for part, status in look.scorers.items()
+        for outcome in ("answered", "failed")
+        if outcome in status
     }
 
 
 LIFE: tuple[Metric[Vitals], ...] = (
     Metric("edge_build_info", "gauge", "The version of edge; always 1.",
            lambda v: {__version__: 1}, ("version",)),
-    Metric("edge_service_state", "state", "What the service is at.",
+    Metric("edge_service_state", "state", "State of the service.",
            lambda v: v.state, states=STATES),
-    Metric("edge_service_ready", "gauge", "Whether nothing is amiss, as /readyz says.",
+    Metric("edge_service_ready", "gauge", "1 if the service is ready, as /readyz reports, else 0.",
            lambda v: not v.amiss()),
-    Metric("edge_loop_beat_age_seconds", "gauge", "Time since the loop's newest beat.",
+    Metric("edge_loop_beat_age_seconds", "gauge", "Time since the newest loop cycle.",
            lambda v: v.silent_s),
     Metric("edge_observation_age_seconds", "gauge",
-           "Time since something new was seen; infinite before anything was.",
+           "Time since the newest usable observation; infinite before the first.",
            lambda v: v.unseen_s),
 )  # fmt: skip
-"""Of the service's life, from its start on."""
+"""Metrics of the service's health, available from its start on."""
 
 SERVICE: tuple[Metric[Look], ...] = (
     # The tick.
-    Metric("edge_tick_duration_seconds", "histogram", "Time that a tick took.",
+    Metric("edge_tick_duration_seconds", "histogram", "Duration of a tick.",
            lambda s: s.histograms.tick),
-    Metric("edge_tick_budget_seconds", "gauge", "What the 95th percentile should stay under.",
+    Metric("edge_tick_budget_seconds", "gauge", "Budget of a tick for its 95th percentile.",
            lambda s: _seconds(s.rows.tick.budget_ms)),
-    Metric("edge_tick_deadline_seconds", "gauge", "What no tick should take longer than.",
+    Metric("edge_tick_deadline_seconds", "gauge", "Longest permitted duration of a tick.",
            lambda s: _seconds(s.rows.deadline_ms)),
     Metric("edge_tick_deadline_missed_total", "counter", "Ticks over the deadline.",
            lambda s: s.rows.tick.overruns),
     Metric("edge_tick_interval_seconds", "histogram",
-           "Time from the beginning of a tick to that of the next: the beat.",
+           "Time from the start of a tick to the start of the next.",
            lambda s: s.histograms.interval),
-    Metric("edge_tick_period_seconds", "gauge", "The beat that is configured (loop.hz).",
+    Metric("edge_tick_period_seconds", "gauge", "Configured period of ticks (1 / loop.hz).",
            lambda s: 1.0 / s.running.config.loop.hz),
     Metric("edge_stage_duration_seconds", "histogram",
-           "Time that a stage took; detect runs beside the tick.",
+           "Duration of a stage; detect runs in parallel to the tick.",
            lambda s: s.histograms.stages, ("stage",)),
     Metric("edge_stage_budget_seconds", "gauge",
-           "What the 95th percentile should stay under; without a calibration only deadlines.",
+           "Budget of a stage for its 95th percentile; without a calibration only deadlines.",
            lambda s: s.held(lambda row: _seconds(row.budget_ms)), ("stage",)),
     Metric("edge_stage_over_budget_total", "counter", "Runs of a stage over its budget.",
            lambda s: s.held(lambda row: row.overruns), ("stage",)),
     Metric("edge_stage_dropped_total", "counter",
-           "What a stage let go: messages (ingest), images (detect), ticks that it failed in.",
+           "Inputs dropped by a stage: messages (ingest), images (detect), failed ticks.",
            lambda s: s.stages(lambda row: row.drops), ("stage",)),
-    # What comes in.
-    Metric("edge_source_received_total", "counter", "Messages that came from sensors.",
+    # Inputs.
+    Metric("edge_source_received_total", "counter", "Messages received from sensors.",
            lambda s: s.source.get("received", 0)),
-    Metric("edge_source_observations_total", "counter", "Observations put together from them.",
+    Metric("edge_source_observations_total", "counter", "Observations made from these messages.",
            lambda s: s.source.get("observations", 0)),
     Metric("edge_source_old_pose_total", "counter",
-           "Observations with a pose or a mount that is older than they are.",
+           "Observations whose pose or mount transform is older than they are.",
            lambda s: s.source.get("old_pose", 0)),
     Metric("edge_source_dropped_total", "counter",
            "Messages that became part of no observation, by reason.",
@@ -157,131 +158,133 @@ SERVICE: tuple[Metric[Look], ...] = (
            "Messages that became part of no observation, by input and reason.",
            lambda s: {(row.name, why): n for row in s.inputs for why, n in row.dropped.items()},
            ("input", "reason")),
-    Metric("edge_input_rate_hertz", "gauge", "How often messages of an input come.",
+    Metric("edge_input_rate_hertz", "gauge", "Message rate of an input.",
            lambda s: {row.name: row.hz for row in s.inputs}, ("input",)),
     Metric("edge_input_age_seconds", "gauge",
            "Time since an input's newest message; infinite before the first.",
            lambda s: {row.name: math.inf if row.age_s is None else row.age_s for row in s.inputs},
            ("input",)),
     Metric("edge_input_lacking", "gauge",
-           "Whether an input that is needed is missing, silent, or dropped whenever it comes.",
+           "1 if a needed input is missing, silent, or always dropped, else 0.",
            lambda s: {row.name: row.lacks for row in s.inputs}, ("input",)),
-    Metric("edge_check_failed", "gauge", "Whether a check of the sensors' data fails now.",
+    Metric("edge_check_failed", "gauge", "1 if a check of the sensor data fails now, else 0.",
            lambda s: {row.name: row.name in s.failed for row in s.service.plausibility.checks},
            ("check",)),
     Metric("edge_observations_refused_total", "counter",
-           "Observations that were not driven by, by the check that failed.",
+           "Observations refused for driving, by the check that failed.",
            lambda s: dict(s.service.plausibility.refused), ("check",)),
     Metric("edge_overruns_total", "counter",
-           "Looks that found more than there was room for, by what is listened to.",
+           "Reads that found a message ring full, by ring.",
            lambda s: s.service.overruns(), ("ring",)),
-    Metric("edge_pose_jumps_total", "counter", "Times that odometry began anew: the map was lost.",
+    Metric("edge_pose_jumps_total", "counter", "Pose jumps. At each the map was lost.",
            lambda s: s.service.map.epoch),
-    # What fails.
-    Metric("edge_faults_total", "counter", "Errors that the loop outlived.",
+    # Errors.
+    Metric("edge_faults_total", "counter", "Errors that the loop caught.",
            lambda s: s.service.faults.failed),
     Metric("edge_faults_by_step_total", "counter",
-           "The same, by step of the loop and type of error, once there was one.",
+           "Errors that the loop caught, by step of the loop and type of error.",
            _faults, ("step", "error")),
-    Metric("edge_loop_degraded", "gauge", "Whether a step of the loop fails again and again.",
+    Metric("edge_loop_degraded", "gauge", "1 if a step of the loop keeps failing, else 0.",
            lambda s: s.service.faults.state != "ok"),
-    Metric("edge_sink_failures_total", "counter", "What a sink could not send or write.",
+    Metric("edge_sink_failures_total", "counter", "Messages that a sink could not send or write.",
            lambda s: s.of_sinks("failed"), ("sink",)),
     Metric("edge_sink_dropped_total", "counter",
-           "What a sink let go since something newer came, or for want of room.",
+           "Messages that a sink dropped, replaced by newer ones or without room.",
            lambda s: s.of_sinks("dropped"), ("sink",)),
     Metric("edge_checkpoint_written_total", "counter", "Checkpoints that reached the disk.",
            lambda s: s.checkpoint and s.checkpoint["written"]),
     Metric("edge_checkpoint_failed_total", "counter", "Checkpoints that could not be written.",
            lambda s: s.checkpoint and s.checkpoint["failed"]),
     # Models.
-    Metric("edge_model_info", "gauge", "Every model at work; always 1.",
+    Metric("edge_model_info", "gauge", "Every model in use; always 1.",
            lambda s: dict.fromkeys(s.models(), 1), ("part", "model")),
-    Metric("edge_detector_state", "state", "How the detector is.",
+    Metric("edge_detector_state", "state", "State of the detector.",
            lambda s: detector_health(s.running.worker).state, states=HEALTH_STATES),
     Metric("edge_detector_images_total", "counter",
-           "Images by what became of them: detected in, failed, replaced by a newer one.",
+           "Images by outcome: detected, failed, or replaced by a newer image.",
            lambda s: {"detected": s.images.done, "failed": s.images.failed,
                       "replaced": s.images.replaced}, ("outcome",)),
     Metric("edge_detector_invalid_boxes_total", "counter",
            "Boxes dropped: not finite, far outside the image, or scored outside 0 to 1.",
            lambda s: {s.detector.name: s.detector.invalid_boxes}, ("model",)),
     Metric("edge_model_process_restarts_total", "counter",
-           "Starts of the detector's process after its end; 0 where it has none.",
+           "Restarts of the detector's process; 0 if it has none.",
            lambda s: {s.detector.name: s.detector.restarts
                       if isinstance(s.detector, ProcessDetector) else 0}, ("model",)),
-    Metric("edge_model_swaps_total", "counter", "Changes to another model, by how they ended.",
+    Metric("edge_model_swaps_total", "counter", "Swaps of the detector's model, by outcome.",
            lambda s: dict(s.service.swapper.outcomes), ("outcome",)),
     Metric("edge_governor_rung", "gauge",
-           "Rung of perception.governor.ladder that the service is on; 0: nothing is given up.",
+           "Rung of perception.governor.ladder in use; 0: no load is shed.",
            lambda s: s.service.governor and s.service.governor.rung),
     Metric("edge_governor_steps_total", "counter", "Steps on that ladder, by direction.",
            lambda s: s.service.governor and dict(s.service.governor.steps), ("direction",)),
-    Metric("edge_scorer_answers_total", "counter", "Questions to scorers, by how they ended.",
+    Metric("edge_scorer_answers_total", "counter", "Questions to scorers, by outcome.",
            _answers, ("scorer", "outcome")),
-    Metric("edge_reloads_total", "counter", "Reloads of the configuration, by how they ended.",
+    Metric("edge_reloads_total", "counter", "Reloads of the configuration, by outcome.",
            lambda s: dict.fromkeys(OUTCOMES, 0) if s.running.reloader is None
            else dict(s.running.reloader.outcomes), ("outcome",)),
-    Metric("edge_policy_info", "gauge", "The policy at work; always 1.",
+    Metric("edge_policy_info", "gauge", "Policy in use; always 1.",
            lambda s: {s.service.config.policy.kind: 1}, ("policy",)),
     # The mission and its goal.
-    Metric("edge_mission_state", "state", "How the mission stands.",
+    Metric("edge_mission_state", "state", "State of the mission.",
            lambda s: s.mission.status(s.service.goals.phase).phase, states=get_args(MissionPhase)),
-    Metric("edge_mission_targets", "gauge", "Targets of the mission.",
+    Metric("edge_mission_targets", "gauge", "Number of targets of the mission.",
            lambda s: len(s.mission.brief.targets)),
-    Metric("edge_mission_targets_reached", "gauge", "Of those, how many were reached.",
+    Metric("edge_mission_targets_reached", "gauge", "Number of targets that were reached.",
            lambda s: len(s.mission.reached)),
-    Metric("edge_mission_plan_steps", "gauge", "Steps that are left of the plan.",
+    Metric("edge_mission_plan_steps", "gauge", "Number of remaining steps of the plan.",
            lambda s: 0 if s.mission.done else len(s.mission.plan.steps)),
     Metric("edge_mission_elapsed_seconds", "gauge", "Time that the mission has taken.",
            lambda s: s.mission.elapsed_s),
-    Metric("edge_mission_path_meters", "gauge", "Way that the robot has driven for it.",
+    Metric("edge_mission_path_meters", "gauge", "Distance that the robot has driven for it.",
            lambda s: s.mission.path_m),
-    Metric("edge_task_steps", "gauge", "Steps of the task, by how they stand.",
+    Metric("edge_task_steps", "gauge", "Steps of the task, by state.",
            _task_steps, ("state",)),
-    Metric("edge_goal_state", "state", "What the present goal is for: a frontier, an instance of "
-           "the target, to look round, a task's trajectory.",
+    Metric("edge_goal_state", "state", "Kind of the current goal: a frontier, an instance of the "
+           "target, a look around, or a task's trajectory.",
            lambda s: "none" if s.goal is None else s.goal.kind, states=_GOALS),
-    Metric("edge_goal_age_seconds", "gauge", "Time since the present goal was chosen.",
+    Metric("edge_goal_age_seconds", "gauge", "Time since the current goal was chosen.",
            lambda s: None if s.goal is None
            else max(s.running.now_ns - s.goal.stamp_ns, 0) * 1e-9),
-    Metric("edge_controller_answers", "gauge", "Whether a motion controller answers.",
+    Metric("edge_controller_answers", "gauge", "1 if a motion controller answers, else 0.",
            lambda s: s.service.goals.client.heard),
     # The map.
-    Metric("edge_map_known_square_meters", "gauge", "Area that was seen.",
+    Metric("edge_map_known_square_meters", "gauge", "Known area of the map.",
            lambda s: s.service.map.grid.known_m2),
-    Metric("edge_map_frontiers", "gauge", "Frontiers of the map.",
+    Metric("edge_map_frontiers", "gauge", "Number of frontiers of the map.",
            lambda s: s.service.map.grid.frontiers.n),
 )  # fmt: skip
-"""Of the service, once it is ready."""
+"""Metrics of the service, available once it is ready."""
 
 BOARD: tuple[Metric[Board], ...] = (
-    Metric("edge_board_temperature_celsius", "gauge", "By thermal zone.",
+    Metric("edge_board_temperature_celsius", "gauge", "Temperature of a thermal zone.",
            lambda b: b.temperature_c, ("zone",)),
     Metric("edge_board_trip_celsius", "gauge",
-           "Where a zone is slowed down (passive), near its end (hot), switched off (critical).",
+           "Temperature at which a zone is throttled (passive), too hot (hot) or shut down "
+           "(critical).",
            lambda b: b.trip_c, ("zone", "trip")),
     Metric("edge_board_throttled_ratio", "gauge",
-           "How far the kernel slows a part down to cool it: 0 not at all, 1 as far as it can.",
+           "How far the kernel throttles a part to cool it: 0 not at all, 1 as far as possible.",
            lambda b: b.throttled, ("device",)),
     Metric("edge_board_over_current_total", "counter",
-           "Times that a Jetson slowed itself down since it drew too much, or had too little.",
+           "Times that a Jetson throttled itself because of over-current or under-voltage.",
            lambda b: b.over_current, ("alarm",)),
-    Metric("edge_board_power_watts", "gauge", "By rail of the board.",
+    Metric("edge_board_power_watts", "gauge", "Power of a rail of the board.",
            lambda b: b.power_w, ("rail",)),
-    Metric("edge_board_power_mode_info", "gauge", "A Jetson's power mode; always 1.",
+    Metric("edge_board_power_mode_info", "gauge", "Power mode of a Jetson; always 1.",
            lambda b: {} if b.power_mode is None else {b.power_mode: 1}, ("mode",)),
-    Metric("edge_board_memory_bytes", "gauge", "The computer's memory, by total and available.",
+    Metric("edge_board_memory_bytes", "gauge", "Memory of the computer, total and available.",
            lambda b: b.memory_bytes, ("kind",)),
 )  # fmt: skip
-"""Of the computer; what it does not tell has no series."""
+"""Metrics of the computer. A sensor that it does not have has no series."""
 
 
 class Metrics:
-    """`/metrics`: of the start what there is, all once `watch` was called.
+    """The page `/metrics`. Metrics of the service are on it after `watch` was called.
 
     Args:
-        board: reads the computer's sensors.
+        vitals: Health of the service.
+        board: Reads the computer's sensors.
     """
 
     def __init__(self, vitals: Vitals, board: Callable[[], Board] = read_board) -> None:
@@ -290,7 +293,7 @@ class Metrics:
         self._exposition = Exposition(self._families)
 
     def watch(self, running: Running, sinks: Sequence[Sink]) -> None:
-        """The service is ready; it may be read even after its end."""
+        """Add the metrics of a service that is ready. They can be read even after its end."""
         self._watched = running, sinks
 
     def pages(self) -> Pages:

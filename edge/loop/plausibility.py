@@ -1,7 +1,8 @@
-"""The plausibility stage: judges each observation before it is mapped.
+"""Plausibility stage: it checks each observation before the map uses it.
 
-`checks_of` is the table: what is measured, the limits, the line for the user and the consequence.
-A refused observation counts as none: the robot stands after `loop.blind_s`, and `/readyz` says why.
+`checks_of` is the table of checks: measurement, limits, message and consequence. A refused
+observation counts as no observation: the robot stands still after `loop.blind_s`, and `/readyz`
+shows the reason.
 """
 
 from __future__ import annotations
@@ -22,49 +23,53 @@ from edge.mapping.results import MapUpdate
 from edge.types import Observation
 
 Consequence = Literal["warn", "degrade", "stand"]
-"""`warn`: a line in log and status; `degrade`: `/readyz` is 503 as well; `stand`: observations are
-refused as well, so the robot stands after `loop.blind_s`."""
+"""`warn`: a line in log and status. `degrade`: in addition, `/readyz` is 503. `stand`: in addition,
+observations are refused, so the robot stands still after `loop.blind_s`."""
 Use = Literal["", "map", "none"]
-"""What an observation is good for: "" for everything, `map`: all but detection and driving."""
+"""Permitted use of an observation. "": everything; `map`: mapping, but no detection or driving;
+`none`: nothing."""
 
 LASTS_NS = 500_000_000
 """A check that fails for a shorter time is not reported."""
 TELL_AGAIN_NS = 30_000_000_000
 """A check that fails again sooner is not logged again."""
 DRIVEN_M = 0.1
-"""A frame that stays the same to the bit over this way is frozen; 1 rad of turn counts as 1 m."""
-_MOVES_M = 0.02  # a robot that stands may see the same again
-_VALID = 0.02  # of a depth image's pixels
-# Depth that ends before something so close ends since it is too close, within this way from there.
+"""A frame that does not change in any bit over this distance is frozen; 1 rad counts as 1 m."""
+_MOVES_M = 0.02  # below this motion, frames may be identical
+_VALID = 0.02  # smallest share of a depth image's pixels with a value
+# An object nearer than the first distance may make the depth image empty. The image may stay empty
+# while the robot moves less than the second distance.
 _CLOSE_M, _CLOSE_WAY_M = 0.6, 0.2
-_WALL_M = 1.5  # so close, one thing may fill the image
-_SLOW_NS = 100_000_000  # what changes slowly is measured so often
-_BUFFERS = 4  # frames that a hanging driver may send in turn
-_SAMPLES = 32  # rows and columns of an image that are looked at
-_FEWEST, _NEAR_SHARE = 50, 0.05  # pixels with a value, and the share of them that may be noise
-# The floor lies at most so far below the base, and is seen by rays at least so steep.
+_WALL_M = 1.5  # one object may fill the image at this distance
+_SLOW_NS = 100_000_000  # period of measurements that change slowly
+_BUFFERS = 4  # number of frames that a hanging driver may repeat in turn
+_SAMPLES = 32  # rows and columns of the sample of an image
+_FEWEST, _NEAR_SHARE = 50, 0.05  # smallest number of pixels, and the share that may be noise
+# Largest depth of the floor below the base, smallest steepness of a ray to the floor, and margin.
 _BELOW_BASE_M, _STEEP, _MARGIN = 1.0, 0.25, 1.3
-_FARTHEST_M = 100.0  # no depth camera sees only what is farther
+_FARTHEST_M = 100.0  # every depth camera sees something nearer than this
 _POSE_OLD_S = 0.05  # at 1 rad/s a wall 2 m away is off by two cells
 
 
 @dataclass(slots=True)
 class FrameFacts:
-    """Measurements of one observation. NaN: not measured, so no check fails by it.
+    """Measurements of one observation. NaN means not measured; no check fails on it.
 
     Attributes:
-        depth_valid: share of the depth image's pixels that have a value.
-        depth_driven_m: way since the depth image changed last; likewise `cloud_driven_m` and
-            `rgb_driven_m`.
-        depth_misfit: share of what the depth image shows that did not move as the pose did.
-        depth_scale: how many times farther than the floor allows the depth image is; 1: it fits.
-        cloud_points: points of the cloud that have a value.
-        rgb_levels: difference between the lightest and the darkest value of the colour image.
-        rgb_level: mean of its green values, 0 to 255.
+        depth_valid: Share of the depth image's pixels that have a value.
+        depth_driven_m: Distance driven since the depth image last changed.
+        depth_misfit: Share of the depth image's points that did not move as the pose did.
+        depth_scale: Ratio of the measured depth to the depth of the floor; 1 if it fits.
+        cloud_driven_m: Distance driven since the cloud last changed.
+        cloud_points: Number of points of the cloud that have a value.
+        rgb_driven_m: Distance driven since the colour image last changed.
+        rgb_levels: Difference between the largest and the smallest value of the colour image.
+        rgb_level: Mean of its green values, 0 to 255.
         axis_z: z of the camera's optical axis in the base frame, -1 (down) to 1 (up).
-        floor_lost: 1 if the last update of the map found no floor where the mount says, else 0.
-        late_s: how much newer the newest pose is than the frame.
-        pose_age_s: how much older the frame's pose is than the frame; 0: interpolated.
+        floor_lost: 1 if the last update of the map found no floor at the height of the mount,
+            else 0.
+        late_s: Time from the frame to the newest pose.
+        pose_age_s: Age of the frame's pose relative to the frame; 0 if it is interpolated.
     """
 
     depth_valid: float = math.nan
@@ -89,15 +94,17 @@ class FrameFacts:
 
 @dataclass(frozen=True, slots=True)
 class DataCheck:
-    """One row of the table.
+    """One row of the table of checks.
 
     Attributes:
-        name: the name of the measurement in `FrameFacts`, or one that says more.
-        of: the measured value.
-        what: for the user, with `{value}`: where, and what is wrong; `todo`: what to do.
-        then: the consequence.
-        lowest, highest: the check fails outside of these.
-        leaves: of a `stand`, what a refused observation is still good for.
+        name: Name of the check.
+        of: Returns the measured value.
+        what: Place and problem, for the user, with `{value}`.
+        todo: Advice for the user.
+        then: Consequence of a failure.
+        lowest: The check fails below this value.
+        highest: The check fails above this value.
+        leaves: For `stand`: the use of a refused observation that is still permitted.
     """
 
     name: str
@@ -127,10 +134,10 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
         DataCheck("depth_frozen", lambda f: f.depth_driven_m, f"camera/depth: {frozen}", restart,
                   "stand", highest=DRIVEN_M, leaves=leaves["depth"]),
         DataCheck("depth_unit", lambda f: f.depth_scale,
-                  "camera/depth: {value:.0f} times as far as the floor, so the depth cannot be in "
-                  "metres", unit, "stand", highest=1.0, leaves=leaves["depth"]),
+                  "camera/depth: values are {value:.0f} times the distance of the floor, so they "
+                  "cannot be in metres", unit, "stand", highest=1.0, leaves=leaves["depth"]),
         DataCheck("depth_motion", lambda f: f.depth_misfit,
-                  "camera/depth: {value:.0%} of what it shows does not move as the pose does",
+                  "camera/depth: {value:.0%} of the points does not move as the pose does",
                   "check delay and stamps of the images, the odometry and the camera's mount",
                   "stand", highest=MISFIT, leaves=leaves["depth"]),
         DataCheck("cloud_empty", lambda f: f.cloud_points, "lidar: no point has a value",
@@ -148,14 +155,14 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
         DataCheck("rgb_frozen", lambda f: f.rgb_driven_m, f"camera/rgb: {frozen}", restart,
                   "stand", highest=DRIVEN_M, leaves="map"),
         DataCheck("late", lambda f: f.late_s,
-                  "sensors: frames come {value:.1f} s after the pose of their time",
+                  "sensors: frames arrive {value:.1f} s later than the pose of the same time",
                   "speed up the driver or the link", "stand", highest=blind_s, leaves="map"),
         DataCheck("camera_axis", lambda f: f.axis_z,
                   "camera: it looks up or down (z {value:+.2f} in the base frame)",
-                  "is its frame an optical one (z forward, x right)?",
+                  "check that its frame is optical (z forward, x right)",
                   "warn", lowest=-0.9, highest=0.7),
         DataCheck("floor", lambda f: f.floor_lost,
-                  "map: no floor near the base, but ground far below it; nothing is mapped",
+                  "map: no floor near the base, but ground far below; nothing is mapped",
                   "check z_m and pitch_deg of the sensor, and the frame of the odometry",
                   "degrade", highest=0.0),
         DataCheck("pose_age", lambda f: f.pose_age_s,
@@ -171,8 +178,11 @@ class FailedCheck(NamedTuple):
     """A check that fails now.
 
     Attributes:
-        what, todo: for the user.
-        since_ns: loop time of its first failure.
+        name: Name of the check.
+        then: Consequence of the failure.
+        what: Place and problem, for the user.
+        todo: Advice for the user.
+        since_ns: Loop time of the first failure.
     """
 
     name: str
@@ -187,18 +197,19 @@ class FailedCheck(NamedTuple):
 
 
 class Plausibility:
-    """Judges observations, and reports which checks fail. The loop's thread judges.
+    """The plausibility stage. The loop's thread calls `judge`.
 
     Args:
-        blind_s: see `edge.loop.service.Service`.
-        event: reports something that a person would want to know, at a time and a log level.
+        config: The configuration.
+        blind_s: See `edge.loop.service.Service`.
+        event: Reports an event for people, at a loop time and a log level.
 
     Attributes:
-        checks: the table.
-        facts: measurements of the newest observation.
-        failed: checks that fail, replaced as a whole: any thread may read it.
-        refused: number of refused observations by check.
-        sighted_ns: loop time until which the newest observation shows the surroundings.
+        checks: The table of checks.
+        facts: Measurements of the newest observation.
+        failed: Checks that fail now. The tuple is replaced as a whole, so any thread may read it.
+        refused: Number of refused observations by check.
+        sighted_ns: Loop time until which the newest observation shows the surroundings.
     """
 
     def __init__(
@@ -211,7 +222,7 @@ class Plausibility:
         self.sighted_ns = 0
         self._event = event
         self._found: list[FailedCheck | None] = [None] * len(self.checks)
-        self._told_ns: dict[str, int] = {}
+        self._logged_ns: dict[str, int] = {}
         self._pose: SE2 | None = None
         self._close_at: SE2 | None = None
         self._slow_ns = -_SLOW_NS
@@ -223,12 +234,12 @@ class Plausibility:
         self._motion = DepthMotion(config.robot.max_speed_mps, config.robot.max_turn_radps)
 
     def on_mapped(self, update: MapUpdate) -> None:
-        """Note whether the map found the floor; an update may see neither floor nor gap."""
+        """Record whether the map found the floor. Some updates show neither a floor nor a gap."""
         if update.floor_missing or update.floor_seen:
             self._floor_lost = update.floor_missing
 
     def judge(self, observation: Observation, now_ns: int) -> Use:
-        """Return what the observation is good for."""
+        """Return the permitted use of the observation."""
         self._measure(observation, now_ns)
         use: Use = ""
         changed = False
@@ -251,14 +262,14 @@ class Plausibility:
         return use
 
     def _report(self, now_ns: int) -> None:
-        """Update `failed`, and log what fails now and what is good again."""
+        """Update `failed`; log the checks that fail now and those that pass again."""
         before = {found.name for found in self.failed}
         lasting = [f for f in self._found if f is not None and now_ns - f.since_ns >= LASTS_NS]
         for found in lasting:
-            told_ns = self._told_ns.get(found.name)
-            again = told_ns is None or now_ns - told_ns >= TELL_AGAIN_NS
+            logged_ns = self._logged_ns.get(found.name)
+            again = logged_ns is None or now_ns - logged_ns >= TELL_AGAIN_NS
             if found.name not in before and again:
-                self._told_ns[found.name] = now_ns
+                self._logged_ns[found.name] = now_ns
                 self._event(found.message, now_ns, logging.WARNING)
         for name in sorted(before - {found.name for found in lasting}):
             self._event(f"{name}: good again", now_ns, logging.INFO)
@@ -315,7 +326,7 @@ class Plausibility:
                 # Green is all of grey, and a third of the work.
                 self._levels = high - low, float(sample[..., 1].mean())
             facts.rgb_levels, facts.rgb_level = self._levels
-            if wall:  # which may have one colour, as a simulator's
+            if wall:  # it may have one colour, as in a simulator
                 facts.rgb_levels = math.nan
             if self._levels[0] > 0.0:
                 facts.rgb_driven_m = self._repeated(self._rgb, seen.rgb, step, now_ns)
@@ -325,7 +336,7 @@ class Plausibility:
             sample = self._cloud.sample(seen.cloud_m)
             size = np.abs(sample).max(axis=1)
             facts.cloud_points = float(np.count_nonzero(size > 0.0))
-            # Beams that met nothing (inf) are the same wherever the robot is.
+            # Beams that hit nothing (inf) look the same from every place.
             if np.count_nonzero((size > 0.0) & np.isfinite(size)):
                 facts.cloud_driven_m = self._repeated(self._cloud, seen.cloud_m, step, now_ns)
 
@@ -338,9 +349,10 @@ class Plausibility:
         return driven_m
 
     def _is_close(self, pose: SE2) -> bool:
-        """Return whether the robot stands before something that is too close for its camera.
+        """Return True if an object is too close to the camera for depth.
 
-        Such a camera sends no depth until the robot has turned away, which it has to be let do.
+        Such a camera sends no depth until the robot has turned away, so the robot must be able to
+        turn.
         """
         at = self._close_at
         return at is not None and pose.distance_to(at.x_m, at.y_m) < _CLOSE_WAY_M
@@ -369,15 +381,15 @@ class Plausibility:
 
 
 class _Repeats:
-    """Frames of one sensor: a sample of the newest, and the way since they changed last.
+    """Detection of repeated frames of one sensor, by a sample of the newest frame.
 
-    A frame is the same as before if it is one of the last few: a driver that hangs may send its
+    A frame is a repetition if it equals one of the last few: a driver that hangs may send its
     buffers in turn.
 
     Attributes:
-        stride: rows and columns from one sampled pixel to the next.
-        since_ns: loop time of the newest frame that showed what is there: the robot moved since.
-        repeats: whether the newest frame is one of the last few.
+        stride: Rows and columns from one sampled pixel to the next.
+        since_ns: Loop time of the newest frame that showed the real surroundings.
+        repeats: True if the newest frame is a repetition.
     """
 
     def __init__(self) -> None:
@@ -385,10 +397,11 @@ class _Repeats:
         self.since_ns = 0
         self.repeats = False
         self._sample: np.ndarray = np.empty(0)
-        # By checksum of the sample, of the last few: checksum of all, known once it came again.
+        # Last few frames: checksum of the sample -> checksum of the whole frame, which is computed
+        # at the first repetition.
         self._known: dict[int, int | None] = {}
         self._way = np.zeros(3)
-        self._longest_m = self._driven_m = 0.0  # the longest step of the way; the way without it
+        self._longest_m = self._driven_m = 0.0  # longest step, and the distance without it
 
     def sample(self, array: np.ndarray) -> np.ndarray:
         """Copy every stride-th row and column, or every stride-th point of a cloud."""
@@ -402,10 +415,10 @@ class _Repeats:
         return self._sample
 
     def driven_m(self, array: np.ndarray, step: tuple[float, float, float], now_ns: int) -> float:
-        """Return the way (1 rad of turn counts as 1 m) since the frames changed last.
+        """Return the distance (1 rad of turn counts as 1 m) since the frames last changed.
 
-        Its longest step does not count: a localisation may have corrected the pose of a robot that
-        stands. The whole frame is read only if its sample is one of the last few.
+        The longest step does not count, because a localisation may have corrected the pose of a
+        standing robot. The whole frame is read only if its sample equals one of the last few.
         """
         crc, known = zlib.crc32(self._sample.data), self._known
         whole = zlib.crc32(np.ascontiguousarray(array).data) if crc in known else None
@@ -433,7 +446,7 @@ def _length_m(step: Iterable[float]) -> float:
 
 
 class _FloorLimit:
-    """How far a depth image may be at most, by the camera's mount above the floor."""
+    """The largest plausible depth at each pixel, from the camera's mount above the floor."""
 
     def __init__(self) -> None:
         self._of: tuple[CameraModel, np.ndarray] | None = None
@@ -450,14 +463,14 @@ class _FloorLimit:
         camera: CameraModel,
         T: np.ndarray,
     ) -> float:
-        """Return how many times as far as the floor the image is; 1: part of it is near enough."""
+        """Return the ratio of the image's depth to the floor's; 1 if part of it is near enough."""
         if self._of is None or self._of[0] != camera or self._of[1] is not T:
             self._of = camera, T
             self._lay(shape, camera, T, stride)
         judged, floor_m = valid & self._steep, self._floor_m
         limit_m: np.ndarray | float = self._limit_m
         n = np.count_nonzero(judged)
-        if n < _FEWEST:  # none looks down: nothing but the farthest of all tells
+        if n < _FEWEST:  # no ray looks down, so only the general limit applies
             judged, limit_m = valid, _FARTHEST_M
             n = np.count_nonzero(valid)
         if n < _FEWEST or np.count_nonzero((sample < limit_m) & judged) >= _NEAR_SHARE * n:

@@ -1,7 +1,7 @@
-"""The prior: how much likelier than elsewhere the target is near a place, by what was seen.
+"""The prior: likelihood ratio of the target near a place, from the objects that were seen.
 
-What stands near the place in sight (`cooccurrence`), and which kind of room it is in or leads to
-(`rooms`). The map is cut into rooms beside the loop.
+It uses the objects near the place with a free line of sight (`cooccurrence`), and the kind of room
+that the place is in or leads to (`rooms`). A background thread cuts the map into rooms.
 """
 
 from __future__ import annotations
@@ -31,21 +31,23 @@ from edge.perception.tracking.sightings import Sightings
 PERIOD_NS = 1_000_000_000
 CELL_M = 0.1
 REGION_M = 0.7
-"""How far from a region's cells a thing may be that is in it: it may be part of a wall."""
+"""Largest distance of an object from the cells of its region: it may be at a wall."""
 SURE = 0.15
-"""A sighting of this confidence counts in full: its mean includes looks from afar."""
+"""A sighting of this confidence has full weight, because the mean includes views from afar."""
 LEAST, MOST = 0.25, 4.0
 DRAWN_M, MOST_DRAWN = 0.3, 20_000
-"""Side of a cell of `Prior.layer`, and of how many cells it is at most; then they are larger."""
+"""Side of a cell of `Prior.layer`, and its largest number of cells. Cells of a large map grow."""
 
 
 class Rooms(NamedTuple):
     """The map cut into regions.
 
     Attributes:
-        grid: see `regions.survey`; `wall` is where it is wall, (h, w) bool.
-        label: (h, w) int16 region of each cell, 1 … n.
-        border: see `regions.borders`.
+        grid: See `regions.survey`.
+        wall: (h, w) bool, True for walls.
+        label: (h, w) int16, region of each cell, 1 … n.
+        n: Number of regions.
+        border: See `regions.borders`.
     """
 
     grid: Grid
@@ -56,12 +58,12 @@ class Rooms(NamedTuple):
 
 
 class Things(NamedTuple):
-    """What was seen.
+    """Objects that were seen, as parallel arrays.
 
     Attributes:
         xyz_m: (n, 3) float32 in `map`.
-        row: (n,) int32 of the table; -1: of none that counts.
-        weight: (n,) float32 in [0, 1], how surely it is there.
+        row: (n,) int32, row of the table; -1 if the object is not in it.
+        weight: (n,) float32 in [0, 1], confidence in the object.
     """
 
     xyz_m: np.ndarray
@@ -70,12 +72,14 @@ class Things(NamedTuple):
 
 
 class Prior:
-    """What all that was seen says about places; see `lift`.
+    """The likelihood ratio of targets near places, from all objects seen; see `lift`.
 
     Args:
         by: `cooccurrence`, `rooms`, or `both`.
-        tall_code: obstacles from this `Layers.top` on are walls.
-        inline: cut the map inside `step`, so that a run replays the same.
+        table: Co-occurrence table of objects and rooms.
+        words: Maps words to rows of the table.
+        tall_code: Obstacles with at least this `Layers.top` are walls.
+        inline: Cut the map inside `step`, so that a run is reproducible.
     """
 
     def __init__(self, by: str, table: Table, words: Words, tall_code: int, inline: bool) -> None:
@@ -99,11 +103,11 @@ class Prior:
         self._drawn = (-1, -1)
 
     def through(self, beside: Callable[[str, Any], Any]) -> None:
-        """Let what the worker is asked and finds pass through `beside`."""
+        """Wrap the worker with `beside`, which logs its requests and results."""
         self._worker = beside("prior", self._worker)
 
     def step(self, seen: MapView, sightings: Sightings, now_ns: int) -> None:
-        """Take up what there is, once a tick, and have the map cut anew where that is due."""
+        """Collect new rooms, once a tick, and request new ones when they are due."""
         self._sightings = sightings
         rested = self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
         if rested and sightings.n and self._worker.idle:
@@ -121,29 +125,30 @@ class Prior:
             self._rooms, self._version = found, self._version + 1
 
     def lift(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
-        """P(target near a place | what was seen) / P(target near an average place).
+        """Compute P(target near a place | objects seen) / P(target near an average place).
 
         Args:
-            target: a prompt, or any word.
-            xy_m: (n or more, 2) float32 in `map`; frontiers.
-            out: (n or more,) float32, written for the first n: 1 where there is no opinion, never
-                outside `LEAST` … `MOST`.
+            target: A prompt, or any word.
+            xy_m: (n or more, 2) float32 in `map`; places of frontiers.
+            n: Number of places.
+            out: (n or more,) float32, written for the first n. 1 if nothing is known; always
+                between `LEAST` and `MOST`.
         """
         row = self._words.row(target)
         if row < 0 or n == 0 or self._sightings is None or self._sightings.n == 0:
             out[:n] = 1.0
             return
-        self._look_at(self._sightings, xy_m[:n])
+        self._update_places(self._sightings, xy_m[:n])
         if target not in self._lifts:
             self._lifts[target] = self._lift(row, self._near, self._kind)
         out[:n] = self._lifts[target]
 
     def layer(self, target: str) -> Callable[[], Grid]:
-        """What draws `lift` over the open part of the map, as all stands now.
+        """Return a function that draws the current `lift` over the open part of the map.
 
         Returns:
-            What may be called at any time, by any thread; it gives uint8 cells: 0 where there is no
-            opinion, else 1 (`LEAST`) … 128 (as elsewhere) … 255 (`MOST`), by the logarithm.
+            A function for any thread and any time. It returns a grid of uint8 on a logarithmic
+            scale: 0 if nothing is known, else 1 (`LEAST`) … 128 (average place) … 255 (`MOST`).
         """
         s, rooms, row = self._sightings, self._rooms, self._words.row(target)
         if s is None or s.n == 0 or row < 0:
@@ -158,7 +163,7 @@ class Prior:
         return self._layers[target]
 
     def _draw(self, row: int, things: Things, rooms: Rooms) -> Grid:
-        """See `layer`; on any thread."""
+        """Draw the layer, on any thread; see `layer`."""
         grid = rooms.grid
         step = max(
             round(DRAWN_M / grid.resolution_m), math.ceil(math.sqrt(grid.cells.size / MOST_DRAWN))
@@ -172,16 +177,16 @@ class Prior:
         return drawn
 
     def forget(self) -> None:
-        """The map begins anew."""
+        """Forget the rooms, since the map starts again empty."""
         self._worker.forget()
         self._rooms, self._version, self._asked_ns = _NOWHERE, self._version + 1, None
 
     def close(self) -> None:
-        """Begin nothing more."""
+        """Stop the background work."""
         self._worker.close()
 
     def _lift(self, row: int, near: np.ndarray, kind: np.ndarray) -> np.ndarray:
-        """Of places with these surroundings, (n,) float32."""
+        """Return the likelihood ratio of places with these surroundings, (n,) float32."""
         lift = np.ones(len(near), np.float32)
         if self._by != "rooms":
             cooccurrence.lift(self._table, row, near, lift)
@@ -190,8 +195,8 @@ class Prior:
             lift *= rooms.lift(self._chance, self._average, row, kind) ** power
         return np.clip(lift, LEAST, MOST, out=lift)
 
-    def _look_at(self, s: Sightings, xy_m: np.ndarray) -> None:
-        """Work out what is near these places and which rooms they are in, where that changed."""
+    def _update_places(self, s: Sightings, xy_m: np.ndarray) -> None:
+        """Compute the near objects and the rooms of these places, if something changed."""
         same = s.generation == self._seen and self._places == (self._version, len(xy_m))
         if same and np.array_equal(xy_m, self._xy_m):
             return
@@ -209,8 +214,12 @@ class Prior:
     def _surroundings(
         self, things: Things, known: Rooms, xy_m: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """How surely each thing is near each place, (n, things) float32; and what kind of room
-        each is in, see `_kinds`. What is not gone by is 0."""
+        """Return the surroundings of places.
+
+        Returns:
+            Confidence that each object is near each place, (n, objects) float32; and the kinds of
+            the places' rooms, see `_kinds`. An array that `by` does not use is 0.
+        """
         n = len(xy_m)
         near = np.zeros((n, len(self._table.things)), np.float32)
         if self._by != "rooms":
@@ -224,7 +233,7 @@ class Prior:
         return near, self._kinds(things, known, xy_m)
 
     def _kinds(self, things: Things, known: Rooms, xy_m: np.ndarray) -> np.ndarray:
-        """What the places would show: P(kind), (n, kinds) float64."""
+        """Return P(kind of room) for each place, (n, kinds) float64."""
         held = np.zeros((known.n + 1, len(self._table.things)), np.float32)
         at = _regions(known, things.xyz_m)
         counts = (at > 0) & (things.row >= 0)
@@ -235,7 +244,7 @@ class Prior:
 
 
 def _regions(known: Rooms, xy_m: np.ndarray) -> np.ndarray:
-    """The region that each place is in, (n,) int16; see `regions.regions_at`."""
+    """Return the region of each place, (n,) int16; see `regions.regions_at`."""
     grid, out = known.grid, np.empty(len(xy_m), np.int16)
     regions.regions_at(
         known.label, *grid.origin_xy_m, grid.resolution_m, xy_m, len(xy_m), REGION_M, out
@@ -253,7 +262,7 @@ _NOWHERE = Rooms(
 
 
 def make_prior(config: Config) -> Prior | None:
-    """The prior that is configured; None for none."""
+    """Return the configured prior, or None."""
     perception = config.perception
     if perception.prior == "none":
         return None
@@ -263,7 +272,7 @@ def make_prior(config: Config) -> Prior | None:
 
 
 def warm_up(config: Config) -> None:
-    """Compile the kernels, or read them from the cache."""
+    """Compile the kernels of the prior, or read them from the cache."""
     grid, sightings = RollingMap(config.mapping), Sightings(1)
     grid.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), np.eye(4))
     table = load()

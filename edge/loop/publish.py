@@ -1,4 +1,4 @@
-"""Stage 9: every sink is handed the result, with all that has happened since the one before."""
+"""Stage 9: publish the result of a tick to every sink, with the events since the last result."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ from edge.tasks.facts import TaskFacts
 from edge.text import one_line
 from edge.types import Detections, Goal, GoalStatus, Observation
 
-_KEPT = 256  # of what happens between two results, the newest
+_KEPT = 256  # largest number of events between two results; older ones are dropped
 
 
 def statuses(sinks: Sequence[Sink]) -> dict[str, dict[str, Any]]:
-    """How those sinks are that tell it, by their classes' names; a second of a class is `Name.2`.
+    """Return the status of each sink that has `status()`, by class name.
 
-    One that fails at that says so; any thread may ask.
+    The second sink of a class is `Name.2`. If `status()` raises, the entry has the reason. Any
+    thread may call this.
     """
-    told: dict[str, dict[str, Any]] = {}
+    found: dict[str, dict[str, Any]] = {}
     seen: Counter[str] = Counter()
     for sink in sinks:
         name = type(sink).__name__
@@ -39,23 +40,30 @@ def statuses(sinks: Sequence[Sink]) -> dict[str, dict[str, Any]]:
         if not hasattr(sink, "status"):
             continue
         try:
-            said = dict(sink.status())
+            status = dict(sink.status())
         except Exception as error:
-            said = {"problem": f"status(): {one_line(f'{type(error).__name__}: {error}')}"}
-        told[name if seen[name] == 1 else f"{name}.{seen[name]}"] = said
-    return told
+            status = {"problem": f"status(): {one_line(f'{type(error).__name__}: {error}')}"}
+        found[name if seen[name] == 1 else f"{name}.{seen[name]}"] = status
+    return found
 
 
 class Publisher:
-    """For one thread, the loop's.
+    """The builder and publisher of results; for the loop's thread.
 
     Args:
-        sinks: take the results; their methods never block.
-        map, goals, scorers, journal, latency, health: what a result tells of.
+        sinks: Receivers of the results; their methods never block.
+        map: Semantic map.
+        goals: Goal tracker.
+        scorers: The scorers, if any.
+        journal: Input log.
+        latency: Times of the stages.
+        health: Returns the health of all parts.
 
     Attributes:
-        goals, answers, events: since the last result; bounded, however long ago that is.
-        detections: what came in; its frame is held until the result that tells of it is out.
+        goals: Goals since the last result; bounded.
+        answers: Goal statuses since the last result; bounded.
+        events: Events since the last result; bounded.
+        detections: New detections. Their frame is held until the result is published.
     """
 
     def __init__(
@@ -85,12 +93,15 @@ class Publisher:
         task: Callable[[], TaskFacts | None],
         scores: np.ndarray,
     ) -> TickResult:
-        """How all stands, and what has happened since the last result was published.
+        """Return the current state, and all events since the last published result.
 
         Args:
-            observation: what was dealt with, if anything.
-            pose: the newest in `map`; None before there was any.
-            scores: the policy's, of the candidates.
+            now_ns: Loop time.
+            observation: The observation that was handled, if any.
+            pose: Newest pose in `map`; None before the first.
+            mission: The mission.
+            task: Returns the facts of a task; see `TickResult.task`.
+            scores: The policy's scores of the candidates.
         """
         map, grid, goals = self._map, self._map.grid, self._tracker
         targets, goal, scorers = mission.brief.targets, goals.goal, self._scorers
@@ -126,28 +137,31 @@ class Publisher:
         )
 
     def saw(self, detections: Detections) -> None:
-        """Boxes came in."""
+        """Keep new detections and hold their frame for the next result."""
         self.let_go()
         detections.observation.hold()
         self.detections = detections
 
     def publish(self, result: TickResult, faults: Faults) -> None:
-        """Hand it to every sink; one that fails costs the others nothing, and is told of next."""
-        for told in (self.goals, self.answers, self.events, self._journal.pending):
-            told.clear()
+        """Publish the result to every sink. An error of a sink does not affect the others.
+
+        Such an error is an event of the next result.
+        """
+        for published in (self.goals, self.answers, self.events, self._journal.pending):
+            published.clear()
         for sink in self._sinks:
             with faults.outlived(f"{type(sink).__name__}.tick", result.now_ns):
                 sink.tick(result)
 
     def let_go(self) -> None:
-        """The frame of what was seen may be used again."""
+        """Release the frame of the detections, so that it can be reused."""
         if self.detections is not None:
             self.detections.observation.release()
             self.detections = None
 
 
 def _way_m(grid: RollingMap, goal: Goal | None) -> np.ndarray:
-    """See `TickResult.way`."""
+    """Return the shortest path to the goal; see `TickResult.way`."""
     if goal is None:
         return np.zeros((0, 2), np.float32)
     return grid.reach.way_m(goal.pose.x_m, goal.pose.y_m)

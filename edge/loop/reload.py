@@ -1,7 +1,7 @@
-"""Another configuration in the running service: read and made ready beside, then switched to.
+"""Reload of the configuration in the running service: prepared in the background, then applied.
 
-All of it or nothing: where any key that has changed cannot be switched while the service runs, or
-anything of the new configuration is not to be had, the service goes on as it was, and says why.
+It is all or nothing. If a changed key cannot be changed at run time, or a part of the new
+configuration cannot be made, the service keeps its configuration and reports the reason.
 """
 
 from __future__ import annotations
@@ -51,28 +51,29 @@ LIVE = (
     "mission.discard_s",
     "tasks",
 )
-"""Keys that can be switched while the service runs, with all that is below them."""
+"""Keys that can change while the service runs, with all keys below them."""
 _INSTEAD = {
-    "mission.target": "give the running service another mission by `edge mission new`",
-    "mission.instruction": "give the running service another mission by `edge mission new`",
+    "mission.target": "give the running service another mission with `edge mission new`",
+    "mission.instruction": "give the running service another mission with `edge mission new`",
 }
 _MOST_CHARS = 600
 OUTCOMES = ("switched", "unchanged", "refused")
 
 
 class ReloadError(UserError):
-    """Why a configuration cannot be switched to; one line."""
+    """A configuration that cannot be applied. The message is one line."""
 
 
 @dataclass(frozen=True)
 class _Ready:
-    """A configuration that can be switched to.
+    """A prepared configuration that can be applied.
 
     Attributes:
-        changed: its keys that differ from the present one's.
-        policy: made for it; None: the present one stays.
-        running: the model that was at work when this was made.
-        model: of a detector that must be put in its place; None: it stays.
+        config: The configuration.
+        changed: Keys that differ from the current configuration.
+        policy: New policy; None: keep the current one.
+        running: Name of the detector's model when this was prepared.
+        model: Name of the model to swap in; None: keep the current one.
     """
 
     config: Config
@@ -83,18 +84,19 @@ class _Ready:
 
 
 class Reloader:
-    """Reloads the configuration of a service, one reload after another.
+    """Reloads of the configuration of a service, one after another.
 
-    `step` is for the loop's thread. A new detector goes through the swapper's trial and probation
-    first; the rest is switched once that is kept.
+    The loop's thread calls `step`. A new detector first goes through the swap's trial and
+    probation. The rest is applied when the swap is final.
 
     Args:
-        reread: reads the configuration again, as it was read at the start.
-        asked: set, by any thread, to ask for a reload.
+        service: The running service.
+        reread: Reads the configuration again, in the same way as at the start.
+        asked: Event that any thread sets to request a reload.
 
     Attributes:
-        outcome: of the newest reload, in one line; empty before the first.
-        outcomes: how many ended how (`OUTCOMES`).
+        outcome: Result of the newest reload, one line; "" before the first.
+        outcomes: Number of reloads by result (`OUTCOMES`).
     """
 
     def __init__(
@@ -108,16 +110,16 @@ class Reloader:
 
     @property
     def busy(self) -> bool:
-        """Whether a reload is under way."""
+        """True while a reload is running."""
         return self._preparing is not None or self._swapping is not None
 
     def step(self, now_ns: int) -> None:
-        """Take the next step, if it is time for one: between two ticks, and never waiting."""
+        """Do the next step of a reload, between two ticks. Never wait."""
         try:
             if self._swapping is not None:
                 self._wait_for_model(self._swapping, now_ns)
             elif self._preparing is not None:
-                self._take_up(self._preparing, now_ns)
+                self._apply(self._preparing, now_ns)
             elif self._asked.is_set():
                 self._begin()
         except Exception as error:
@@ -139,12 +141,14 @@ class Reloader:
                 preparing.set_result(_prepare(present, self._reread(), running))
             except Exception as error:
                 preparing.set_exception(error)
-            except BaseException as error:  # a module of one's own would end the process
+            except (
+                BaseException
+            ) as error:  # a plugin that raises SystemExit must not end the process
                 preparing.set_exception(ReloadError(f"it raised {type(error).__name__}"))
 
         start_unjoined("reload", prepare)
 
-    def _take_up(self, preparing: Future[_Ready], now_ns: int) -> None:
+    def _apply(self, preparing: Future[_Ready], now_ns: int) -> None:
         if not preparing.done():
             return
         self._preparing = None
@@ -182,14 +186,16 @@ class Reloader:
 
 
 def _prepare(present: Config, new: Config, running: str) -> _Ready:
-    """What has changed, and what must be made for it.
+    """Compare the configurations and make the parts that changed.
 
     Args:
-        running: the model of the detector at work.
+        present: Current configuration.
+        new: New configuration.
+        running: Name of the detector's current model.
 
     Raises:
-        ReloadError: a key has changed that needs a restart.
-        UserError: the policy cannot be made.
+        ReloadError: A changed key needs a restart.
+        UserError: The policy cannot be made.
     """
     changed = tuple(key for key in differing(present, new) if key != "path")
     if stays := [key for key in changed if not _below(key, LIVE)]:
@@ -203,7 +209,7 @@ def _prepare(present: Config, new: Config, running: str) -> _Ready:
 
 
 def _check_at_rest(swapper: DetectorSwap, running: str) -> None:
-    """Refuse a change of the detector that was made ready while another model came, or comes."""
+    """Raise ReloadError if the model changed, or is changing, since the reload was prepared."""
     swap = swapper.status()
     if swap["state"] not in ("idle", *OVER):
         raise ReloadError(
@@ -212,12 +218,12 @@ def _check_at_rest(swapper: DetectorSwap, running: str) -> None:
         )
     if swapper.running != running:
         raise ReloadError(
-            f"perception.detector: {swapper.running} has come meanwhile; reload again"
+            f"perception.detector: {swapper.running} was swapped in during the reload; reload again"
         )
 
 
 def _model(present: Perception, new: Perception, running: str) -> str | None:
-    """The model to be loaded; None where the detector at work is as the configuration wants it."""
+    """Return the model to swap in, or None if the current detector fits the configuration."""
     changed = [key for key in differing(present, new, "perception.") if _below(key, _DETECTOR)]
     if not changed:
         return None
@@ -226,16 +232,18 @@ def _model(present: Perception, new: Perception, running: str) -> str | None:
     card = similarity_card(new)
     if card is not None and is_running_detector(card, present) != is_running_detector(card, new):
         raise ReloadError(
-            f"perception.detector.model: perception.similarity: {card.name} would be asked in "
-            f"another way: {_advice('perception.detector.model')}"
+            f"perception.detector.model: perception.similarity: {card.name} would run in another "
+            f"way: {_advice('perception.detector.model')}"
         )
     only_the_name = changed == ["perception.detector.model"]
     return None if only_the_name and new.detector.model == running else new.detector.model
 
 
 def differing(one: Section, other: Section, prefix: str = "") -> Iterator[str]:
-    """The keys, with dots, in which two sections of one class differ; where a section is of
-    another kind, or a list is another, that is one key."""
+    """Yield the dotted keys in which two sections of one class differ.
+
+    A section of another kind, or a different list, is one key.
+    """
     for name in type(one).model_fields:
         a, b = getattr(one, name), getattr(other, name)
         if isinstance(a, Section) and type(a) is type(b):
@@ -253,5 +261,5 @@ def _advice(key: str) -> str:
 
 
 def _lines(text: str) -> str:
-    """Faults that are told a line each, in one line."""
+    """Join the lines of an error that lists one fault a line."""
     return "; ".join(text.splitlines())

@@ -1,4 +1,4 @@
-"""What the running service can be asked for, by key, and what the loop does with it."""
+"""Requests that the running service handles, by key."""
 
 from __future__ import annotations
 
@@ -34,12 +34,13 @@ def served(
     prepare: Callable[..., Brief],
     amiss: Callable[[], Sequence[str]] = tuple,
 ) -> dict[str, tuple[Mapping[str, Verb], Callable[[Request, int], dict]]]:
-    """What can be asked for and what does it, by key below the prefix; see `RequestServer`.
+    """Return the verbs and the handler of each request key below the prefix; see `RequestServer`.
 
     Args:
-        prepare: makes a mission of an `instruction` or a `formula`, or of a `task`; see
+        service: The running service.
+        prepare: Makes a mission of an `instruction`, a `formula` or a `task`; see
             `edge.tasks.brief`.
-        amiss: why nobody can count on the service now; see `edge.loop.vitals`.
+        amiss: Returns the reasons why the service is not ready; see `edge.loop.vitals`.
     """
     return {
         topics.MISSION_REQUEST: (
@@ -56,19 +57,20 @@ def served(
 
 
 def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
-    """`{"do": "new", "instruction" | "formula" | "task": …}`, `{"do": VERB}` with pause, resume,
-    cancel or status.
+    """Return the verbs of mission requests.
 
-    Turning an instruction into a mission takes seconds where a language model is asked, so that
-    is prepared.
+    The requests are `{"do": "new", "instruction" | "formula" | "task": …}` and `{"do": VERB}` with
+    pause, resume, cancel or status.
 
-    A new mission may have an `id`, by which whoever gave it knows it again; given once more, it
-    is not begun anew. An instruction that can be read in several ways, or in one that is not sure,
-    is refused with its `readings` and with `doubts` of single words; `reading` chooses one, counted
-    from 1.
+    A new mission is prepared on the request thread, because a language model may take seconds to
+    translate an instruction.
 
-    With `if_free: true` it takes no other's place. `cancel` with an `id` ends that mission and no
-    other; its `why` becomes the reason.
+    A new mission may have an `id` of the client's choice. A second request with the same id does
+    not start it again. An ambiguous or doubtful instruction is refused with its `readings` and with
+    `doubts` about single words. The field `reading` chooses one of the readings, counted from 1.
+
+    With `if_free: true`, the request is refused while another mission runs. `cancel` with an `id`
+    cancels only that mission; its `why` becomes the reason.
     """
     return {
         "new": Verb(
@@ -90,20 +92,20 @@ _MEANT = (*_TEXTS, "reading")
 def _new(fields: dict) -> dict:
     texts = {name: check_text(name, fields[name]) for name in _TEXTS if name in fields}
     if len(texts) != 1:
-        raise ValueError("do: new needs either an instruction, a formula or a task")
+        raise ValueError("do: new needs exactly one of instruction, formula and task")
     free = {"if_free": True} if check_flag("if_free", fields) else {}
     return {**texts, **_chosen(fields), **_named(fields), **free}
 
 
 def _chosen(fields: dict) -> dict:
-    """The `reading`, where there is one."""
+    """Return the field `reading`, if present."""
     if "reading" not in fields:
         return {}
     reading = fields["reading"]
     if type(reading) is not int or reading < 1:
-        raise ValueError(f"reading: expected a number from 1 on, got {shown(reading)}")
+        raise ValueError(f"reading: expected an integer from 1 on, got {shown(reading)}")
     if "instruction" not in fields:
-        raise ValueError("reading: only an instruction has readings")
+        raise ValueError("reading: only valid with an instruction")
     return {"reading": reading}
 
 
@@ -113,12 +115,13 @@ def _cancel(fields: dict) -> dict:
 
 
 def _named(fields: dict) -> dict:
-    """The `id`, where there is one."""
+    """Return the field `id`, if present."""
     if "id" not in fields:
         return {}
     if not _ID.fullmatch(check_text("id", fields["id"])):
         raise ValueError(
-            f"id: expected letters, digits and . _ ~ -, 64 at most: {bounded_repr(fields['id'])}"
+            "id: expected at most 64 letters, digits and . _ ~ -, starting with a letter or digit, "
+            f"got {bounded_repr(fields['id'])}"
         )
     return {"id": fields["id"]}
 
@@ -126,20 +129,27 @@ def _named(fields: dict) -> dict:
 def handle_mission(
     service: Service, request: Request, now_ns: int, amiss: Callable[[], Sequence[str]] = tuple
 ) -> dict:
-    """Do what is asked and answer how mission and robot stand, or refuse and change nothing.
+    """Handle a mission request and return the status of mission and robot.
 
-    How many new missions a stop kept from beginning is in its answer, as `overtaken`; if there are
-    any, it is no mistake to ask for it when no mission is under way.
+    A pause or cancel also drops the new missions that still wait. The reply has their number as
+    `overtaken`. If there are any, the request succeeds even if no mission is running.
+
+    Args:
+        service: The running service.
+        request: The request.
+        now_ns: Loop time.
+        amiss: Returns the reasons why the service is not ready.
 
     Raises:
-        UserError: there is nothing to pause, resume or cancel, or the mission cannot be begun.
+        UserError: There is nothing to pause, resume or cancel, or the mission cannot be started.
+            Nothing has changed then.
     """
     mission, name = service.mission, request.fields.get("id", "")
     if request.do == "new":
         _begin(service, request, now_ns)
     elif request.do != "status" and (mission.done or name not in ("", mission.id)):
         if not request.overtaken:
-            raise UserError(f"no {'such ' * bool(name)}mission is under way: {_last(service)}")
+            raise UserError(f"no {'such ' * bool(name)}mission is running: {_last(service)}")
     elif request.do == "cancel":
         service.fail(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do in ("pause", "resume"):
@@ -155,13 +165,13 @@ def handle_mission(
 
 
 def _begin(service: Service, request: Request, now_ns: int) -> None:
-    """Begin what was asked for, unless that was done before, or the robot is to be free for it."""
+    """Start the requested mission, unless its id was used before or the robot must be free."""
     assert isinstance(request.prepared, Brief)
     name, mission = request.fields.get("id", ""), service.mission
     if name and name == mission.id:
         return
     if name and any(name == outcome["id"] for outcome in service.past):
-        raise UserError(f"mission {name} is over here")
+        raise UserError(f"mission {name} is already over on this robot: give it another id")
     if request.fields.get("if_free") and not mission.done:
         raise UserError(f"not free: {_last(service)}")
     service.begin(request.prepared, now_ns, name)
@@ -169,14 +179,14 @@ def _begin(service: Service, request: Request, now_ns: int) -> None:
 
 def _last(service: Service) -> str:
     if service.mission.idle:
-        return "none was given yet"
-    return f"the last one {service.status.phase}: {service.status.instruction}"
+        return "no mission was given yet"
+    return f"the last mission {service.status.phase}: {service.status.instruction}"
 
 
 def _robot(service: Service, amiss: Sequence[str]) -> dict[str, object]:
-    """Whether the robot can take a mission on, and what it knows of the world.
+    """Return the state of the robot for the reply, JSON-ready.
 
-    `known`: metres, as the crow flies, to the nearest thing of each label in the map.
+    `known` is the straight-line distance in metres to the nearest object of each label in the map.
     """
     pose, goals = service.pose, service.goals
     known: dict[str, float] = {}
@@ -199,7 +209,7 @@ def _model(fields: dict) -> dict:
 
 
 def _card_to_use(fields: dict) -> DetectCard | DirectionsCard:
-    """Raises ModelError for no card, and for one that nothing can be swapped for."""
+    """Return the card of the model. Raise ModelError if it has no card or cannot be swapped in."""
     card = load_card(fields["model"])
     return card if isinstance(card, DirectionsCard) else load_detector_card(fields["model"])
 
@@ -210,29 +220,35 @@ MODEL_VERBS = {
     "resume": Verb(),
     "status": Verb(reads=True),
 }
-"""`{"do": "use", "model": NAME, "force": true | false}`, `{"do": "status"}`, or
-`{"do": "pause" | "resume"}` for the scorers; the card of a model is found, and one that can be
-swapped in, before the loop hears of it."""
+"""Verbs of model requests: `{"do": "use", "model": NAME, "force": true | false}`,
+`{"do": "status"}`, and `{"do": "pause" | "resume"}` for the scorers. The card of a model is checked
+before the request reaches the loop."""
 
 
 def handle_model(
     swapper: DetectorSwap, request: Request, now_ns: int, scorers: Scorers | None = None
 ) -> dict:
-    """Answer how the newest swap stands, once it has begun if that is asked for.
+    """Handle a model request and return the status of the newest swap.
+
+    Args:
+        swapper: Swaps the detector's model.
+        request: The request.
+        now_ns: Loop time.
+        scorers: The scorers, if any.
 
     Raises:
-        SwapError: it cannot be begun.
-        UserError: there are no scorers to be paused.
+        SwapError: The swap cannot be started.
+        UserError: There are no scorers to pause.
     """
     choices = None if scorers is None else scorers.swap
     if request.do in ("pause", "resume"):
         if scorers is None:
-            raise UserError("no scorers are configured: nothing to pause")
+            raise UserError("no scorers are configured: there is nothing to pause or resume")
         scorers.paused = request.do == "pause"
     elif request.do == "use" and isinstance(request.prepared, DirectionsCard):
         if scorers is None or choices is None:
             raise SwapError(
-                "no model that runs here chooses directions: set perception.choice.kind to onnx"
+                "no model on this computer chooses directions: set perception.choice.kind to onnx"
             )
         choices.request(request.fields["model"])
         scorers.newest_swap = True
@@ -243,6 +259,6 @@ def handle_model(
     if scorers is None or choices is None:
         return swapper.status()
     newest = choices if scorers.newest_swap else swapper
-    # One count for both: whoever follows a swap sees that another has begun.
+    # One number for both, so that a client that follows a swap sees that another one has started.
     number = swapper.number + choices.number
     return {**newest.status(), "number": number, "paused": scorers.paused}

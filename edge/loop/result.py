@@ -1,4 +1,4 @@
-"""What a tick comes to, and the sinks that are handed it."""
+"""The result of a tick, and the interface of sinks that receive it."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from edge.tasks.facts import TaskFacts
 from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
 
 VALUE_LAYER = "value of "
-"""What the names of the value maps' layers begin with; the target's follows."""
+"""Prefix of the layer names of value maps. The target follows."""
 
 
 class Event(NamedTuple):
-    """Something that a person would want to know, at a time of the loop."""
+    """An event for people, with its loop time."""
 
     now_ns: int
     text: str
@@ -32,14 +32,19 @@ class Event(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MissionFacts:
-    """A mission as it stood at one moment.
+    """A snapshot of a mission.
 
     Attributes:
-        state: of the automaton; `word`: the letters that led there.
-        knowledge: the sets D, R and B (ViTL IV-A2); `reached`: R in order of reaching.
-        forbidden: targets from which, reached next, success would be impossible.
-        steps: what happened, oldest first.
-        id: what whoever asked for it calls it; "" where it has no name.
+        brief: The mission as it was given.
+        state: State of the automaton.
+        word: Letters (propositions) that led to this state.
+        plan: Current plan.
+        knowledge: Sets D, R and B (ViTL IV-A2).
+        reached: Set R in the order of reaching.
+        forbidden: Targets that must not be reached next, since the mission could not succeed then.
+        paused: True if the mission is paused.
+        steps: Mission log, oldest first.
+        id: Id that the client gave to the mission; "" if none.
     """
 
     brief: Brief
@@ -55,7 +60,7 @@ class MissionFacts:
 
 
 def facts_of(mission: MissionRun) -> MissionFacts:
-    """A mission as it stands."""
+    """Return a snapshot of a mission."""
     return MissionFacts(
         mission.brief, mission.state, mission.word, mission.plan, mission.knowledge,
         mission.reached, mission.forbidden, mission.paused, mission.steps, mission.id,
@@ -63,13 +68,15 @@ def facts_of(mission: MissionRun) -> MissionFacts:
 
 
 class ScoredCandidates(NamedTuple):
-    """The candidates of a tick as parallel arrays, copies; see `edge.policies.base.Candidates`.
+    """Copies of a tick's candidates as parallel arrays; see `edge.policies.base.Candidates`.
 
     Attributes:
-        kind: (n,) int8; `id`: (n,) int64.
+        kind: (n,) int8.
+        id: (n,) int64.
         xy_m: (n, 2) float32 in `map`.
-        score: (n,) float32, the policy's; `path_m`: (n,) float32, inf where no way leads to.
-        blocked: (n,) bool.
+        score: (n,) float32, score of the policy.
+        path_m: (n,) float32, path length; inf if no path is known.
+        blocked: (n,) bool, True if the candidate is not used for now.
     """
 
     kind: np.ndarray
@@ -81,7 +88,7 @@ class ScoredCandidates(NamedTuple):
 
 
 def scored(candidates: Candidates, scores: np.ndarray) -> ScoredCandidates:
-    """Candidates as they stand, those that have a score."""
+    """Return copies of the candidates that have a score."""
     c, n = candidates, min(candidates.n, len(scores))
     parts = (c.kind, c.id, c.xy_m, scores, c.path_m, c.blocked)
     return ScoredCandidates(*(part[:n].copy() for part in parts))
@@ -89,38 +96,48 @@ def scored(candidates: Candidates, scores: np.ndarray) -> ScoredCandidates:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TickResult:
-    """All that a sink may know of a tick, or of a moment in which there was nothing to see.
+    """The result of a tick, or of a loop cycle without an observation.
 
-    What is dear to gather is to be called for, in `Sink.tick` or after the loop's end: `mission`,
-    `task`, `instances`, `frontiers`, `candidates` and `way` say the same from their first call on;
-    `known_m2`, `snapshot`, `layers`, `latency`, `spans` and `health` tell how things stand at each.
-    Only `snapshot`, `latency`, `spans` and what `layers` holds may be called at other times, by
-    another thread.
+    Expensive values are functions. A sink calls them in `Sink.tick`, or after the loop has ended.
+    `mission`, `task`, `instances`, `frontiers`, `candidates` and `way` compute their value at the
+    first call and then return the same value. `known_m2`, `snapshot`, `layers`, `latency`, `spans`
+    and `health` return the current value at each call. Only `snapshot`, `latency`, `spans` and the
+    functions in `layers` may be called at other times by another thread.
 
     Attributes:
-        now_ns: the loop's time.
-        observation: what was dealt with, held until `Sink.tick` returns; None: there was none.
-        pose: the newest in `map`; None before there was any.
-        goal: where the robot is sent; None: nowhere.
-        answer: the controller's newest answer to that goal; None before it came.
-        controlled: whether a controller answers, or none is expected to.
-        targets: of the mission.
-        goals: that went out since the result before; so `answers` that came, and `events`.
-        inputs: what came into the loop from beside it, likewise.
-        detections: what came in, with its frame, valid until `Sink.tick` returns; None: nothing.
-        mission: the mission's state, plan and story.
-        task: how a task's trajectory came about, and how far it is driven; None: there is no task.
-        instances: those of all targets that are worth driving to, best first a target; one that
-            answers to two targets stands twice. They are copies, whose arrays nobody writes to.
-        frontiers: (n, 2) float32 in `map`, a copy.
-        candidates: where the robot could go, and the policy's score of each.
-        way: (k, 2) float32 in `map`, the shortest way to the goal; (0, 2) where there is none.
-        choice: the newest answer about directions, where a model is asked.
-        known_m2: area that was seen.
-        snapshot: a copy of the map; see `edge.mapping.grid.RollingMap.snapshot`.
-        layers: by name what makes a copy of a layer of the map, uint8, 0 where it says nothing.
-        latency: see `edge.loop.latency.LatencyRing.report`; `spans`: see `LatencyRing.spans`.
-        health: of loop, checkpoint, detector, swap and scorers, JSON-ready.
+        now_ns: Loop time.
+        observation: The observation that was handled, held until `Sink.tick` returns; None if
+            there was none.
+        pose: Newest pose in `map`; None before the first.
+        status: Status of the mission.
+        goal: Current goal of the robot, or None.
+        answer: Newest status of this goal from the controller; None before the first.
+        controlled: True if a controller answers, or if no answers are expected.
+        targets: Targets of the mission.
+        goals: Goals that were sent since the last result.
+        answers: Goal statuses that were received since the last result.
+        events: Events since the last result.
+        inputs: Entries of the input log since the last result (`edge.loop.journal`).
+        detections: New detections with their frame, valid until `Sink.tick` returns; None if there
+            are none.
+        mission: Returns state, plan and log of the mission.
+        task: Returns the trajectory of a task and its progress; None if there is no task.
+        instances: Returns copies of the instances of all targets that are worth driving to, best
+            first for each target. An instance that matches two targets is listed twice. Nobody
+            writes to the arrays of the copies.
+        frontiers: Returns a copy of the frontiers, (n, 2) float32 in `map`.
+        candidates: Returns the candidates with their scores.
+        way: Returns the shortest path to the goal, (k, 2) float32 in `map`; (0, 2) if there is
+            none.
+        choice: Newest answer of the model that chooses directions; None if there is none.
+        known_m2: Returns the known area in m².
+        snapshot: Returns a copy of the map; see `edge.mapping.grid.RollingMap.snapshot`.
+        layers: Returns functions by layer name. Each returns a copy of a map layer, uint8, 0 where
+            it has no value.
+        latency: See `edge.loop.latency.LatencyRing.report`.
+        spans: See `edge.loop.latency.LatencyRing.spans`.
+        health: Returns the state of loop, checkpoint, detector, swap, scorers and the other parts,
+            JSON-ready.
     """
 
     now_ns: int
@@ -152,16 +169,26 @@ class TickResult:
 
 
 class Sink(Protocol):
-    """Takes results. Its methods never block; what they raise is counted and costs no one else.
+    """The interface of a receiver of results. Its methods never block.
 
-    It may have a method `status()`, which tells how it is, JSON-ready: the service's status message
-    shows all of it, `/metrics` how much could not be sent or written (`failed`) and how much gave
-    way to what came later, or found no room (`dropped`), each where it is there. It is called by
-    the loop's thread and by others.
+    An exception of a sink is counted and does not affect the loop or other sinks.
+
+    A sink may have a method `status()` that returns its state, JSON-ready. The status message of
+    the service includes it. `/metrics` shows its fields `failed` (not sent or written) and
+    `dropped` (replaced by newer data, or no room), if they exist. The loop's thread and other
+    threads call it.
+
+    Example:
+        >>> class PoseLogger:
+        ...     def tick(self, result: TickResult) -> None:
+        ...         print(result.pose)
+        ...
+        ...     def close(self) -> None:
+        ...         pass
     """
 
     def tick(self, result: TickResult) -> None:
-        """A tick ended, or there was nothing to see for a moment."""
+        """Handle the result of a tick, or of a cycle without an observation."""
 
     def close(self) -> None:
-        """No more will come."""
+        """Release all resources. No more results follow."""

@@ -1,4 +1,4 @@
-"""The loop's beat: in real time or in lockstep, until it is told to stop."""
+"""The loop: it runs ticks in real time or in lockstep until it is stopped."""
 
 from __future__ import annotations
 
@@ -23,27 +23,31 @@ from edge.types import MissionStatus, Observation
 
 _MISSED_STEPS = 8
 _LEAP_NS = 60_000_000_000  # no two observations in lockstep are this far apart
-_PATIENCE_S = 0.05  # how long lockstep waits for an observation before it looks at `stop`
+_PATIENCE_S = 0.05  # how long lockstep waits for an observation before it checks `stop`
 
 
 class Server(Protocol):
-    """Takes requests on the side (see `edge.bus.requests`)."""
+    """A server of requests (see `edge.bus.requests`)."""
 
     def serve(self, now_ns: int) -> int:
-        """Do what waits, at the loop's time; never blocks."""
+        """Handle the waiting requests at this loop time. Never block."""
 
 
 @dataclass
 class Running:
-    """A service, what it listens to, and what is asked of it.
+    """A service with its source and its request servers.
 
     Attributes:
-        config: of the start.
-        now_ns: the loop's time at its newest beat; 0 before there was one.
-        epoch: of the source, as the service knows it.
-        reloader: changes the service's configuration when it is asked to; None: nobody asks.
-        clock: the loop's time outside lockstep, in ns, as that of a recording that is played;
-            None: the wall clock's.
+        config: Configuration at the start.
+        service: The service.
+        worker: Background worker of the detector.
+        source: Source of observations and goal statuses.
+        servers: Request servers by key.
+        now_ns: Loop time of the newest cycle; 0 before the first.
+        epoch: Newest epoch of the source that the service has handled.
+        reloader: Reloads the configuration on request; None if reloads are not possible.
+        clock: Returns the loop time outside lockstep, in ns, for example of a recording that is
+            played. None: wall-clock time.
     """
 
     config: Config
@@ -63,11 +67,13 @@ def loop(
     once: bool = False,
     each: Callable[[], None] = lambda: None,
 ) -> MissionStatus:
-    """Tick at `loop.hz` (or with every observation, in lockstep) until `stop` is set.
+    """Run ticks at `loop.hz`, or one for each observation in lockstep, until `stop` is set.
 
     Args:
-        once: return as soon as the mission is over, whether or not anything is to be seen.
-        each: called after every tick.
+        running: The service to run.
+        stop: Event that ends the loop.
+        once: Return as soon as the mission is over, even without observations.
+        each: Function that is called after each cycle, with or without an observation.
     """
     step = _lockstep if running.config.loop.lockstep else _real_time
     service = running.service
@@ -81,7 +87,7 @@ def loop(
 
 
 def _count_drops(running: Running) -> None:
-    """What never became an observation, and the observations that the detector never saw."""
+    """Count the messages that became no observation, and the images that the detector skipped."""
     counters, latency = running.source.counters, running.service.latency
     dropped = sum(n for reason, n in counters.items() if reason not in NO_DROPS)
     latency.set_drops(INGEST, dropped)
@@ -89,14 +95,14 @@ def _count_drops(running: Running) -> None:
 
 
 def _real_time(running: Running, stop: threading.Event) -> Iterator[None]:
-    """Tick on a fixed beat; a late tick shifts the beat instead of being caught up with.
+    """Run cycles at a fixed period. A cycle that is a whole period late shifts the schedule.
 
-    A beat that finds nothing is followed by the next a little sooner, so that the loop falls into
-    step with a camera of its own rate: the two would otherwise drift past each other, and the loop
-    find now two frames, of which it drops one, now none.
+    A cycle without an observation is followed by the next one after an eighth of the period. This
+    synchronises the loop to the camera. Otherwise the two rates would drift, and the loop would
+    find two frames in one cycle (and drop one) and none in another.
 
-    The loop's time is the wall clock's at the start, and goes on evenly from there: a clock that
-    is set while the robot drives must not end the mission.
+    The loop time starts at wall-clock time and then follows the monotonic clock, because a change
+    of the wall clock during a mission must not end the mission.
     """
     wall_ns = time.time_ns() - time.monotonic_ns()
     clock = running.clock or (lambda: wall_ns + time.monotonic_ns())
@@ -120,12 +126,11 @@ def _real_time(running: Running, stop: threading.Event) -> Iterator[None]:
 
 
 def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
-    """Tick once for every observation, on the observation's own clock.
+    """Run one tick for each observation, on the clock of the observations.
 
-    That clock stands still while nothing is to be seen, and so does the robot. When that has
-    taken as long, in real time, as the mission may, the mission is over all the same, unless its
-    first observation is yet to come. Where it was set anew, the loop's time goes on from where it
-    was.
+    This clock stops while no observations come. The mission fails if they stop for longer than its
+    time limit, in real time; before the first observation there is no such limit. If the clock of
+    the observations jumps, the loop time continues from its last value.
     """
     seen_s, now_ns, stamp_ns = math.inf, 0, 0
     while not stop.is_set():
@@ -139,33 +144,33 @@ def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
         if observation is not None:
             _tick(running, observation, now_ns)
         elif time.monotonic() - seen_s > (limit_s := running.service.config.mission.time_limit_s):
-            running.service.fail(f"nothing to be seen for {limit_s:g} s", now_ns)
+            running.service.fail(f"no observation for {limit_s:g} s", now_ns)
             _idle(running, now_ns)
         yield
 
 
 def _later(now_ns: int, passed_ns: int) -> int:
-    """The loop's time when so much has passed on the sensors' clock, unless that was set."""
+    """Return the loop time `passed_ns` later. A jump of the sensors' clock adds nothing."""
     if now_ns == 0:  # the first observation
         return passed_ns
     return now_ns + (passed_ns if 0 < passed_ns <= _LEAP_NS else 0)
 
 
-# What follows is called by the loop, and raises nothing into it: whatever one message, request
-# or frame does, the next one's turn comes (see `edge.loop.faults`).
+# The functions below run in the loop and do not raise: an error of one message, request or frame
+# must not stop the next one (see `edge.loop.faults`).
 
 
 def _wait(running: Running, now_ns: int) -> bool:
-    """Whether there is something new to hear, in lockstep."""
+    """Return True if the source has a new message, in lockstep."""
     wait = partial(running.source.wait, _PATIENCE_S)
     came = running.service.faults.attempt("wait", now_ns, wait)
     if came is None:
-        time.sleep(_PATIENCE_S)  # a source that fails at once must not have the loop spin
+        time.sleep(_PATIENCE_S)  # a source that fails at once must not make the loop spin
     return bool(came)
 
 
 def _hear(running: Running, now_ns: int) -> Observation | None:
-    """What the controller said, and what there is to be seen now."""
+    """Handle the controller's goal statuses; return the newest observation, if any."""
     service = running.service
     service.latency.begin_tick(perf_counter_ns())
     for answer in service.faults.attempt("goal_status", now_ns, running.source.inbox.poll) or ():
@@ -179,8 +184,7 @@ def _hear(running: Running, now_ns: int) -> Observation | None:
 
 
 def _obey(running: Running, now_ns: int) -> None:
-    """Take the next requests from outside, if there are any, and the next step of a swap, of the
-    governor or of a reload."""
+    """Serve waiting requests, then step the model swap, the governor and the reload."""
     service = running.service
     for key, server in running.servers.items():
         service.faults.attempt(key, now_ns, partial(server.serve, now_ns))
@@ -200,7 +204,7 @@ def _idle(running: Running, now_ns: int, dropped: Observation | None = None) -> 
 
 
 def _tick(running: Running, observation: Observation, now_ns: int) -> None:
-    """Take an observation through all stages; one that a stage fails on is dropped."""
+    """Run all stages on an observation. If a stage fails, the observation is dropped."""
     service = running.service
     service.latency.mark(INGEST, perf_counter_ns())
     service.stage = INGEST
@@ -209,21 +213,21 @@ def _tick(running: Running, observation: Observation, now_ns: int) -> None:
     except Exception as error:
         service.latency.abandon_tick(service.stage)
         service.faults.caught(TICK, error, now_ns, where=STAGES[service.stage].name)
-        # No one has looked: where that goes on, the robot must not drive on.
+        # The observation was not used. If this continues, the robot must stop.
         _idle(running, now_ns, observation)
     else:
         service.faults.passed(TICK, now_ns)
         if service.refused:
             _idle(running, now_ns, observation)
         else:
-            service.faults.passed(IDLE, now_ns)  # of which a whole tick does all
+            service.faults.passed(IDLE, now_ns)  # a whole tick does all that `idle` does
         service.latency.end_tick(perf_counter_ns())
     finally:
         observation.release()
 
 
 def _see(running: Running, observation: Observation, now_ns: int) -> None:
-    # Before the tick, so that the map of the old frame does not take in the first of the new one.
+    # Before the tick, so that the first observation of the new frame is not put into the old map.
     if running.source.epoch != running.epoch:
         running.service.forget_places(now_ns)
         running.epoch = running.source.epoch

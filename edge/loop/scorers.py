@@ -1,7 +1,7 @@
-"""What scorers say about where to go: asked beside the loop, taken up when they answer.
+"""Scorers of views and directions: queried in the background, read when they answer.
 
-The status message tells it, policies may go by it, and the value maps are written from one of
-them, with what the camera saw when it was asked.
+The status message reports the answers and policies may use them. The value maps are written from
+one scorer, for the part of the map that the camera saw at the question.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from edge.perception.worker import ScorerWorker
 from edge.policies.base import FRONTIER, Answers, Candidates, Prior, Similarity
 from edge.types import Detections, Observation
 
-SIGHTED_NS = 2_000_000_000  # what was seen longer ago is not in view any more
+SIGHTED_NS = 2_000_000_000  # objects seen longer ago do not count as in view
 MAX_SIGHTINGS = 20
 
 ScoreOf = Callable[[Detections], np.ndarray]
-"""(n,) float32 in [0, 1], a score for each prompt."""
+"""Returns (n,) float32 in [0, 1], a score for each prompt."""
 
 
 class _Question(NamedTuple):
-    """What a similarity scorer is asked; `sight` is what the view saw, if values are written."""
+    """A question to a similarity scorer. `sight` is the visible part of the map, or None."""
 
     observation: Observation
     targets: tuple[str, ...]
@@ -51,7 +51,7 @@ class _Question(NamedTuple):
 
 
 class _Directions(NamedTuple):
-    """What a choice scorer is asked; `xy_m` is where the frontiers of the view's marks are."""
+    """A question to a choice scorer. `xy_m` are the places of the frontiers of the view's marks."""
 
     view: View
     xy_m: np.ndarray
@@ -63,14 +63,14 @@ class _Directions(NamedTuple):
 
 
 class _SimilarityAnswers:
-    """A similarity scorer with the interface that workers run."""
+    """A similarity scorer with the interface of workers."""
 
     def __init__(self, scorer: SimilarityScorer) -> None:
         self.name = scorer.name
         self._scorer = scorer
 
     def look(self, question: _Question) -> tuple[_Question, np.ndarray]:
-        """A copy of the image costs less than a frame that is held while a model runs."""
+        """Return the question with a copy of the image, so that the frame is not held."""
         assert question.observation.rgb is not None
         return question, question.observation.rgb.copy()
 
@@ -85,7 +85,7 @@ class _SimilarityAnswers:
 
 
 class _ChoiceAnswers:
-    """A choice scorer that keeps the question beside its answer."""
+    """A choice scorer that returns the question with its answer."""
 
     def __init__(self, scorer: ViewScorer) -> None:
         self.name = scorer.name
@@ -104,15 +104,15 @@ class _ChoiceAnswers:
 
 
 class Scorers:
-    """The configured scorers, each with at most one question under way.
+    """The configured scorers. Each has at most one open question.
 
     Attributes:
-        answers: the newest ones.
-        feeds: which of the two the value maps are written from; may be set.
-        paused: nothing is asked.
-        swap: puts another model in the place of the choice scorer's; None where there are none.
-        newest_swap: it was asked later than the detector's was; may be set.
-        resting: those of `similarity` and `choice` that are asked nothing; may be set.
+        answers: Newest answers.
+        feeds: Scorer that the value maps are written from, `similarity` or `choice`; may be set.
+        paused: True while no questions are asked; may be set.
+        swap: Swaps the model of the choice scorer; None if it cannot be swapped.
+        newest_swap: True if the last swap request was for `swap`, not the detector; may be set.
+        resting: Scorers (`similarity`, `choice`) that get no questions; may be set.
     """
 
     def __init__(
@@ -126,14 +126,17 @@ class Scorers:
         feeds: ValueSource | None = None,
         remake: Callable[[str], ViewScorer] | None = None,
     ) -> None:
-        """
+        """Start the workers of the scorers.
+
         Args:
-            from_detections: card of a similarity scorer that takes the running detector's scores.
-            score_of: what it makes of them.
-            rest_s: how long the choice scorer is left alone after an answer.
-            inline: answer inside `ask`, so that a run replays the same.
-            feeds: see the attribute.
-            remake: makes the choice scorer of another card; None: there are no others of its kind.
+            similarity: The similarity scorer, if any.
+            choice: The choice scorer, if any.
+            from_detections: Card of a similarity scorer that uses the running detector's scores.
+            score_of: Computes the similarity from the detections, with `from_detections`.
+            inline: Answer inside `ask`, so that a run is reproducible.
+            rest_s: Pause of the choice scorer after an answer.
+            feeds: See the attribute.
+            remake: Makes a choice scorer for another card; None if models cannot be swapped.
         """
         self.answers = Answers()
         self._from_detections, self._score_of = from_detections, score_of
@@ -143,7 +146,7 @@ class Scorers:
         self._turn = 0  # counts questions about directions
         asked = None if similarity is None else _SimilarityAnswers(similarity)
         self._similarity = None if asked is None else ScorerWorker("similarity", asked, 0.0, inline)
-        self._by_prior = isinstance(choice, PriorChoice)  # too quick to be worth a thread
+        self._by_prior = isinstance(choice, PriorChoice)  # fast, so it needs no thread
         to_choose = None if choice is None else _ChoiceAnswers(choice)
         self._choice = (
             None
@@ -161,7 +164,7 @@ class Scorers:
         return [w for w in (self._similarity, self._choice) if w is not None]
 
     def through(self, beside: Callable[[str, Any], Any]) -> None:
-        """Let what the workers are asked and find pass through `beside`."""
+        """Wrap the workers with `beside`, which logs their requests and results."""
         if self._similarity is not None:
             self._similarity = beside("similarity", self._similarity)
         if self._choice is not None:
@@ -178,15 +181,17 @@ class Scorers:
         prior: Prior | None = None,
         around: Sightings | None = None,
     ) -> None:
-        """Put this moment to the scorers that are idle. Never blocks, unless inline.
+        """Ask the idle scorers about this observation. Never block, unless `inline`.
 
         Args:
-            targets: of the mission; `target` is the active one.
-            candidates: the frontiers among them are the directions to choose from.
-            tracker: has what was detected.
-            values: tells what is in view; written to when the answers are taken up.
-            prior: for the choice that goes by it.
-            around: has what else was detected.
+            observation: The observation.
+            targets: Targets of the mission.
+            target: The active target.
+            candidates: The frontiers among them are the directions to choose from.
+            tracker: Objects of the targets.
+            values: Computes the visible part of the map for the value maps.
+            prior: The prior, for the choice scorer that uses it.
+            around: Other objects that were detected.
         """
         if self.paused:
             return
@@ -212,28 +217,30 @@ class Scorers:
                 choice.submit(_Directions(view, xy_m, sight))
 
     def saw(self, detections: Detections, values: ValueMap) -> None:
-        """Take the running detector's scores, where they are the similarity that is wanted."""
+        """Use the running detector's scores as similarity, if so configured."""
         if self._from_detections is not None:
             seen = detections.observation
             self._detector = detections.model
             score = self._score_of(detections)
-            said = Similarity(seen.stamp_ns, seen.pose, detections.prompts, score)
+            answer = Similarity(seen.stamp_ns, seen.pose, detections.prompts, score)
             sight = values.sight(seen) if self.feeds == "similarity" else None
-            self._take_similarity(said, sight, values)
+            self._take_similarity(answer, sight, values)
 
     def take_up(self, values: ValueMap, idle: bool = False) -> None:
-        """Take the answers that came meanwhile and write them where they were asked, frontiers
-        that are gone included.
+        """Collect the new answers and write them to the value maps.
+
+        Directions are written at the frontiers of the question, even if these are gone.
 
         Args:
-            idle: no mission asks questions.
+            values: The value maps.
+            idle: True if no mission asks questions.
         """
         if self.swap is not None:
             self.swap.step(idle=idle)
         similarity = None if self._similarity is None else self._similarity.poll()
         if similarity is not None:
-            question, said = similarity
-            self._take_similarity(said, question.sight, values)
+            question, answer = similarity
+            self._take_similarity(answer, question.sight, values)
         choice = None if self._choice is None else self._choice.poll()
         if choice is not None:
             asked, chosen = choice
@@ -243,16 +250,17 @@ class Scorers:
                 xy_m = asked.xy_m[[place[i] for i in chosen.ids]]
                 values.write_directions(asked.sight, chosen.target, xy_m, chosen.p, chosen.scene)
 
-    def _take_similarity(self, said: Similarity, sight: Sight | None, values: ValueMap) -> None:
-        self.answers = replace(self.answers, similarity=said)
+    def _take_similarity(self, answer: Similarity, sight: Sight | None, values: ValueMap) -> None:
+        self.answers = replace(self.answers, similarity=answer)
         if sight is not None:
-            values.write_view(sight, said.targets, said.score)
+            values.write_view(sight, answer.targets, answer.score)
 
     def _asked_about(self, targets: tuple[str, ...], target: str) -> str:
-        """Which target the next question about directions is about.
+        """Return the target of the next question about directions.
 
-        Every other one is about the active target; where the value maps are written from the
-        answers, the rest go to the other targets in turn (ViTL keeps a channel for each).
+        If the value maps are written from the answers, every second question is about one of the
+        other targets in turn (ViTL keeps a channel for each). All other questions are about the
+        active target.
         """
         others = [t for t in targets if t != target] if self.feeds == "choice" else []
         self._turn += 1
@@ -261,22 +269,22 @@ class Scorers:
         return others[self._turn // 2 % len(others)]
 
     def forget(self) -> None:
-        """Another map or mission: what was said, and what is being asked, is void."""
+        """Drop all answers and open questions, for another map or mission."""
         for worker in self._workers:
             worker.forget()
         self.answers = Answers()
 
     def names(self) -> list[str]:
-        """What runs, for people."""
+        """Return the names of the running models, for people."""
         running = [self._from_detections] if self._from_detections is not None else []
         return running + [worker.name for worker in self._workers]
 
     def status(self) -> dict[str, object]:
-        """For the status message: model, counts and newest answer of each scorer that runs."""
-        said: dict[str, object] = {}
+        """Return model, counts and newest answer of each scorer, for the status message."""
+        status: dict[str, object] = {}
         similarity, choice = self.answers.similarity, self.answers.choice
         if self._similarity is not None or self._from_detections is not None:
-            said["similarity"] = {
+            status["similarity"] = {
                 **(
                     {"model": f"{self._from_detections} ({self._detector})"}
                     if self._similarity is None
@@ -286,7 +294,7 @@ class Scorers:
                 "scores": {} if similarity is None else _by(similarity.targets, similarity.score),
             }
         if self._choice is not None:
-            said["choice"] = {
+            status["choice"] = {
                 **self._choice.counts(),
                 **({} if self.swap is None else {"swap": self.swap.status()}),
                 "stamp_ns": None if choice is None else choice.stamp_ns,
@@ -295,10 +303,10 @@ class Scorers:
                 "elsewhere": None if choice is None else choice.elsewhere,
                 "frontiers": {} if choice is None else _by(choice.ids, choice.p),
             }
-        return said
+        return status
 
     def close(self) -> None:
-        """Give up every question; waits for no server."""
+        """Drop all questions and stop the workers. Wait for no server."""
         for worker in self._workers:
             worker.close()
         if self.swap is not None:
@@ -306,7 +314,7 @@ class Scorers:
 
 
 def _places_m(pose: SE2, marks: Sequence[Mark]) -> np.ndarray:
-    """(n, 2) float64 in `map`."""
+    """Return the places of marks, (n, 2) float64 in `map`."""
     bearing = pose.yaw_rad + np.array([mark.bearing_rad for mark in marks])
     away_m = np.array([mark.distance_m for mark in marks])
     return np.stack(
@@ -315,10 +323,12 @@ def _places_m(pose: SE2, marks: Sequence[Mark]) -> np.ndarray:
 
 
 def ways_to(candidates: Candidates, open_: np.ndarray, marks: Sequence[Mark]) -> Ways:
-    """What the map says of the ways to marks, and of those to the other frontiers.
+    """Return path lengths and gains of the marks, and a summary of the other frontiers.
 
     Args:
-        open_: (k,) indices of the frontiers that may be gone to, the marks' among them.
+        candidates: The candidates.
+        open_: (k,) indices of the frontiers that are not blocked, including those of the marks.
+        marks: Marks in the image.
     """
     path_m, gain_m2 = candidates.path_m[open_], candidates.gain_m2[open_]
     ids = np.array([mark.id for mark in marks], np.int64)
@@ -333,7 +343,7 @@ def ways_to(candidates: Candidates, open_: np.ndarray, marks: Sequence[Mark]) ->
 def sightings(
     tracker: InstanceTracker, around: Sightings | None, observation: Observation
 ) -> tuple[Sighting, ...]:
-    """What was detected a moment ago and not refuted, targets and all else, the nearest first."""
+    """Return the objects detected in the last `SIGHTED_NS` and not rejected, nearest first."""
     pose, least = observation.pose, tracker.config.min_hits
     found = [
         (instance.label, instance.center_m)
@@ -343,17 +353,17 @@ def sightings(
         and observation.stamp_ns - instance.last_seen_ns <= SIGHTED_NS
     ]
     if around is not None:
-        n, told = around.n, {names.canonical(i.label) for i in tracker.all}
+        n, targets = around.n, {names.canonical(i.label) for i in tracker.all}
         fresh = around.last_seen_ns[:n] >= observation.stamp_ns - SIGHTED_NS
         for i in np.flatnonzero(fresh & (around.hits[:n] >= least)):
             word = around.words[around.word[i]]
-            if word not in told:  # of targets the tracker knows more
+            if word not in targets:  # the tracker knows more about targets
                 found.append((word, around.xyz_m[i]))
-    told_of = [
+    seen = [
         Sighting(word, pose.bearing_to(*xy_m), pose.distance_to(*xy_m))
         for word, xy_m in ((word, (float(at[0]), float(at[1]))) for word, at in found)
     ]
-    return tuple(sorted(told_of, key=lambda sighting: sighting.distance_m)[:MAX_SIGHTINGS])
+    return tuple(sorted(seen, key=lambda sighting: sighting.distance_m)[:MAX_SIGHTINGS])
 
 
 def make_scorers(
@@ -362,16 +372,18 @@ def make_scorers(
     make_similarity: Callable[..., SimilarityScorer] = make_similarity,
     make_choice: Callable[..., ViewScorer] = make_choice,
 ) -> Scorers | None:
-    """The scorers that the configuration names; None where there are none.
+    """Return the configured scorers, or None if there are none.
 
     Args:
-        targets: of the mission to begin with.
-        make_similarity, make_choice: load the models.
+        config: The configuration.
+        targets: Targets of the first mission.
+        make_similarity: Loads the model of a similarity scorer.
+        make_choice: Loads the model of a choice scorer.
 
     Raises:
-        ModelError: a card or a model is missing or unusable.
-        PromptError: a similarity scorer does not know a target.
-        ChatError: a server's URL or the API key cannot be used.
+        ModelError: A card or a model is missing or unusable.
+        PromptError: A similarity scorer does not know a target.
+        ChatError: The URL of a server, or the API key, cannot be used.
     """
     perception = config.perception
     card = similarity_card(perception)
@@ -388,7 +400,7 @@ def make_scorers(
 
         def made_again(name: str) -> ViewScorer:
             wanted = choice.model_copy(update={"card": name})
-            if perception.isolation == "thread":  # a model that never ends is killed only there
+            if perception.isolation == "thread":  # only a process can kill a model that hangs
                 apart = perception.model_copy(update={"isolation": "process"})
                 make_choice(wanted, apart).close()
             return make_choice(wanted, perception)

@@ -1,4 +1,4 @@
-"""What is left where no candidate is: turning on the spot, trying again, looking again."""
+"""Search without candidates: turns on the spot, retries and viewpoints."""
 
 from __future__ import annotations
 
@@ -15,43 +15,46 @@ from edge.mapping.grid import RollingMap
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import Context
 
-# With nowhere to go for so long the robot turns on the spot, so often to come round.
+# Time without a candidate after which the robot turns on the spot, and the number of turns of a
+# full circle.
 TURN_AFTER_NS, TURNS = 1_000_000_000, 3
-# From afar the rim of what is known flickers: a frontier that turns up later has to last.
+# Seen from afar, the border of known space flickers. A frontier that appears after the search was
+# exhausted must exist for this time.
 LASTING_NS = 2_000_000_000
-# Where the robot was held up is tried again for so long at least: a frontier that comes to
-# light there is gone to once it has lasted, and shows a tick or two after the opening.
+# Shortest time of a retry of blocked places. A new frontier appears there a tick or two after the
+# opening, and is used only after `LASTING_NS`.
 _RETRY_NS = LASTING_NS + 1_000_000_000
-# It is tried so often, and so long after the last time: who stood there may have gone.
+# Number of retries, and the pause before the next one: a person in the way may have left.
 _RETRIES, _PAUSE_NS = 2, 10_000_000_000
-# A frontier left so often for another, or because it vanished, before the robot came there, shows
-# from afar alone or is farther than it looks: then it is seen through, or left alone.
+# A frontier is unreliable if it was left this many times (for another, or because it vanished)
+# before the robot arrived: it is visible only from afar, or farther than it looks. The robot then
+# either drives all the way to it or ignores it.
 _FICKLE, _SAME_M, LEFT = 3, 0.6, 64
-_SAME_PLACE_M = 0.3  # goals this near to one another are for standing at one place
+_SAME_PLACE_M = 0.3  # two goals this near to each other count as the same place
 
 
 @dataclass(slots=True, eq=False)
 class Search:
-    """What was tried to get to one target.
+    """The state of the search for one target.
 
     Attributes:
-        exhausted: nothing was left to go to, and turning on the spot showed nothing new. What
-            turns up since is gone to, but the robot does not turn after it.
-        left: places of frontiers that were left before the robot came there.
+        exhausted: True if no candidate was left and turns on the spot showed nothing new. Later
+            candidates are used, but the robot does not turn again.
+        left: Places of frontiers that were left before the robot arrived.
     """
 
     exhausted: bool = False
     left: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LEFT))
-    _turns: int = 0  # since there was something to go to
+    _turns: int = 0  # since there was a candidate
     _idle_since_ns: int | None = None
     _second_chance: bool = False
     _missed: tuple[int, tuple[float, float]] | None = None
-    _retry: tuple[int, int] | None = None  # reach generation and time that end it
+    _retry: tuple[int, int] | None = None  # generation of the travel-cost field and time of its end
     _retries: int = 0
     _next_retry_ns: int = 0
 
     def state_dict(self) -> Arrays:
-        """Return what is held against places, but nothing that takes only seconds."""
+        """Return the failed attempts by place, but no state that lasts only seconds."""
         missed = () if self._missed is None else ((self._missed[0], *self._missed[1]),)
         return {
             "exhausted": np.array(self.exhausted),
@@ -63,7 +66,7 @@ class Search:
 
     @classmethod
     def of_state_dict(cls, state: Arrays) -> Search:
-        """Make it again from a `state_dict` that was checked."""
+        """Return the search of a `state_dict` that was checked."""
         search = cls(bool(state["exhausted"]))
         search.left.extend((x, y) for x, y in state["left_m"].tolist())
         search._turns, search._second_chance = int(state["turns"]), bool(state["second_chance"])
@@ -72,11 +75,11 @@ class Search:
         return search
 
     def fickle(self, xy_m: tuple[float, float]) -> bool:
-        """Whether a frontier was left too often before the robot came there."""
+        """Return True if a frontier here was left too often before the robot arrived."""
         return sum(math.dist(xy_m, left) < _SAME_M for left in self.left) >= _FICKLE
 
     def missed(self, instance_id: int, at_m: tuple[float, float]) -> bool:
-        """An instance turned out to be out of reach from a place; whether it was so before."""
+        """Record an instance as out of reach from a place; return True if it was so before."""
         before, self._missed = self._missed, (instance_id, at_m)
         return (
             before is not None
@@ -85,16 +88,17 @@ class Search:
         )
 
     def found(self) -> None:
-        """There is something to go to."""
+        """Record that there is a candidate."""
         self._idle_since_ns = None
         if not self.exhausted:
             self._turns = 0
 
     def may_turn(self, turning: bool, now_ns: int) -> bool:
-        """Whether the robot turns on the spot: the space behind may never have been seen.
+        """Return True if the robot should turn on the spot to see the space behind it.
 
         Args:
-            turning: whether it is about that already.
+            turning: True if the robot is already turning.
+            now_ns: Loop time.
         """
         if self.exhausted:
             return False
@@ -111,16 +115,16 @@ class Search:
         return True
 
     def turned(self, now_ns: int) -> None:
-        """A turn is done, or failed."""
+        """Record the end of a turn, done or failed."""
         self._idle_since_ns = now_ns
 
     def trying_again(
         self, context: Context, grid: RollingMap, pool: CandidatePool, tracker: InstanceTracker
     ) -> bool:
-        """Try again what was given up; return whether that may yet come to something.
+        """Retry discarded candidates and blocked places; return True while that may help.
 
-        Discarded candidates and rejected objects get one more chance. Where the robot was held up
-        the map is opened, up to twice.
+        Discarded candidates and rejected objects get one more chance. Blocked places are opened in
+        the map, up to twice.
         """
         first, self._second_chance = not self._second_chance, True
         if first:
@@ -138,22 +142,24 @@ class Search:
             pool.lift_discards()
             self._retries += 1
             self._next_retry_ns = context.now_ns + _PAUSE_NS
-            # The travel-cost field that is growing may have begun before; the next one leads there.
+            # The travel-cost field that is growing now may have started before the opening. The
+            # next one includes the place.
             self._retry = (grid.reach.generation + 2, context.now_ns + _RETRY_NS)
         return True
 
 
 class NextBestView:
-    """Looking again, from near by, at what the detector saw badly: one view after another, until
-    none is worth a goal; each is tried once.
+    """A choice of viewpoints from which the detector can see objects better.
+
+    Viewpoints come one after another, until none is worth a goal. Each is tried once.
 
     Args:
-        enough: images of the detector, for which the robot stays at a view.
+        enough: Number of images that the robot stays at a viewpoint.
 
     Attributes:
-        enough: the same; may be set.
-        done: there is nothing left that could be seen better.
-        views: how many views the robot has seen, from where they are or on the way there.
+        enough: As in `Args`; may be set.
+        done: True if no useful viewpoint is left.
+        views: Number of viewpoints that were seen, at the viewpoint or on the way to it.
     """
 
     def __init__(self, enough: int) -> None:
@@ -162,13 +168,14 @@ class NextBestView:
         self.enough = enough
         self._view: Viewpoint | None = None
         self._searching = self._given_up = False
-        self._came_at: int | None = None  # the detector's count of images when the robot came
+        self._came_at: int | None = None  # the detector's number of images at the arrival
 
     def choose(self, grid: RollingMap, images: int) -> Viewpoint | None:
-        """The view to go to; None while it is being searched for, and when there is none.
+        """Return the viewpoint to go to; None while the search runs, and if there is none.
 
         Args:
-            images: how many the detector has searched so far.
+            grid: The map.
+            images: Number of images that the detector has processed so far.
         """
         if self._view is not None and (self._over(images) or not grid.coverage.worth(self._view)):
             grid.coverage.write_off(self._view)
@@ -179,21 +186,21 @@ class NextBestView:
         return self._view
 
     def came(self, images: int) -> None:
-        """The robot stands at the present view."""
+        """Record that the robot stands at the current viewpoint."""
         if self._came_at is None:
             self._came_at = images
 
     def give_up(self) -> None:
-        """The robot does not get to the present view."""
+        """Record that the robot cannot reach the current viewpoint."""
         self._given_up = True
 
     def start_over(self) -> None:
-        """Another mission: no view of it has been seen."""
+        """Start over for another mission."""
         self.drop()
         self.views = 0
 
     def drop(self) -> None:
-        """Leave the present view; what it shows may be sought again."""
+        """Abandon the current viewpoint. It may be found again."""
         self._view = self._came_at = None
         self.done = self._searching = self._given_up = False
 
@@ -213,5 +220,5 @@ class NextBestView:
             self.done = True
         elif coverage.worth(view):
             self._view = view
-        else:  # rays that just missed a cell's corner
+        else:  # its rays just missed the corner of a cell
             coverage.write_off(view)

@@ -1,7 +1,7 @@
-"""The semantic map: all that is known of the surroundings, in the frame `map`.
+"""The semantic map: all knowledge of the surroundings, in the frame `map`.
 
-What is free and what is not, what was seen where, and which places the robot may be sent to. It has
-one owner, since it begins with the frame and ends with it.
+It holds the occupancy grid, the objects and the candidates. One class owns them, because all are
+valid only in the current frame.
 """
 
 from __future__ import annotations
@@ -28,19 +28,23 @@ from edge.types import Detections, Instance, Observation
 
 
 class SemanticMap:
-    """Stages 3 to 5 of the tick write it, in this order: `update`, `look`, `infer`, `gather`.
+    """The semantic map. Stages 3 to 5 of the tick write it.
+
+    They call `update`, `look`, `infer` and `gather`, in this order.
 
     Args:
-        targets: of the mission to begin with.
+        config: The configuration.
+        targets: Targets of the first mission.
 
     Attributes:
-        config: that it goes by; set by `reconfigure`.
-        grid: occupancy, frontiers, distances and value maps; another object in another frame.
-        view: what a policy sees of the grid.
-        sightings: where anything was seen; `tracker`: the instances of targets.
-        pool: the candidates.
-        prior: what all that was seen says about places; None where it is not gone by.
-        epoch: counts the frames.
+        config: Current configuration; set by `reconfigure`.
+        grid: Occupancy, frontiers, distances and value maps. Another frame has another grid.
+        view: The part of the grid that policies see.
+        sightings: Objects of all classes.
+        tracker: Instances of the targets.
+        pool: Candidates.
+        prior: Likelihood of targets near places; None if no prior is configured.
+        epoch: Number of pose jumps (changes of the frame).
     """
 
     def __init__(self, config: Config, targets: Sequence[str]) -> None:
@@ -56,20 +60,20 @@ class SemanticMap:
         self._lay(RollingMap(config.mapping, config.robot))
 
     def _lay(self, grid: RollingMap) -> None:
-        """Put a grid in the place of the one that there was."""
+        """Replace the grid."""
         self.grid, self.view = grid, MapView(grid)
         grid.set_zones(*self._zones_m)
         self._feed_values()
 
     def _feed_values(self) -> None:
-        """A value map for each target, where a scorer is to write them."""
+        """Make a value map for each target, if a scorer writes them."""
         if self.config.value_source is not None:
             self.grid.values.begin(self._targets)
 
     # -- in each tick -----------------------------------------------------------------------
 
     def update(self, observation: Observation, now_ns: int) -> MapUpdate | None:
-        """Fold the depth image or cloud in; None where the observation has none."""
+        """Integrate the depth image or cloud; return None if the observation has none."""
         grid, seen, update = self.grid, observation, None
         grid.bumps.expire(now_ns)
         if self.config.mapping.input == "cloud":
@@ -83,7 +87,7 @@ class SemanticMap:
         return update
 
     def look(self, detections: Detections) -> None:
-        """Boxes become sightings and instances, by the depth and pose that they were seen with."""
+        """Turn boxes into sightings and instances, with the depth and pose of their image."""
         perception, seen = self.config.perception, detections.observation
         lifted, around = self._lifter.lift(detections, self.grid.floor_over_base_m)
         self.sightings.look(lifted, around)
@@ -92,12 +96,12 @@ class SemanticMap:
         self.grid.coverage.look(seen, perception.confirm_range_m, perception.confirm_hits)
 
     def infer(self, now_ns: int) -> None:
-        """What was seen says something about what was not."""
+        """Update the prior with the objects seen."""
         if self.prior is not None:
             self.prior.step(self.view, self.sightings.shown, now_ns)
 
     def gather(self, instances: Sequence[Instance], observation: Observation, now_ns: int) -> None:
-        """The candidates: frontiers, these instances, and the turn that shows most."""
+        """Update the candidates: frontiers, these instances, and the best spin."""
         pool, policy, camera = self.pool, self.config.policy, observation.camera
         pool.update(self.grid.frontiers, instances, observation.stamp_ns, now_ns)
         pool.measure(self.grid)
@@ -107,7 +111,7 @@ class SemanticMap:
     # -- from one mission, configuration or frame to another --------------------------------
 
     def begin(self, targets: Sequence[str]) -> None:
-        """Another mission: its targets were not looked at before, nor refuted."""
+        """Prepare for another mission: forget verdicts and viewpoints of the last one."""
         self._targets = targets
         self._feed_values()
         self.tracker.forget_verdicts()
@@ -120,16 +124,16 @@ class SemanticMap:
         self.grid.set_zones(*self._zones_m)
 
     def reconfigure(self, config: Config) -> None:
-        """Go by another configuration; see `edge.loop.reload.LIVE` for what may differ."""
+        """Use another configuration; see `edge.loop.reload.LIVE` for the keys that may differ."""
         if config.value_source != self.config.value_source:
-            self.grid.values.begin(())  # what another scorer said means something else
+            self.grid.values.begin(())  # values of another scorer are not comparable
         self.config = config
         self.tracker.config = self.sightings.config = self._lifter.config = config.perception
         self.pool.r_assoc_m = config.policy.r_assoc_m
         self._feed_values()
 
     def forget(self) -> None:
-        """The frame is another: nothing that was known means anything there."""
+        """Forget everything, since the frame has changed."""
         self.epoch += 1
         self._lay(RollingMap(self.config.mapping, self.config.robot))
         self.tracker.clear()
@@ -139,7 +143,7 @@ class SemanticMap:
             self.prior.forget()
 
     def state_dict(self) -> dict[str, Arrays]:
-        """Return all that lasts but the tiles, by part."""
+        """Return the arrays to save by part, without the tiles of the grid."""
         grid = self.grid
         return {
             "map": grid.state_dict(), "gain": grid.gain.state_dict(),
@@ -154,13 +158,13 @@ class SemanticMap:
         later_ns: int,
         later_stamp_ns: int,
     ) -> None:
-        """Go on with a `state_dict`, in the same frame.
+        """Restore a `state_dict` in the same frame.
 
         Args:
-            grid: the new one of that frame; see `edge.loop.map_checkpoint.make_map`.
-            part: returns the arrays of a part.
-            later_ns, later_stamp_ns: how much later it all happened on the loop's clock, and on the
-                sensors'.
+            grid: The restored grid; see `edge.loop.map_checkpoint.make_map`.
+            part: Returns the arrays of a part.
+            later_ns: Shift of times on the loop's clock.
+            later_stamp_ns: Shift of stamps on the sensors' clock.
         """
         self._lay(grid)
         grid.bumps.load_state_dict(part("bumps"), later_ns)
@@ -169,17 +173,17 @@ class SemanticMap:
         self.pool.load_state_dict(part("candidates"), later_ns, later_stamp_ns)
 
     def close(self) -> None:
-        """Nothing is asked any more."""
+        """Stop the background work."""
         if self.prior is not None:
             self.prior.close()
 
-    # -- for people -------------------------------------------------------------------------
+    # -- layers for displays ------------------------------------------------------------------
 
     def layers(self, likely: bool) -> dict[str, Callable[[], Grid]]:
-        """See `edge.loop.result.TickResult.layers`.
+        """Return the layers of the map; see `edge.loop.result.TickResult.layers`.
 
         Args:
-            likely: the prior's as well, where it is gone by.
+            likely: Include the layers of the prior, if there is one.
         """
         valued = self._targets if self.config.value_source is not None else ()
         values, found = self.grid.values, {"looked at": self.grid.coverage.snapshot}

@@ -1,7 +1,7 @@
-"""The sensor loop: observations in, goals out.
+"""The service: it takes observations and returns goals.
 
-`Service.tick` is one pass over the stage table of `edge/loop/stages.py`, top to bottom. It reads no
-clock but to time itself: the same observations give the same goals.
+`Service.tick` runs the stages of `edge/loop/stages.py` from top to bottom. It reads a clock only to
+measure latency, so the same observations give the same goals.
 """
 
 from __future__ import annotations
@@ -56,41 +56,46 @@ _EXIT_M = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # how far away the way out of a zone 
 
 
 class Service:
-    """Everything between a source of observations and the sinks of results.
+    """All stages between a source of observations and the sinks of results.
 
     Args:
-        brief: the mission to begin with; the worker's detector looks for its targets.
-        worker: detects on the side; `submit` and `poll` never wait for the model.
-        policy: scores the candidates.
-        sinks: take the results; their methods never block.
-        checkpoint: saves the state, and holds what is to be restored.
-        scorers: models that are asked beside the loop, where any are configured.
-        overruns: by what is listened to, how often more came than could be taken.
-        calibration: of this computer, for the budgets; None: they are the reference computer's.
-        idle: the mission is not begun: the robot stands until one is asked for.
-        journal: notes what comes in from beside the loop.
-        inputs: the source's table of inputs, for any thread; empty where it has none.
-        site: places and zones; None keeps those of this run only.
+        config: The configuration.
+        brief: First mission. The worker's detector already searches for its targets.
+        worker: Runs the detector in the background; `submit` and `poll` never wait for the model.
+        policy: Scores the candidates.
+        sinks: Receive the results; their methods never block.
+        checkpoint: Saves the state, and holds the state to restore.
+        scorers: Models that are queried in the background; None if none is configured.
+        overruns: Function that returns the number of reads that found a message ring full, by ring.
+        calibration: Calibration of this computer; None: stages have no budgets but deadlines.
+        idle: Do not start the mission. The robot stands still until a mission is requested.
+        journal: Input log; None: a new one is made.
+        inputs: Function that returns the source's table of inputs, for any thread; empty if the
+            source has none.
+        site: Places and zones; None: those of this run only.
 
     Attributes:
-        map: all that is known of the surroundings.
-        site: places and zones that people gave.
-        mission: the one under way, or the last one.
-        behaviour: carries out the mission: searches for its targets, or follows a trajectory.
-        past: what became of those before it that had a name, JSON-ready, oldest first.
-        goals: what the robot is sent to, and what becomes of it.
-        pose: the newest in `map`; None before there was any.
-        stamp_ns: of the newest observation that was not refused, on the sensors' clock.
-        plausibility: judges observations, and says which checks fail.
-        refused: whether the newest observation shows nothing to drive by.
-        swapper: puts another model in the place of the worker's.
-        governor: gives up what is dear when the computer cannot keep up, where a ladder says what;
-            not in lockstep, where runs replay the same.
-        blind_s: so long without an observation no one drives on.
-        overruns: by what is listened to, how often more came than could be taken.
-        inputs: what each input of the source brings.
-        faults: what stages, sinks and requests raised, and the loop outlived.
-        stage: the one at work in a tick, or whose error ended it.
+        map: Semantic map.
+        site: Places and zones that people gave.
+        mission: The running mission, or the last one.
+        policy: The policy in use.
+        behaviour: Carries out the mission: searches for its targets, or follows a trajectory.
+        past: Results of earlier missions that had an id, JSON-ready, oldest first.
+        goals: Tracks the goal that the robot is sent to.
+        pose: Newest pose in `map`; None before the first.
+        stamp_ns: Stamp of the newest observation that was not refused, on the sensors' clock.
+        plausibility: Checks the observations.
+        refused: True if the newest observation must not be used to drive.
+        swapper: Swaps the detector's model.
+        governor: Sheds expensive stages under load, in the order of `perception.governor.ladder`.
+            None without a ladder, and in lockstep, where runs must be reproducible.
+        blind_s: Time without an observation after which the robot must stand still.
+        overruns: As in `Args`.
+        inputs: As in `Args`.
+        faults: Catches and counts the exceptions of stages, sinks and requests.
+        stage: Index of the running stage, or of the stage whose error ended the tick.
+        latency: Times of the stages.
+        scores: (n,) float32, the policy's scores of the candidates.
     """
 
     def __init__(
@@ -150,11 +155,11 @@ class Service:
             sinks, self.map, self.goals, scorers, journal, self.latency, self._health.status
         )
         self._changed = NOTHING_CHANGED
-        self._detections: Detections | None = None  # of this tick, as what follows
+        self._detections: Detections | None = None  # of this tick, like `scores` and `pose`
         self.scores = np.zeros(0, np.float32)
         self.pose: SE2 | None = None
-        self._looked_ns = 0  # when the last observation was dealt with
-        self._images = 0  # that were looked for things in, as of this tick
+        self._looked_ns = 0  # loop time of the last complete tick
+        self._images = 0  # number of images that the detector has processed, as of this tick
         self._newest_seq = self._void_seq = -1
         self.refused = self._in_zone = False
         self.past: deque[dict[str, str]] = deque(maxlen=_PAST)
@@ -162,7 +167,7 @@ class Service:
             checkpoint.resume(self.mission)
         if idle:
             self.mission.wait()
-            # A controller may have a goal of a service before this one.
+            # A controller may still have a goal from a previous service.
             self.goals.client.driving = True
         saved, known = None, None
         if checkpoint is not None:
@@ -175,17 +180,17 @@ class Service:
     # -- the tick ---------------------------------------------------------------------------
 
     def tick(self, observation: Observation, now_ns: int) -> Goal | None:
-        """One pass over all stages.
+        """Run all stages on one observation.
+
+        A tick that raises counts as no tick. If `refused` is True afterwards, the caller must call
+        `idle`.
 
         Args:
-            observation: held by its source until the tick returns.
-            now_ns: the loop's time, on the clock of the observation's stamp.
+            observation: The observation, held by its source until the tick returns.
+            now_ns: Loop time, on the clock of the observation's stamp.
 
         Returns:
-            The goal now being driven to, or None.
-
-        A tick that raises is as good as none: no one has looked. After one whose observation was
-        `refused` the caller calls `idle`.
+            The goal that the robot drives to, or None.
         """
         self._journal.note("tick", now_ns=now_ns)
         self.stage = CHECK
@@ -209,7 +214,7 @@ class Service:
             return self.goals.goal
         self.stamp_ns = observation.stamp_ns
         self._worker.submit(observation)
-        # In lockstep the model runs inside `submit`; that time is `detect`'s, not the tick's.
+        # In lockstep the model runs inside `submit`. This time counts for `detect`, not the tick.
         self.latency.resume(perf_counter_ns())
 
         self.stage = MAP
@@ -239,12 +244,12 @@ class Service:
         return goal
 
     def _lap(self, stage: int) -> None:
-        """This stage is done, the next begins."""
+        """End this stage and begin the next."""
         self.latency.mark(stage, perf_counter_ns())
         self.stage = (stage + 1) % len(stages.STAGES)
 
     def _restore(self, checkpoint: ServiceCheckpoint, sighted: Sighted) -> None:
-        """Restore what was mapped and seen before a restart, with the first observation."""
+        """Restore map and objects of a checkpoint, with the first observation."""
         saved = checkpoint.map
         if saved.waiting is None:
             return
@@ -264,7 +269,7 @@ class Service:
         self.event(f"restored {known} from the checkpoint", sighted.now_ns)
 
     def _map(self, observation: Observation, now_ns: int) -> None:
-        """Stage 3: fold the depth image or cloud into the map."""
+        """Stage 3: integrate the depth image or cloud into the map."""
         update = self.map.update(observation, now_ns)
         self._changed = NOTHING_CHANGED if update is None else update.changed
         if update is None:
@@ -274,7 +279,7 @@ class Service:
             self.policy.reset("map rolled")
 
     def _lift(self, detections: Detections | None, now_ns: int) -> None:
-        """Stage 4: boxes become instances, with the depth and pose they were seen with."""
+        """Stage 4: turn boxes into instances, with the depth and pose of their image."""
         self._detections = None
         if detections is None:
             return
@@ -288,11 +293,11 @@ class Service:
                 self._detections = detections.without_rivals()
                 self._publisher.saw(self._detections)
         finally:
-            # Only this tick reads the arrays; the frame may be used again.
+            # Only this tick reads the arrays, so the frame can be reused.
             detections.observation.release()
 
     def _consult(self, scorers: Scorers, observation: Observation) -> None:
-        """What stage 6 may go by besides detections: answers there are, and the next questions."""
+        """Before stage 6: send the next questions to the scorers and collect their answers."""
         mission, here = self.mission, self.map
         if mission.active:
             targets, candidates = mission.brief.prompts, here.pool.candidates
@@ -302,11 +307,11 @@ class Service:
                 here.prior, here.sightings.shown,
             )  # fmt: skip
         scorers.take_up(here.grid.values, idle=mission.done)
-        if self.config.loop.lockstep:  # the models ran inside `ask`, beside the tick's time
+        if self.config.loop.lockstep:  # the models ran inside `ask`, which is no time of the tick
             self.latency.resume(perf_counter_ns())
 
     def _score(self, observation: Observation, now_ns: int) -> Context:
-        """Stage 6: what the policy makes of the candidates, by all that it may go by."""
+        """Stage 6: build the policy's context and score the candidates."""
         context = Context(
             observation,
             observation.pose,
@@ -327,7 +332,7 @@ class Service:
     def _plan(self, context: Context) -> Context:
         """Stage 7: count time, let the behaviour advance the mission, and check its limits.
 
-        If the plan set out for another target, its candidates are scored at once.
+        If the plan changed the active target, the candidates of the new target are scored at once.
         """
         mission, now_ns = self.mission, context.now_ns
         if not mission.started:
@@ -342,7 +347,7 @@ class Service:
         return self._score(context.observation, now_ns)
 
     def _select(self, context: Context) -> Goal | None:
-        """Stage 8: the behaviour's goal; none while no mission is under way."""
+        """Stage 8: return the behaviour's goal, or None if no mission is active."""
         if not self.mission.active:
             self.goals.rest()
             return None
@@ -369,7 +374,7 @@ class Service:
         return None
 
     def _report(self, observation: Observation | None, now_ns: int) -> None:
-        """Write the checkpoint, and tell the sinks."""
+        """Write the checkpoint and publish the result to the sinks."""
         try:
             self._health.look(now_ns)
             if self.checkpoint is not None:
@@ -381,18 +386,19 @@ class Service:
         finally:
             self._publisher.let_go()
 
-    # -- what comes from outside --------------------------------------------------------------
+    # -- requests and events from outside -----------------------------------------------------
 
     def begin(self, brief: Brief, now_ns: int, id: str = "") -> None:
-        """Put another mission in the place of the present one; map and instances stay.
+        """Replace the mission. Map and instances are kept.
 
         Args:
-            id: see `MissionRun.id`.
+            brief: The new mission.
+            now_ns: Loop time.
+            id: See `MissionRun.id`.
 
         Raises:
-            PromptError, ModelError: the detector cannot look for one of its targets.
-
-        Nothing has changed when it raises.
+            PromptError: The detector cannot search for a target. Nothing has changed then.
+            ModelError: As `PromptError`.
         """
         mission = MissionRun(brief, self.config.mission, self._step_taken, id)
         self._worker.set_prompts(brief.prompts)
@@ -421,24 +427,23 @@ class Service:
             self.past.append({"id": mission.id, "phase": over[0], "reason": over[1]})
 
     def _forget_tried(self) -> None:
-        """The mission is another than the one for which things were looked at, and tried."""
+        """Forget what was examined and tried for the previous mission."""
         self.map.begin(self.mission.brief.prompts)
         self.policy.reset("mission")
         self.goals.forget_mission()
 
     def _forget_asked(self) -> None:
-        """The map or the mission is another: what is being worked out for the last one is void."""
-        for beside in (self._surveyor, self.scorers):
-            if beside is not None:
-                beside.forget()
+        """Drop background results for the previous map or mission."""
+        for part in (self._surveyor, self.scorers):
+            if part is not None:
+                part.forget()
 
     def reconfigure(self, config: Config, policy: Policy) -> None:
-        """Go by another configuration from the next tick on.
+        """Use another configuration from the next tick on.
 
         Args:
-            config: differs from the present one in what `edge.loop.reload.LIVE` names only; its
-                detector runs already.
-            policy: of this configuration; the present one where its settings are the same.
+            config: Differs only in keys of `edge.loop.reload.LIVE`. Its detector already runs.
+            policy: Policy of this configuration; the current one if its settings did not change.
         """
         self._journal.note("config", config=config)
         self.config, self.policy = config, policy
@@ -459,35 +464,37 @@ class Service:
         self.map.set_site(site)
 
     def pause(self, paused: bool, now_ns: int) -> None:
-        """Have the robot stand where it is, or go on."""
-        if paused == self.mission.paused:  # who asks a hundred times a second is told of once
+        """Pause the mission, so that the robot stands still, or resume it."""
+        if paused == self.mission.paused:  # repeated requests are logged once
             return
         self.mission.pause(paused)
         self._journal.note("pause", paused=paused, now_ns=now_ns)
         self.event(f"mission: {'paused' if paused else 'resumed'}", now_ns)
 
     def fail(self, reason: str, now_ns: int) -> None:
-        """End the mission."""
+        """End the mission as failed."""
         self._journal.note("fail", reason=reason, now_ns=now_ns)
         self.mission.fail(reason, now_ns)
 
     def goal_answered(self, answer: GoalStatus) -> None:
-        """The controller said something about a goal; answers to old goals are void."""
+        """Handle a goal status of the controller. A status for an old goal has no effect on it."""
         self._journal.note("answer", answer=answer)
         answer = self.goals.client.matched(answer)
         self._publisher.answers.append(answer)
         self.goals.answered(answer)
 
     def idle(self, now_ns: int, pose: SE2 | None, dropped: Observation | None = None) -> None:
-        """Handle a beat without an observation: the status still goes out, no one drives blind.
+        """Handle a loop cycle without a usable observation.
 
-        The mission's time runs on, but only from its first observation on: a mission whose sensors
-        have gone must end, one whose sensors are yet to come must not.
+        The status is still published. The robot stands still after `blind_s`. The mission's time
+        runs only after its first observation: a mission whose sensors fail must end, but a mission
+        whose sensors have not started yet must not.
 
         Args:
-            pose: from the newest odometry; None before there was any.
-            dropped: the observation that was refused, or a stage failed on. It is dealt with, which
-                a simulator in lockstep waits to hear.
+            now_ns: Loop time.
+            pose: Newest pose of the odometry; None before the first.
+            dropped: An observation that was refused, or on which a stage failed. It is published
+                as handled, because a simulator in lockstep waits for that.
         """
         blind = self.pose is not None and now_ns - self._looked_ns > 1e9 * self.blind_s
         if blind and pose is not None:
@@ -497,7 +504,7 @@ class Service:
             if self.mission.observed or dropped is not None:
                 self.mission.observe(self.pose, now_ns, self.behaviour.searching and not blind)
             self.mission.check_limits(now_ns)
-        finally:  # whatever is the matter with the mission
+        finally:  # also if the mission raises
             if self.pose is not None and (blind or not self.mission.active):
                 self._stand(self.pose, now_ns)
             self._report(dropped, now_ns)
@@ -506,15 +513,15 @@ class Service:
         if self.goals.client.driving:
             if self.mission.active:
                 why = self.plausibility.why("stand")
-                self.event(f"nothing to be seen: {why and f'{why}: '}standing still", now_ns)
+                self.event(f"no usable observations: {why and f'{why}: '}standing still", now_ns)
             self.goals.stand(self.mission, pose, now_ns)
         self.goals.drop()
 
     def forget_places(self, now_ns: int) -> None:
-        """The pose jumped: map, instances and goals of the old frame mean nothing now.
+        """Handle a pose jump: drop map, instances and goals, which are in the old frame.
 
-        What the detector still finds in images of before is void as well. The robot is told to
-        stand, unless the next tick finds a goal in the new frame.
+        Detections in older images are dropped too. The robot is sent a goal to stand still, unless
+        the next tick finds a goal in the new frame.
         """
         self._journal.note("jump", now_ns=now_ns)
         self.event("pose jumped: map and instances dropped", now_ns)
@@ -534,10 +541,12 @@ class Service:
             self.checkpoint.map.jumped()
 
     def event(self, text: str, now_ns: int, level: int = logging.INFO) -> None:
-        """Tell log and sinks of something that a person would want to know.
+        """Report an event for people to the log and the sinks.
 
         Args:
-            level: of the log's line.
+            text: The event, one line.
+            now_ns: Loop time.
+            level: Level of the log record.
         """
         log.log(level, text)
         self._publisher.events.append(Event(now_ns, text))
@@ -546,7 +555,7 @@ class Service:
         self.event(step.text, step.stamp_ns)
 
     def close(self) -> None:
-        """No tick comes any more."""
+        """Stop all background work. No tick may follow."""
         if self.governor is not None:
             self.governor.close()
         self.swapper.close()
@@ -555,11 +564,11 @@ class Service:
         self.behaviour.close()
         self.map.close()
 
-    # -- what others may ask ------------------------------------------------------------------
+    # -- state for other modules --------------------------------------------------------------
 
     @property
     def goal(self) -> Goal | None:
-        """Where the robot is sent; None: nowhere."""
+        """Current goal of the robot, or None."""
         return self.goals.goal
 
     @property
@@ -567,11 +576,11 @@ class Service:
         return self.mission.status(self.goals.phase)
 
     def result(self, now_ns: int = 0, observation: Observation | None = None) -> TickResult:
-        """How all stands, and what has happened since the sinks were told.
+        """Return the current state, and all events since the last published result.
 
         Args:
-            now_ns: the loop's time, where the loop asks.
-            observation: what was dealt with, if anything.
+            now_ns: Loop time, if the loop calls.
+            observation: The observation that was handled, if any.
         """
         return self._publisher.result(
             now_ns, observation, self.pose, self.mission, self.behaviour.facts, self.scores

@@ -1,4 +1,4 @@
-"""What the loop listens to: a source of observations, and the motion controller's answers."""
+"""Interfaces of the loop's inputs: the source of observations and the goal statuses."""
 
 from __future__ import annotations
 
@@ -10,29 +10,32 @@ from edge.geometry import SE2
 from edge.types import GoalStatus, Observation
 
 NO_DROPS = ("received", "observations", "old_pose", "overrun")
-"""Counters of messages that came, of observations given out, of those whose pose is older than they
-are, and of looks that found more messages than there was room for once more."""
+"""Counters of a source that are not reasons for drops: messages received, observations returned,
+observations whose pose is older than they are, and reads that found a message ring full."""
 
 
 InputState = Literal["ok", "missing", "silent", "dropped", "unused"]
-"""`missing`: no message ever came; `silent`: none comes any more; `dropped`: messages come, and
-none of them can be used; `unused`: another input of its group comes instead."""
+"""`missing`: no message came yet; `silent`: messages stopped; `dropped`: messages come, but none is
+usable; `unused`: another input of the group is used instead."""
 
 
 @dataclass(frozen=True, slots=True)
 class InputRow:
-    """One input of a source, as it stands at one moment.
+    """State of one input of a source.
 
     Attributes:
-        name: the topic, as `camera/depth`.
-        where: the key, the ROS topic or the address where it is listened to.
-        group: inputs of one group stand in for each other, as `lidar/points` and `lidar/scan`.
-        needed: whether the robot cannot do its work without the group.
-        why: the reason for which messages are dropped, if none can be used; of an input that is ok,
-            what is wrong with those that are used.
-        hz: how often messages come, as measured; `expected_hz`: as configured, 0 = on events.
-        age_s: time since the newest message; None before the first.
-        received: messages; `dropped`: those that became part of no observation, by reason.
+        name: Topic, for example `camera/depth`.
+        where: Zenoh key, ROS topic or address of the input.
+        group: Inputs of one group replace each other, for example `lidar/points` and `lidar/scan`.
+        needed: True if the robot cannot work without the group.
+        state: See `InputState`.
+        why: Reason why the messages are dropped. If the state is `ok`: a problem of the messages
+            that are used; may be empty.
+        hz: Measured message rate.
+        expected_hz: Configured message rate; 0 if messages come only on events.
+        age_s: Time since the newest message; None before the first.
+        received: Number of messages received.
+        dropped: Number of messages that became part of no observation, by reason.
     """
 
     name: str
@@ -49,54 +52,54 @@ class InputRow:
 
     @property
     def lacks(self) -> bool:
-        """Whether the robot cannot do its work for want of this input."""
+        """True if the robot cannot work because this input is missing, silent or dropped."""
         return self.needed and self.state in ("missing", "silent", "dropped")
 
     def __str__(self) -> str:
-        """Name it as a user would look for it."""
+        """Return the name that a user knows."""
         return self.where if self.where.endswith(self.name) else f"{self.name} ({self.where})"
 
 
 def lacking(rows: Sequence[InputRow]) -> str:
-    """Say in one line which needed inputs are missing, silent or dropped; "" if none is.
+    """Return one line that lists the needed inputs that are missing, silent or dropped; "" if none.
 
-    No number in it changes all the time: it is told again whenever it changes.
+    The line is logged whenever it changes, so it holds no number that changes all the time.
     """
     return "; ".join(_lacking([row for row in rows if row.lacks]))
 
 
 def _lacking(rows: Sequence[InputRow]) -> Iterator[str]:
-    for state, said in (("missing", "no message yet on"), ("silent", "no message any more on")):
+    for state, text in (("missing", "no message yet on"), ("silent", "no more messages on")):
         groups: dict[str, list[str]] = {}
         for row in rows:
             if row.state == state:
                 groups.setdefault(row.group, []).append(str(row))
         if groups:
-            yield f"{said} {', '.join(' or '.join(names) for names in groups.values())}"
+            yield f"{text} {', '.join(' or '.join(names) for names in groups.values())}"
     for row in rows:
         if row.state == "dropped":
             yield f"every message on {row} is dropped: {row.why}"
 
 
 def inputs_status(rows: Sequence[InputRow]) -> dict[str, Any]:
-    """Return the table for the status message: `lacking` or ok, why, and each input by name."""
+    """Return the inputs for the status message: state `ok` or `lacking`, reason, and each input."""
     why = lacking(rows)
     topics = {row.name: asdict(row) for row in rows}
     return {"state": "lacking" if why else "ok", "detail": why, "topics": topics}
 
 
 class Source(Protocol):
-    """Yields what the robot sees; for one thread.
+    """The interface of a source of observations; for one thread.
 
-    It may have a method `input_table()`, which returns its table of inputs (`InputRow`) to any
-    thread: readiness, status, console, live page and metrics then say which one is missing.
+    A source may have a method `input_table()` that returns its inputs (`InputRow`) to any thread.
+    Readiness, status, console, live page and metrics then show which input is missing.
 
     Attributes:
-        counters: for the report, by name; may be empty. What is not one of `NO_DROPS` is a reason
-            for which messages were dropped (see `edge.sources.synchronizer`).
-        inbox: the controller's answers.
-        epoch: rises when poses before and after have nothing to do with each other.
-        pose: from the newest odometry; None before there was any.
+        counters: Counts by name; may be empty. Each name that is not in `NO_DROPS` is a reason why
+            messages were dropped (see `edge.sources.synchronizer`).
+        inbox: Goal statuses of the controller.
+        epoch: Number that increases when the pose jumps to an unrelated frame.
+        pose: Newest pose of the odometry; None before the first.
     """
 
     counters: dict[str, int]
@@ -109,27 +112,27 @@ class Source(Protocol):
     def pose(self) -> SE2 | None: ...
 
     def poll(self) -> Observation | None:
-        """The newest observation that was not yet given out, or None; never blocks.
+        """Return the newest observation that was not returned before, or None. Never block.
 
-        It is held once for the caller, who calls `release` when done with it; another reader
-        (the detector's worker) calls `hold` and `release` for itself.
+        It is held once for the caller, who must call `release`. Another reader, such as the
+        detector's worker, calls `hold` and `release` itself.
         """
 
     def wait(self, timeout_s: float) -> bool:
-        """Block until a message arrives or time is up; False when none came."""
+        """Block until a message arrives, at most `timeout_s`; return False if none came."""
 
     def close(self) -> None: ...
 
 
 class GoalAnswers(Protocol):
-    """Yields what the motion controller says of the goals it was given; for one thread.
+    """The interface of a reader of the motion controller's goal statuses; for one thread.
 
     Attributes:
-        overruns: looks that found more than there was room for once more.
+        overruns: Number of reads that found the message ring full.
     """
 
     @property
     def overruns(self) -> int: ...
 
     def poll(self) -> list[GoalStatus]:
-        """What came since the last call, oldest first; never blocks."""
+        """Return the statuses since the last call, oldest first. Never block."""

@@ -1,11 +1,11 @@
-"""The stage table: every stage of a tick, in order, with the budget it is held to.
+"""The stage table: every stage of a tick, in order, with its time budget.
 
-The loop times these, `edge bench` and the reports hold them to their budgets.
-`detect` runs on its own worker; it is timed and budgeted, but no tick waits for it.
+The loop measures the stages; `edge bench` and the reports compare them with their budgets.
+`detect` runs on its own worker. It has a budget, but no tick waits for it.
 
-Budgets are the reference computer's (`edge.host.calibration`), and grow with how much slower a
-calibrated computer is; on any other they do not count. What is called a deadline is real time, and
-the same everywhere.
+Budgets are those of the reference computer (`edge.host.calibration`). On a calibrated computer they
+are multiplied by its slowdown. On a computer without calibration they do not apply. A deadline is
+real time and is the same on all computers.
 """
 
 from __future__ import annotations
@@ -15,14 +15,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One stage.
+    """One stage of a tick.
 
     Attributes:
-        budget_ms: what its p95 should stay under on the reference computer.
-        reads, writes: what it takes and what it makes, for people.
-        code: where it lives, a path of this project.
-        in_tick: whether its time is part of the tick.
-        deadline: whether the budget is one: a camera's period is as long for a slow computer.
+        name: Name of the stage.
+        budget_ms: Budget of its 95th percentile on the reference computer.
+        reads: Its inputs, for people.
+        writes: Its outputs, for people.
+        code: Path of its code in this project.
+        in_tick: True if its time is part of the tick.
+        deadline: True if the budget is a deadline, such as the period of a camera.
     """
 
     name: str
@@ -34,9 +36,9 @@ class Stage:
     deadline: bool = False
 
     def budget_on(self, slowdown: float | None) -> float | None:
-        """Return the budget in ms on a computer this many times slower than the reference.
+        """Return the budget in ms on a computer that is `slowdown` times slower than the reference.
 
-        On a computer whose speed is not known (None) only a deadline is a budget.
+        If the speed is unknown (None), only a deadline has a budget.
         """
         if self.deadline:
             return self.budget_ms

@@ -1,4 +1,4 @@
-"""What the service says of itself on the bus, once a second."""
+"""The status message of the service, sent once a second, and the parts that replies share."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from edge.types import MissionStatus
 
 MOST_POSES = 200
 MOST_ROUNDS = 4
-"""Of a model's answers, the newest: they may be long, and the status goes out each second."""
+"""Number of a model's newest answers to include: they may be long, and the status is sent often."""
 _MOST_LINES = 20
 _CODE_CHARS, _PRINTED_CHARS, _STEP_CHARS = 2000, 500, 100
 
 
 def status_of(result: TickResult) -> dict[str, object]:
-    """The status message: JSON-ready, field names with units."""
+    """Return the status message, JSON-ready, with units in the field names."""
     pose, goal, s, health = result.pose, result.goal, result.status, result.health()
     return {
         "instruction": s.instruction,
@@ -70,15 +70,20 @@ def status_of(result: TickResult) -> dict[str, object]:
 
 
 class HealthWatch:
-    """How all is that works for the loop.
+    """Health of all parts of the loop.
 
     Args:
-        overruns: by what is listened to, how often more came than could be taken.
-        governor: how it stands, None where there is none.
-        event: tells of something that a person would want to know.
-        sinks: see `edge.loop.publish.statuses`.
-        inputs: the source's table, empty where it has none.
-        plausibility: see `edge.loop.plausibility.Plausibility.status`.
+        worker: Background worker of the detector.
+        swapper: Swaps the detector's model.
+        scorers: The scorers, if any.
+        checkpoint: The checkpoint, if any.
+        faults: Counts exceptions.
+        overruns: Returns the number of reads that found a message ring full, by ring.
+        governor: Returns the state of the governor; None if there is none.
+        event: Reports an event for people, at a loop time.
+        sinks: See `edge.loop.publish.statuses`.
+        inputs: Returns the source's table of inputs; empty if it has none.
+        plausibility: See `edge.loop.plausibility.Plausibility.status`.
     """
 
     def __init__(
@@ -99,10 +104,10 @@ class HealthWatch:
         self._checkpoint, self._faults, self._overruns = checkpoint, faults, overruns
         self._governor, self._event = governor, event
         self._sinks, self._inputs, self._plausibility = sinks, inputs, plausibility
-        self._degraded = False  # the detector is known to be, and that was told
+        self._degraded = False  # the detector is degraded, and that was reported
 
     def look(self, now_ns: int) -> None:
-        """Tell once that the detector has become degraded, and once that it is well again."""
+        """Report once that the detector is degraded, and once that it works again."""
         state, detail = detector_health(self._worker)
         name = self._worker.detector.name
         if state == "degraded" and not self._degraded:
@@ -110,10 +115,10 @@ class HealthWatch:
             self._event(f"detector {name}: degraded: {detail}", now_ns)
         elif state == "ok" and self._degraded:
             self._degraded = False
-            self._event(f"detector {name}: goes well again", now_ns)
+            self._event(f"detector {name}: works again", now_ns)
 
     def status(self) -> dict[str, Any]:
-        """For the status message, by part."""
+        """Return the health of each part for the status message."""
         worker = self._worker
         return {
             "loop": {**self._faults.status(), "overruns": self._overruns()},
@@ -135,15 +140,18 @@ class HealthWatch:
 
 
 def detector_health(worker: DetectorWorker) -> Health:
-    """How the detector is by its own account, and if that is well, by what comes of its images."""
+    """Return the detector's health: its own report, or degraded if its newest images failed."""
     own = worker.detector.health()
     if own.state == "ok" and worker.stats.in_a_row >= DEGRADED_AFTER:
-        return Health("degraded", f"fails at every image: {worker.stats.last_error}")
+        return Health("degraded", f"fails on every image: {worker.stats.last_error}")
     return own
 
 
 def mission_of(mission: MissionFacts) -> dict[str, object]:
-    """Formula, automaton state, plan and sets of a mission (ViTL IV-A2), and why this target."""
+    """Return formula, automaton state, plan and sets of a mission (ViTL IV-A2), JSON-ready.
+
+    `why` is the reason for the active target.
+    """
     translation, plan, knowledge = mission.brief.translation, mission.plan, mission.knowledge
     return {
         "id": mission.id,
@@ -167,10 +175,10 @@ def mission_of(mission: MissionFacts) -> dict[str, object]:
 
 
 def task_of(task: TaskFacts | None) -> dict[str, object] | None:
-    """A task and its trajectory, however much a model has said; None: there is no task.
+    """Return a task and its trajectory, JSON-ready and of bounded size; None if there is no task.
 
-    `trajectory` has `MOST_POSES` [x, y, heading] at most, and `index` is of those; `rounds` are the
-    newest of `answers` answers of a model.
+    `trajectory` has at most `MOST_POSES` rows [x, y, heading], and `index` refers to them. `rounds`
+    holds the newest of the model's answers; their total number is `answers`.
     """
     if task is None:
         return None
@@ -209,7 +217,7 @@ def task_of(task: TaskFacts | None) -> dict[str, object] | None:
 def answer_of(
     s: MissionStatus, mission: MissionFacts, task: TaskFacts | None = None
 ) -> dict[str, object]:
-    """How the mission stands, and the task that it does, for whoever asked."""
+    """Return the reply to a request: the status of the mission and of its task."""
     return {
         "instruction": s.instruction,
         "phase": s.phase,

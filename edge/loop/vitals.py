@@ -1,7 +1,7 @@
-"""How the service is, for who watches over it: the service manager, and whoever asks over HTTP.
+"""Health of the service, for the service manager (systemd) and for HTTP probes.
 
-What it says comes from the thread that starts the service, then from the loop's, after each beat of
-the loop: where the loop hangs, signs of life stay out, and nothing else gives them.
+The thread that starts the service reports first, then the loop's thread after each cycle. If the
+loop hangs, the watchdog signal stops, because no other thread sends it.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from edge.text import one_line
 log = logging.getLogger("edge.loop.vitals")
 
 STEP_S = 300.0
-"""No step of the start takes longer without saying that it goes on."""
+"""Longest time between two progress reports of the start."""
 HANGS_S = 10.0
-"""A loop without a beat for so long hangs, and so does a detector at one image."""
+"""A loop without a cycle, or a detector at one image, for this time counts as hanging."""
 PROBES = ("/healthz", "/readyz")
-"""Pages whose status is for everybody, and what they say for who knows the token."""
-_LOOK_S = 1.0
-_UNSEEN = "nothing to be seen"  # not for how long: that would be another line each second
-_TELL_S = 5.0  # sensors that start together with the service have come by then
-_TELL_AGAIN_S = 10.0
+"""Pages whose HTTP status is public, but whose content needs the token."""
+_CHECK_S = 1.0
+_UNSEEN = "no usable observations"  # without the duration, which would change each second
+_LOG_AFTER_S = 5.0  # sensors that start together with the service are running by then
+_LOG_AGAIN_S = 10.0
 
 State = Literal["starting", "running", "reloading", "stopping"]
 STATES: tuple[State, ...] = get_args(State)
 
 
 class Vitals:
-    """What the service is at, and what is amiss with it.
+    """State of the service, and the problems that make it not ready.
 
     Args:
-        manager: is told of all that changes.
-        clock: seconds.
+        manager: Service manager that gets each change.
+        clock: Clock in seconds.
 
     Attributes:
-        state: what it is at.
+        state: State of the service.
     """
 
     def __init__(
@@ -54,29 +54,29 @@ class Vitals:
     ) -> None:
         self.state: State = "starting"
         self._manager, self._clock = manager, clock
-        self._amiss: tuple[str, ...] = ("starting",)
-        self._said = self._short = ""
-        self._beat_s = self._ping_s = self._look_s = self._ready_s = clock()
+        self._problems: tuple[str, ...] = ("starting",)
+        self._sent = self._shortage = ""
+        self._beat_s = self._ping_s = self._check_s = self._ready_s = clock()
         self._stamp_ns, self._seen_s = 0, -math.inf
         self._images, self._detected_s = 0, clock()
-        self._told, self._told_s = "", -math.inf  # of what is missing, to the log
+        self._logged, self._logged_s = "", -math.inf  # last logged line about missing inputs
 
-    # -- for those who start, run and stop the service ---------------------------------------
+    # -- for the threads that start, run and stop the service --------------------------------
 
     def starting(self, what: str) -> None:
-        """A step of the start has begun, or goes on; see `STEP_S`."""
-        self._amiss = (f"starting: {what}",)
+        """Report that a step of the start has begun or continues; see `STEP_S`."""
+        self._problems = (f"starting: {what}",)
         self._manager.starting(what, STEP_S)
 
     def ready(self) -> None:
-        """The loop begins."""
+        """Report that the loop begins."""
         self._beat_s = self._ready_s = self._clock()
-        self._amiss = (_UNSEEN,)
+        self._problems = (_UNSEEN,)
         self.state = "running"
         self._manager.ready()
 
     def beat(self, running: Running) -> None:
-        """The loop goes on; called by its thread, and never waits."""
+        """Report a loop cycle. The loop's thread calls this; it never waits."""
         self._beat_s = now_s = self._clock()
         if running.service.stamp_ns != self._stamp_ns:
             self._stamp_ns, self._seen_s = running.service.stamp_ns, now_s
@@ -85,80 +85,83 @@ class Vitals:
             self._manager.alive()
         reloads = running.reloader is not None and running.reloader.busy
         if reloads != (self.state == "reloading"):
-            self.state, self._look_s = "reloading" if reloads else "running", now_s
+            self.state, self._check_s = "reloading" if reloads else "running", now_s
             (self._manager.reloading if reloads else self._manager.ready)()
-        if now_s >= self._look_s:
-            self._look_s = now_s + _LOOK_S
-            self._look(running, now_s)
+        if now_s >= self._check_s:
+            self._check_s = now_s + _CHECK_S
+            self._check(running, now_s)
 
     def stopping(self) -> None:
         self.state = "stopping"
-        self._amiss = ("stopping",)
+        self._problems = ("stopping",)
         self._manager.stopping()
 
-    def _look(self, running: Running, now_s: float) -> None:
+    def _check(self, running: Running, now_s: float) -> None:
         stats = running.worker.stats
         images = stats.done + stats.failed
         if images != self._images or running.worker.idle:
             self._images, self._detected_s = images, now_s
         unseen_s, at_one_image_s = now_s - self._seen_s, now_s - self._detected_s
-        self._amiss = tuple(_amiss(running, unseen_s, at_one_image_s))
-        self._tell_unseen(now_s)
-        if (short := shortage()) and short != self._short:
-            log.error("%s: what needs one fails until others are closed", short)
-        elif self._short and not short:
+        self._problems = tuple(_problems(running, unseen_s, at_one_image_s))
+        self._log_unseen(now_s)
+        if (short := shortage()) and short != self._shortage:
+            log.error("%s: new files and connections fail until others are closed", short)
+        elif self._shortage and not short:
             log.info("files and connections can be opened again")
-        self._short = short
-        self._amiss += (short,) * bool(short)
+        self._shortage = short
+        self._problems += (short,) * bool(short)
         status = running.service.status
         doing = status.reason if status.phase == "idle" else status.instruction
-        said = f"{status.phase}: {one_line(doing, 100)}"
-        if self._amiss:
-            said = f"not ready: {'; '.join(self._amiss)} ({said})"
+        line = f"{status.phase}: {one_line(doing, 100)}"
+        if self._problems:
+            line = f"not ready: {'; '.join(self._problems)} ({line})"
         if running.reloader is not None and running.reloader.outcome:
-            said = f"{said}; reload: {running.reloader.outcome}"
-        if said != self._said:
-            self._said = said
-            self._manager.status(said)
+            line = f"{line}; reload: {running.reloader.outcome}"
+        if line != self._sent:
+            self._sent = line
+            self._manager.status(line)
 
-    def _tell_unseen(self, now_s: float) -> None:
-        """Log what is missing when nothing is seen for a while, and when something else is."""
-        unseen = next((why for why in self._amiss if why.startswith(_UNSEEN)), "")
+    def _log_unseen(self, now_s: float) -> None:
+        """Log the missing inputs after a while without observations, and again if they change."""
+        unseen = next((why for why in self._problems if why.startswith(_UNSEEN)), "")
         if not unseen:
-            self._told = ""
+            self._logged = ""
         elif (
-            unseen != self._told
-            and now_s - max(self._seen_s, self._ready_s) >= _TELL_S
-            and now_s - self._told_s >= _TELL_AGAIN_S
+            unseen != self._logged
+            and now_s - max(self._seen_s, self._ready_s) >= _LOG_AFTER_S
+            and now_s - self._logged_s >= _LOG_AGAIN_S
         ):
-            self._told, self._told_s = unseen, now_s
+            self._logged, self._logged_s = unseen, now_s
             log.warning("%s", unseen)
 
     # -- for any thread ------------------------------------------------------------------------
 
     @property
     def silent_s(self) -> float:
-        """How long ago the loop's newest beat was, or the start."""
+        """Time since the newest loop cycle, or since the start."""
         return self._clock() - self._beat_s
 
     @property
     def unseen_s(self) -> float:
-        """How long ago something new was seen; infinite before anything was."""
+        """Time since the newest observation that was not refused; infinite before the first."""
         return self._clock() - self._seen_s
 
     def hangs(self) -> tuple[str, ...]:
-        """Why it should be started again; nothing while it lives."""
+        """Return the reasons to restart the service; empty while the loop runs."""
         silent_s = self.silent_s
         if self.state in ("running", "reloading") and silent_s > HANGS_S:
             return (f"the loop has hung for {silent_s:.0f} s",)
         return ()
 
     def amiss(self) -> tuple[str, ...]:
-        """Why the robot cannot count on it now; nothing while it can."""
-        return self.hangs() or self._amiss
+        """Return the reasons why the service is not ready; empty if it is ready."""
+        return self.hangs() or self._problems
 
     def pages(self) -> Pages:
-        """`/healthz` is 200 while it lives, `/readyz` while nothing is amiss; else 503."""
+        """Return the pages `/healthz` (200 while the loop runs) and `/readyz` (200 while ready).
+
+        Otherwise they return 503.
+        """
         return {
             "/healthz": lambda: self._page(self.hangs()),
             "/readyz": lambda: self._page(self.amiss()),
@@ -169,7 +172,7 @@ class Vitals:
         return json_page({"ok": not why, "state": self.state, "why": why}, status)
 
 
-def _amiss(running: Running, unseen_s: float, at_one_image_s: float) -> Iterator[str]:
+def _problems(running: Running, unseen_s: float, at_one_image_s: float) -> Iterator[str]:
     service = running.service
     if unseen_s > service.blind_s:
         why = service.faults.attempt("inputs", running.now_ns, lambda: lacking(service.inputs()))
@@ -183,4 +186,4 @@ def _amiss(running: Running, unseen_s: float, at_one_image_s: float) -> Iterator
     if detector.state != "ok":
         yield f"the detector is {detector.state}: {one_line(detector.detail)}"
     elif at_one_image_s > HANGS_S:
-        yield "the detector hangs at an image"
+        yield f"the detector has hung at one image for more than {HANGS_S:g} s"

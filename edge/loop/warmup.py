@@ -1,7 +1,7 @@
-"""Compiles every kernel that the loop will call, before the loop starts.
+"""Compiler of every kernel that the loop calls, before the loop starts.
 
-With a filled numba cache this takes a second or two; without one it takes tens of seconds, which
-is why it says what it is doing.
+With a filled numba cache this takes a second or two. Without one it takes tens of seconds, so it
+reports its progress.
 """
 
 from __future__ import annotations
@@ -38,15 +38,16 @@ _SLOW_S = 3.0
 
 
 def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None) -> float:
-    """Run every kernel of this configuration once on made-up data.
+    """Run every kernel of this configuration once on synthetic data.
 
     Args:
-        progress: told what is begun.
+        config: The configuration.
+        progress: Function that is called with each step that begins.
 
     Returns:
-        Seconds it took.
+        Duration in seconds.
     """
-    # A second process compiles these at the same time; then they are read from the cache.
+    # A second process compiles these at the same time; this one then reads them from the cache.
     apart: dict[str, Callable[[], object]] = {
         "perception": lambda: warm_perception((config.perception.lift,)),
         "planner": lambda: warm_planners(weights_of(config)),
@@ -76,12 +77,12 @@ def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None)
 
 
 def weights_of(config: Config) -> str:
-    """Return what the planner weighs targets by."""
+    """Return the planner's weights setting, `constant` if it has none."""
     return getattr(config.mission.planner, "weights", "constant")
 
 
 def _is_cold() -> bool:
-    """Return whether kernels have to be compiled: a cheap one is not in the cache."""
+    """Return True if kernels must be compiled: a cheap one is not in the cache."""
     kernel = kernels.to_planes
     if kernel.signatures:  # this process has called it before
         return False
@@ -91,7 +92,7 @@ def _is_cold() -> bool:
 
 
 def _compile_apart(config: Config) -> subprocess.Popen[bytes]:
-    """Start `main` in a process of its own. If it fails, this process compiles everything."""
+    """Start `main` in another process. If it fails, this process compiles everything."""
     words = (*python_module("edge.loop.warmup"), config.perception.lift, weights_of(config))
     nothing = subprocess.DEVNULL
     return subprocess.Popen(words, stdin=nothing, stdout=nothing, stderr=nothing)
@@ -105,9 +106,9 @@ def main(lift: str, weights: str) -> None:
 
 
 def warm_policy(config: Config) -> None:
-    """One scoring pass over a map with one frontier and one box in the image.
+    """Score a map with one frontier and an image with one box.
 
-    One's own policy compiles what it needs when it is made.
+    A policy plugin compiles its own kernels when it is made.
     """
     if config.value_source is not None:
         warm_values(config.mapping)

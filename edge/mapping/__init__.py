@@ -1,4 +1,4 @@
-"""The map: occupancy, frontiers, driving distances and what the detector has looked at.
+"""Map of the robot's surroundings: occupancy, frontiers, driving distances, detector coverage.
 
-Numba kernels over plain arrays; no stage and no policy.
+Numba kernels over plain arrays. It knows no stages and no policies.
 """

@@ -1,4 +1,4 @@
-"""Where the robot was held up by something that no sensor shows: a sill, glass, a cable."""
+"""Obstacles that no sensor shows but that held the robot up: a sill, glass, a cable."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from edge.mapping.update import SEEN_FREE
 from edge.mapping.window import Window
 
 ROUNDING_CELLS = 2
-"""Rounding an obstacle and the robot's place to cells takes up to this much off the gap between."""
+"""Rounding of an obstacle and of the robot's place to cells may narrow the gap by up to this."""
 _MOST = 64
-# Two bumps that lie no farther apart, on a line across the robot's way both times, are one sill's.
+# Two bumps at most this far apart, on a line across the robot's path both times, are one sill.
 _SAME_SILL_M, _ACROSS = 1.5, 0.7
-# A sill is taken to go on beyond two bumps by as much as they are apart, and no more than this.
+# A sill is assumed to extend beyond two bumps by the distance between them, at most by this.
 _GOES_ON_M = 1.0
-# A first touch may have been a passer-by: it is remembered for this part of `bump_memory_s`.
+# A first touch may have been a passer-by, so it is kept only for this share of `bump_memory_s`.
 _FIRST = 0.2
 
 Cell = tuple[int, int]
@@ -30,15 +30,16 @@ Place = tuple[float, float]
 
 
 class _Bump(NamedTuple):
-    """What one bump has closed.
+    """Cells that one bump has closed.
 
     Attributes:
-        place_m: where the robot's front was held up, driving along `heading_rad`.
+        place_m: place where the robot's front was held up, driving along `heading_rad`.
+        heading_rad: direction of the robot's motion.
         half_m: half the robot's width.
-        until_ns: when it opens.
+        until_ns: time when the cells are opened.
         felt: cells that the front touched.
-        guessed: cells of the sill that this bump and another make out; not kept by `open_all`.
-        again: the robot was held up there before, so what the sensors show there is not believed.
+        guessed: cells of a sill between this bump and another; `open_all` does not keep them.
+        again: True if the robot was held up there before; sensors cannot open the cells then.
     """
 
     place_m: Place
@@ -51,20 +52,22 @@ class _Bump(NamedTuple):
 
     @property
     def cells(self) -> frozenset[Cell]:
+        """All cells that the bump has closed."""
         return self.felt | self.guessed
 
     @property
     def across(self) -> Place:
-        """Unit vector to the left of the way."""
+        """Unit vector to the left of the direction of motion."""
         return -math.sin(self.heading_rad), math.cos(self.heading_rad)
 
 
 class _Closed(NamedTuple):
-    """A cell that is closed by hand.
+    """A cell that bumps have closed.
 
     Attributes:
-        raw, top: what the layers of these names held before.
-        bumps: by how many bumps.
+        raw: value of the layer `raw` before.
+        top: value of the layer `top` before.
+        bumps: number of bumps that close it.
     """
 
     raw: int
@@ -75,16 +78,19 @@ class _Closed(NamedTuple):
 class Bumps:
     """World cells that are closed because something held the robot up there.
 
-    A bump closes what the robot's front touched, as wide as the robot. Two along one line make out
-    a sill: it is closed between them, and beyond them as far as they are apart. No cell is closed
-    where something stands, or so near to the robot's trail that the way back would be shut.
+    A bump closes the cells that the robot's front touched, as wide as the robot. Two bumps along
+    one line form a sill: it is closed between them and beyond them. No cell is closed at a known
+    obstacle, or so near to the robot's trail that the way back would be blocked.
 
-    A bump opens when the robot stands there, when the sensors see floor there, after a fifth of
-    `bump_memory_s`, or by `open_all`. If the robot is then held up there again, the sensors do not
-    show what is there: the bump stays for all of `bump_memory_s`.
+    A bump opens if the robot stands there, if the sensors see floor there, after a fifth of
+    `bump_memory_s`, or by `open_all`. If the robot is then held up there again, the sensors cannot
+    see the obstacle: the bump stays for all of `bump_memory_s`.
 
     Args:
-        write: sets one world cell to a state, with the height of its obstacle.
+        layers: layers of the map.
+        window: window of the map.
+        config: settings of the map.
+        write: sets one world cell to a state and an obstacle height.
     """
 
     def __init__(
@@ -97,10 +103,10 @@ class Bumps:
         self._layers, self._window, self._write = layers, window, write
         self._memory_ns = int(config.bump_memory_s * 1e9)
         self._inflation_m = config.inflation_m
-        # What keeps away from the trail by this leaves its middle open: see `layers.on_trail`.
+        # Cells this far from the trail leave its middle open: see `layers.on_trail`.
         body_cells = config.inflation_m / config.resolution_m - ROUNDING_CELLS
         self._clear_cells = max(body_cells - 0.5, 0.0)
-        # A place within this of one that was opened is the same sill, and still there.
+        # A bump this near to an opened one is the same sill, which is still there.
         self._same_m = 2 * config.inflation_m + ROUNDING_CELLS * config.resolution_m
         self._bumps: list[_Bump] = []  # oldest first
         self._opened: list[_Bump] = []  # by `open_all`, oldest first
@@ -108,24 +114,24 @@ class Bumps:
 
     @property
     def closed_m(self) -> list[Place]:
-        """Where the robot was held up and the map is closed, oldest first."""
+        """Places where the robot was held up and the map is closed, oldest first."""
         return [bump.place_m for bump in self._bumps]
 
     @property
     def known_m(self) -> list[Place]:
-        """Like `closed_m`, with what `open_all` opened and the robot did not stand on."""
+        """`closed_m`, and places that `open_all` opened and the robot has not stood on since."""
         return [bump.place_m for bump in (*self._opened, *self._bumps)]
 
     def close(self, pose: SE2, place_m: Place, radius_m: float, now_ns: int) -> bool:
-        """Close what a robot touched; return whether anything was closed.
+        """Close the cells that the robot touched; return True if any cell was closed.
 
-        Nothing is outside the window, nor on the robot's own trail.
+        No cell is closed outside the window or on the robot's own trail.
 
         Args:
-            pose: of the robot.
-            place_m: where its front was held up.
-            radius_m: the robot's.
-            now_ns: of the clock that `expire` is told.
+            pose: pose of the robot.
+            place_m: place where its front was held up.
+            radius_m: radius of the robot.
+            now_ns: time on the clock that `expire` gets.
         """
         heading = math.atan2(place_m[1] - pose.y_m, place_m[0] - pose.x_m)
         found = [self._with_cells(_Bump(place_m, heading, radius_m, 0))]
@@ -145,26 +151,26 @@ class Bumps:
         return bool(closed)
 
     def expire(self, now_ns: int) -> None:
-        """Open what was closed long enough ago. A second touch there is then a first one."""
+        """Open bumps that are old enough. A later touch there counts as a first one again."""
         if self._opened:
             self._opened = [b for b in self._opened if now_ns < b.until_ns]
         for bump in [b for b in self._bumps if now_ns >= b.until_ns]:
             self._open(bump)
 
     def open_seen_free(self) -> None:
-        """Open what the sensors have seen to be floor, but for what was touched again."""
+        """Open bumps where the sensors see floor, except those that were touched again."""
         for bump in [b for b in self._bumps if not b.again and self._is_seen_free(b)]:
             self._reopen(bump)
 
     def open_all(self) -> bool:
-        """Open all that is closed, to be tried once more; whether there was any."""
+        """Open all bumps to try them once more; return True if there was any."""
         any_closed = bool(self._bumps)
         while self._bumps:
             self._reopen(self._bumps[0])
         return any_closed
 
     def stand_on(self, cell: Cell) -> None:
-        """The robot is on this world cell, so nothing holds it up there."""
+        """Open the bumps at the robot's world cell: nothing holds it up there."""
         if cell in self._closed:
             for bump in [b for b in self._bumps if cell in b.cells]:
                 self._open(bump)
@@ -173,15 +179,18 @@ class Bumps:
             self._opened = [b for b in self._opened if cell not in b.felt]
 
     def follow_window(self) -> None:
-        """Forget what the window has left."""
+        """Drop cells that have left the window."""
         held = {cell for cell in self._closed if self._window.holds(*cell)}
         self._closed = {cell: self._closed[cell] for cell in held}
         kept = [b._replace(felt=b.felt & held, guessed=b.guessed & held) for b in self._bumps]
         self._bumps = [bump for bump in kept if bump.cells]
 
     def state_dict(self) -> Arrays:
-        """Return all that is closed, and what was opened to be tried again; a row of `cell` is
-        (bump, x, y, whether guessed), one of `closed` (x, y, raw, top) as it was."""
+        """Return all bumps, with those that were opened to be tried again.
+
+        A row of `cell` is (bump, x, y, 1 if guessed). A row of `closed` is (x, y, raw, top) with
+        the values before the cell was closed.
+        """
         opened = self._opened[-_MOST:]
         every = (*opened, *self._bumps)
         cells = [
@@ -203,19 +212,18 @@ class Bumps:
         }
 
     def load_state_dict(self, state: Arrays, later_ns: int) -> None:
-        """Go on with a `state_dict`, in a map whose layers have these cells closed.
+        """Restore a `state_dict`, in a map whose layers have these cells closed.
 
-        Args:
-            later_ns: how much later it all happened on the clock of now.
+        `later_ns` is the difference between the current clock and that of the `state_dict`.
         """
         each = ("place_m", "heading_rad", "half_m", "until_ns", "opened", "again")
         rows = {each: 2 * _MOST, ("cell",): 1 << 16, ("closed",): 1 << 16}
         check_arrays(state, self.state_dict(), rows, {})
         cells, raw_top = state["cell"], state["closed"][:, 2:]
         if ((cells[:, ::3] < 0) | (cells[:, ::3] >= (len(state["opened"]), 2))).any():
-            raise ValueError("cell: no such bump")
+            raise ValueError("cell: a row names a bump that does not exist")
         if ((raw_top < 0) | (raw_top > 255)).any():
-            raise ValueError("closed: not cells")
+            raise ValueError("closed: raw or top is outside 0 to 255")
         self._opened, self._bumps = [], []
         held: dict[Cell, int] = {}
         for at, heading, half, until_ns, opened, again, (felt, guessed) in zip(
@@ -233,15 +241,17 @@ class Bumps:
         self.follow_window()
 
     def explained(self, pose: SE2, place_m: tuple[float, float], radius_m: float) -> bool:
-        """Whether an obstacle that was seen explains why a robot at `pose` is held up at a place.
+        """Return True if a known obstacle explains why the robot at `pose` is held up at a place.
 
-        It does where it stands on the line from the robot through the place: from `radius_m`
-        before the place to the inflation behind it. Half the robot's width counts: what is
-        beside it, as the jambs of a door are beside its sill, does not hold it up; but for what
-        the robot's front half touches, as the edge of a table in a turn.
+        The obstacle must be on the line from the robot through the place, from `radius_m` before
+        the place to the inflation radius behind it. Only half the robot's width counts, because
+        obstacles at its side, such as door jambs next to a sill, do not hold it up. Obstacles that
+        touch the robot's front half count too, such as the edge of a table in a turn.
 
         Args:
-            radius_m: the robot's.
+            pose: pose of the robot.
+            place_m: place where it is held up.
+            radius_m: radius of the robot.
         """
         window, beyond_m = self._window, self._inflation_m
         if not window.placed:
@@ -257,7 +267,7 @@ class Bumps:
         along, across = dx * c + dy * s, dy * c - dx * s
         raw = self._layers.raw[y % n, x % n]
         on_the_way = (-radius_m <= along) & (along <= beyond_m) & (np.abs(across) <= 0.5 * radius_m)
-        ahead_m = along + math.dist(place_m, (pose.x_m, pose.y_m))  # of the robot's centre
+        ahead_m = along + math.dist(place_m, (pose.x_m, pose.y_m))  # from the robot's centre
         touched = (ahead_m >= 0.0) & (np.hypot(ahead_m, across) <= radius_m + res)
         return bool(
             np.any(
@@ -269,7 +279,7 @@ class Bumps:
         )  # fmt: skip
 
     def _with_cells(self, bump: _Bump) -> _Bump:
-        """A bump with the cells that it closes, as the map and the other bumps are now."""
+        """Return a bump with the cells that it closes, given the map and the other bumps."""
         (x, y), touched_m = bump.across, self._off_trail(bump)
         felt: set[Cell] = set()
         if touched_m is not None:
@@ -283,9 +293,9 @@ class Bumps:
         return bump._replace(felt=frozenset(felt & held), guessed=frozenset(guessed & held - felt))
 
     def _off_trail(self, bump: _Bump) -> Place | None:
-        """The touched place, moved on along the heading until it leaves the trail open.
+        """Return the touched place, moved along the heading until it leaves the trail open.
 
-        A thing on the trail itself is not closed: the robot came through there.
+        An obstacle on the trail itself is not closed, because the robot came through there.
         """
         step_m, (x, y) = self._window.resolution_m, bump.place_m
         for k in range(math.ceil(self._clear_cells) + 1):
@@ -302,13 +312,13 @@ class Bumps:
         return ly.near_trail(self._layers, cell[1] % n, cell[0] % n, self._clear_cells)
 
     def _is_seen_free(self, bump: _Bump) -> bool:
-        """Whether most of what was touched was floor in the last updates, and nothing else."""
+        """Return True if most touched cells were floor, and nothing else, in the last updates."""
         top, n = self._layers.top, self._window.n
         seen = sum(top[y % n, x % n] >= SEEN_FREE for x, y in bump.felt)
         return 2 * seen > len(bump.felt)
 
     def _between(self, a: _Bump, b: _Bump) -> Iterator[Cell]:
-        """Cells of the sill that two bumps make out; none where they are of two things."""
+        """Yield the cells of the sill that two bumps form; none if they are two obstacles."""
         gap_m = math.dist(a.place_m, b.place_m)
         if not self._window.resolution_m <= gap_m <= _SAME_SILL_M:
             return
@@ -325,7 +335,7 @@ class Bumps:
         yield from self._along(a.place_m, (-x, -y), a.half_m + on_m)
 
     def _along(self, start_m: Place, way: Place, length_m: float) -> Iterator[Cell]:
-        """Cells from a place on, as far as nothing that was seen and nowhere the robot was."""
+        """Yield cells from a place on, up to a known obstacle or the robot's trail."""
         res, n = self._window.resolution_m, self._window.n
         for k in range(1, math.floor(2.0 * length_m / res) + 1):
             cell = self._window.cell_of(
@@ -351,12 +361,12 @@ class Bumps:
             self._open(self._bumps[0])
 
     def _reopen(self, bump: _Bump) -> None:
-        """Open a bump that may still be there: it is known until its time is over."""
+        """Open a bump that may still be there, and remember it until its time is over."""
         self._open(bump)
         self._opened.append(bump._replace(guessed=frozenset()))
 
     def _open(self, bump: _Bump) -> None:
-        """Give the cells that no other bump has closed back the state that they had."""
+        """Restore the cells that no other bump has closed."""
         self._bumps.remove(bump)
         for cell in bump.cells:
             before = self._closed[cell]
@@ -368,7 +378,7 @@ class Bumps:
 
 
 def _by_bump(cells: np.ndarray, n: int) -> list[tuple[frozenset[Cell], frozenset[Cell]]]:
-    """(felt, guessed) of each of `n` bumps, from rows as `Bumps.state_dict` has them."""
+    """Return (felt, guessed) of each of `n` bumps, from rows of `Bumps.state_dict`."""
     sets: list[tuple[set[Cell], set[Cell]]] = [(set(), set()) for _ in range(n)]
     for i, x, y, guessed in cells.tolist():
         sets[i][guessed].add((x, y))

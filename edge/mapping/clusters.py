@@ -1,8 +1,8 @@
-"""The persistent frontier set (VL-Nav III.B): partial detection, clusters, target points.
+"""Persistent frontiers (VL-Nav III.B): partial detection, clusters, target points.
 
-A frontier cell is free and has an unknown cell among its four neighbours in the window. Only the
-words of the bit planes that meet the changed region are tested again, and only clusters that won
-or lost a cell there are grown again; all others stay as they were.
+A frontier cell is free and has an unknown cell among its four neighbours in the window. An update
+tests only the words of the bit planes in the changed region. It grows only those clusters again
+that gained or lost a cell; all others stay as they were.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-# A cluster is cut at this size, which bounds the work of growing one again (25 m at 0.05 m).
+# Largest cluster, which bounds the work of growing one again (25 m at 0.05 m).
 MAX_CELLS = 512
 MAX_SAMPLES = 32
 MAX_CLUSTERS = 8192
 MAX_KEPT = 1024
 _CELLS_PER_SIDE = 64
 ROWS = {("id", "size", "samples", "sample"): MAX_CLUSTERS, ("cell",): 1 << 18, ("free",): 1 << 13}
-"""Arrays of a `state_dict` with one row each for the same things, and how many at most."""
+"""Groups of arrays in a `state_dict` with equally many rows, and the largest number of rows."""
 # Entries of `Clusters.count`.
 FREE_NODE, FREE_IDS, OVERFLOW, KEPT = 0, 1, 2, 3
 
@@ -29,19 +29,18 @@ class Clusters(NamedTuple):
 
     Attributes:
         node_cell: (m,) int32, flat storage cell of a node.
-        node_next: (m,) int32, next node of the list, -1 ends it.
+        node_next: (m,) int32, next node of the list, -1 at its end.
         head: (MAX_CLUSTERS,) int32, first node of a cluster (id 0 is never used).
-        size: (MAX_CLUSTERS,) int32, cells; 0 = the id is free.
-        dirty: (MAX_CLUSTERS,) bool.
+        size: (MAX_CLUSTERS,) int32, number of cells; 0 = the id is free.
+        dirty: (MAX_CLUSTERS,) bool, True if the cluster must be grown again.
         sample: (MAX_CLUSTERS, MAX_SAMPLES) int32, flat storage cells of the target points.
-        samples: (MAX_CLUSTERS,) int32.
-        free_id: (MAX_CLUSTERS,) int32, a stack.
-        count: (4,) int64: first free node, height of the stack, cells that found no room,
+        samples: (MAX_CLUSTERS,) int32, number of target points.
+        free_id: (MAX_CLUSTERS,) int32, stack of free ids.
+        count: (4,) int64: first free node, height of the stack, number of cells without room,
             length of `kept`.
         pending: (m,) int32, cells that wait for a cluster.
-        queue: (MAX_CELLS,) int32.
-        kept: (MAX_KEPT,) int32, target points of the clusters being regrown; its number is
-            `count[KEPT]`.
+        queue: (MAX_CELLS,) int32, scratch of the search.
+        kept: (MAX_KEPT,) int32, target points of the clusters that are grown again.
     """
 
     node_cell: np.ndarray
@@ -59,7 +58,7 @@ class Clusters(NamedTuple):
 
 
 def make_clusters(n: int) -> Clusters:
-    """No clusters yet, room for 64 frontier cells per row of the map."""
+    """Make an empty set of clusters, with room for 64 frontier cells per row of the map."""
     nodes = _CELLS_PER_SIDE * n
     node_next = np.arange(1, nodes + 1, dtype=np.int32)
     node_next[-1] = -1
@@ -81,6 +80,7 @@ def make_clusters(n: int) -> Clusters:
 
 @njit(nogil=True, cache=True, inline="always")
 def _unknown(layers, sy, word):
+    """Return the unknown cells of a word that are not blocked, as bits."""
     return ~(layers.known[sy, word] | layers.blocked[sy, word])
 
 
@@ -88,7 +88,7 @@ def _unknown(layers, sy, word):
 def retest(layers, shift_x, shift_y, x0, y0, x1, y1, clusters, n_pending):
     """Test the frontier cells of a window rectangle again.
 
-    New ones get label -1 and wait in `pending`; clusters that lost one become dirty.
+    New frontier cells get label -1 and wait in `pending`. Clusters that lost a cell become dirty.
 
     Returns:
         The new number of pending cells.
@@ -138,10 +138,10 @@ def retest(layers, shift_x, shift_y, x0, y0, x1, y1, clusters, n_pending):
 
 @njit(nogil=True, cache=True)
 def regroup(layers, shift_x, shift_y, clusters, n_pending, large_cells, spacing_cells):
-    """Grow the clusters that changed again (BFS, 8-connected) and choose their target points.
+    """Grow changed clusters again (BFS, 8-connected) and choose their target points.
 
     Returns:
-        Whether any cluster changed.
+        True if any cluster changed.
     """
     n = layers.raw.shape[0]
     flat = layers.label.ravel()
@@ -162,7 +162,7 @@ def regroup(layers, shift_x, shift_y, clusters, n_pending, large_cells, spacing_
     for i in range(n_pending):
         if flat[clusters.pending[i]] == -1:
             _grow(layers, flat, shift_x, shift_y, clusters, clusters.pending[i])
-    # Sampling after growing: a later cluster can never take cells of an earlier one.
+    # Sample after growing all: a later cluster never takes cells of an earlier one.
     for i in range(n_pending):
         k = flat[clusters.pending[i]]
         if k > 0 and clusters.samples[k] == 0:
@@ -172,7 +172,7 @@ def regroup(layers, shift_x, shift_y, clusters, n_pending, large_cells, spacing_
 
 @njit(nogil=True, cache=True)
 def _dissolve(flat, clusters, k, n_pending):
-    """Give a cluster's nodes back; cells that are still its own wait for a new cluster."""
+    """Free a cluster's nodes; its cells wait for a new cluster."""
     clusters.dirty[k] = False
     if clusters.size[k] == 0:
         return n_pending
@@ -202,7 +202,7 @@ def _dissolve(flat, clusters, k, n_pending):
 
 @njit(nogil=True, cache=True)
 def _grow(layers, flat, shift_x, shift_y, clusters, seed):
-    """Make a cluster of the waiting cells connected to `seed`, MAX_CELLS at most."""
+    """Make a cluster of at most MAX_CELLS waiting cells connected to `seed`."""
     n = layers.raw.shape[0]
     if clusters.count[FREE_IDS] == 0:
         clusters.count[OVERFLOW] += 1
@@ -239,11 +239,11 @@ def _grow(layers, flat, shift_x, shift_y, clusters, seed):
 
 @njit(nogil=True, cache=True)
 def _sample(n, flat, shift_x, shift_y, clusters, k, large_cells, spacing_cells):
-    """Target points: the member nearest the centroid, or for a large cluster members at least
-    `spacing_cells` apart.
+    """Choose the target points of a cluster.
 
-    Points of before that are still members come first: a large cluster that grew at one end
-    must not have all its targets moved.
+    A small cluster has one, the member nearest to the centroid. A large cluster has members at
+    least `spacing_cells` apart. Earlier target points that are still members come first, so that a
+    large cluster that grows at one end keeps its other targets.
     """
     if clusters.size[k] < large_cells:
         _add_apart(
@@ -263,7 +263,7 @@ def _sample(n, flat, shift_x, shift_y, clusters, k, large_cells, spacing_cells):
 
 @njit(nogil=True, cache=True)
 def _central(n, shift_x, shift_y, clusters, k):
-    """The member nearest to the centroid of a cluster."""
+    """Return the member nearest to the centroid of a cluster."""
     sum_x, sum_y = 0.0, 0.0
     node = clusters.head[k]
     while node >= 0:
@@ -302,6 +302,7 @@ def _add_apart(n, shift_x, shift_y, clusters, k, cell, spacing_cells):
 
 @njit(nogil=True, cache=True)
 def _targets_of(clusters, min_cells):
+    """Return the number of target points of clusters with `min_cells` or more."""
     total = 0
     for k in range(1, MAX_CLUSTERS):
         if clusters.size[k] >= min_cells:
@@ -311,10 +312,10 @@ def _targets_of(clusters, min_cells):
 
 @njit(nogil=True, cache=True)
 def list_targets(n, shift_x, shift_y, origin_x, origin_y, res, clusters, min_cells, xy, cells, ids):
-    """Write the target points of all clusters of `min_cells` or more.
+    """Write the target points of all clusters with `min_cells` or more.
 
-    Where they do not fit, the smallest clusters are left out, by doubling the least size; where
-    even the largest have too many, the rest is cut off.
+    If there is no room for all, the smallest clusters are left out, by doubling the least size. If
+    even the largest clusters have too many, the rest is dropped.
 
     Returns:
         The number of target points.
@@ -339,18 +340,18 @@ def list_targets(n, shift_x, shift_y, origin_x, origin_y, res, clusters, min_cel
 
 
 def state_dict(clusters):
-    """Return all clusters as plain arrays, from which `load_state_dict` makes the same again.
+    """Return all clusters as plain arrays, for `load_state_dict`.
 
     Returns:
-        `id`, `size` and `samples` (k,) int32; `sample` (k, MAX_SAMPLES) int32; `cell`, the
-        members of one cluster after the other, (size.sum(),) int32; `free` (f,) int16.
+        `id`, `size` and `samples` (k,) int32; `sample` (k, MAX_SAMPLES) int32; `cell`, the members
+        of one cluster after the other, (size.sum(),) int32; `free` (f,) int16.
     """
     ids = np.flatnonzero(clusters.size).astype(np.int32)
     cell, size = np.zeros(int(clusters.size.sum()), np.int32), np.zeros(len(ids), np.int32)
     n = _members(clusters, ids, cell, size)
     free = clusters.free_id[: clusters.count[FREE_IDS]]
-    free = np.concatenate((free, ids[size == 0]))  # those for which there was no node
-    free = free.astype(np.int16)  # half of the file of a small map
+    free = np.concatenate((free, ids[size == 0]))  # clusters for which there was no node
+    free = free.astype(np.int16)  # half the size of the file of a small map
     ids, size = ids[size > 0], size[size > 0]
     samples, sample = clusters.samples[ids], clusters.sample[ids]
     sample[np.arange(MAX_SAMPLES) >= samples[:, None]] = 0  # of earlier clusters
@@ -361,10 +362,10 @@ def state_dict(clusters):
 
 
 def load_state_dict(label, clusters, state):
-    """Make the clusters of a `state_dict` in a map that has none yet.
+    """Restore the clusters of a `state_dict` in a map without clusters.
 
     Raises:
-        ValueError: they are no clusters of such a map.
+        ValueError: these are not the clusters of such a map.
     """
     flat = label.ravel()
     ids, size, cell, free = (state[name] for name in ("id", "size", "cell", "free"))
@@ -377,13 +378,13 @@ def load_state_dict(label, clusters, state):
         and ((cell >= 0) & (cell < len(flat))).all()
         and ((samples >= 0) & (samples <= MAX_SAMPLES)).all()
     ):
-        raise ValueError("its frontiers are none")
+        raise ValueError("frontiers: ids, sizes or cells are inconsistent")
     flat[cell] = np.repeat(ids, size)
     for k in range(MAX_SAMPLES):
         has = samples > k
         at = sample[has, k]
         if not ((at >= 0) & (at < len(flat))).all() or not (flat[at] == ids[has]).all():
-            raise ValueError("its frontiers' targets lie elsewhere")
+            raise ValueError("frontiers: a target point is not in its cluster")
     n = len(cell)
     ends = np.cumsum(size)
     clusters.node_cell[:n] = cell
@@ -397,7 +398,7 @@ def load_state_dict(label, clusters, state):
 
 @njit(nogil=True, cache=True)
 def _members(clusters, ids, cell, size):
-    """List the members of clusters, in the order that they are kept in."""
+    """Write the members of clusters in the order of their lists; return their number."""
     n = 0
     for i in range(len(ids)):
         node = clusters.head[ids[i]]

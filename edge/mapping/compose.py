@@ -1,4 +1,4 @@
-"""Reads the torus of layers out as one grid. Knows arrays only."""
+"""Reading of the torus of layers as one grid; arrays only."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 def compose(
     layers: Layers, body: np.ndarray, x0: int, y0: int, inflated: int, zones: bool, out: np.ndarray
 ) -> None:
-    """Write what is published of the layers into `out`.
+    """Write the published state of the layers into `out`.
 
     Args:
-        body: disc that has to be free for the robot to go back where it was; see `on_trail`.
-        x0, y0: world cell of `out[0, 0]`; world cell c lies at c mod N.
-        inflated: value of cells that are only too near to something occupied, or in a zone.
+        layers: layers of the map.
+        body: disc that must be free for the robot to return to its trail; see `on_trail`.
+        x0: world cell of `out[0, 0]`; world cell c lies at c mod N.
+        y0: see `x0`.
+        inflated: value of cells that are only too near to an occupied cell, or in a zone.
         zones: False leaves zones open.
         out: (h, w) int8: -1 unknown, 0 free, 100 occupied, or `inflated`.
     """
@@ -33,7 +35,7 @@ def compose(
         for j in range(out.shape[1]):
             if raw[sy, sx] >= RAW_OCCUPIED:
                 out[i, j] = OCCUPIED
-            # Most are not on the trail; to call with all layers costs more than to look.
+            # Most cells are not on the trail: test the bit first, the call is expensive.
             elif near[sy, sx] & counted and not (
                 bit_get(trail, sy, sx) and on_trail(layers, sy, sx, body)
             ):

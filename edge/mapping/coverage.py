@@ -1,8 +1,8 @@
-"""How often the detector looked at each place from near by, and from where it would see the rest.
+"""Detector coverage: how often the detector saw each place, and the best view of unseen places.
 
-A place is a square of about a quarter of a metre. The camera sees those that a straight line over
-free cells leads to, and the first occupied one on that line. The same rule tells what a view
-would show, so that standing there makes true what was expected.
+A place is a square of about a quarter of a metre. The camera sees the places along a straight line
+over free cells, up to and including the first occupied one. The search for views uses the same
+rule, so a view shows what the search expected of it.
 """
 
 from __future__ import annotations
@@ -22,29 +22,37 @@ from edge.types import Observation
 
 PLACE_M = 0.25
 NEAR_M = 0.8
-"""What lies nearer does not fit into the image."""
+"""Places nearer than this are outside the image."""
 LEAST_M2 = 0.5
-"""A view of less than this is not worth a goal."""
+"""Smallest area that makes a view worth a goal."""
 START_M = 2.0
-"""What a goal costs besides the way to it: turning, stopping and looking, as metres of way."""
+"""Fixed cost of a goal in metres of path: turning, stopping and looking."""
 SURE = 0.85
-"""Share of the field of view and of the range that a view is planned with: the robot stops a
-little aside, and turned a little."""
+"""Share of the field of view and range that is used to plan a view.
+
+The robot stops slightly off the planned pose.
+"""
 WORK_PER_STEP = 100_000
-"""What a step of the search may do, as lattice points passed over (some 10 ns each)."""
+"""Work of one search step, in lattice points visited (some 10 ns each)."""
 _REACHED_WORK, _CAST_WORK = 64, 2048
 MAX_RAYS = 512
-# A place's byte: looks up to `MOST_LOOKS`, and a bit that is set while a kernel runs alone.
+# A place's byte: number of looks up to `MOST_LOOKS`, and a flag that only kernels use.
 MOST_LOOKS, _FLAG = 127, 128
-# What becomes of the places that a cast showed.
+# Action on the places that a ray cast showed.
 KEEP, COUNT, WRITE_OFF = range(3)
-# Entries of the best view so far; the place is a world cell.
+# Entries of the best view so far; x and y are a world cell.
 _WORTH, _X, _Y, _HEADING = range(4)
 
 
 @dataclass(frozen=True, slots=True)
 class Viewpoint:
-    """Where to stand, on a cell that the robot can get to, and which way the camera then looks."""
+    """A cell that the robot can reach, and the direction of the camera there.
+
+    Attributes:
+        x_m: centre of the cell in `map`.
+        y_m: centre of the cell in `map`.
+        heading_rad: direction of the camera in `map`.
+    """
 
     x_m: float
     y_m: float
@@ -52,12 +60,12 @@ class Viewpoint:
 
 
 class Coverage:
-    """A byte for each place, on the map's torus; memory is fixed at construction.
+    """Number of looks at each place, one byte per place on the map's torus; memory is fixed.
 
     Attributes:
-        camera_yaw_rad: of the camera on the robot; 0 where it looks ahead.
-        looks: (m, m) uint8 by storage place, how often it was looked at; 127 is the most.
-        view: what `search` found, the best of all views; None when none is worth a goal.
+        camera_yaw_rad: yaw of the camera on the robot; 0 if it looks ahead.
+        looks: (m, m) uint8 by storage place, number of looks, at most 127.
+        view: best of all views that `search` found; None if no view is worth a goal.
     """
 
     def __init__(self, layers: Layers, window: Window) -> None:
@@ -65,18 +73,18 @@ class Coverage:
         self.view: Viewpoint | None = None
         self._layers, self._window = layers, window
         resolution_m, n = window.resolution_m, window.n
-        # The window's rolls are multiples of 64 cells, and so of a place's side.
+        # The window moves by multiples of 64 cells, and so of a place's side.
         self._bits = min(6, max(0, round(math.log2(PLACE_M / resolution_m))))
         self._least = max(1, round(LEAST_M2 / (resolution_m * 2**self._bits) ** 2))
         self.looks = np.zeros((n >> self._bits, n >> self._bits), np.uint8)
         self._fresh = np.zeros(MAX_RAYS, np.int32)
         self._fov_rad = self._range_m = 0.0
         self._enough = 1
-        self._next = 0  # lattice point that the search goes on with
+        self._next = 0  # lattice point where the search continues
         self._best = np.zeros(4)
 
     def roll(self, axis: int, by: int) -> None:
-        """Forget what the window is about to leave, moving by so many cells along x (0) or y."""
+        """Clear the strip that leaves the window when it moves by `by` cells along x (0) or y."""
         start, n = self._window.origin[axis], self._window.n
         gone = min(abs(by), n)
         start += 0 if by > 0 else n - gone
@@ -84,16 +92,17 @@ class Coverage:
         self.looks[(slice(None), strip) if axis == 0 else strip] = 0
 
     def forget(self) -> None:
-        """The detector looks for something else: nothing was looked at for that."""
+        """Clear all counts, because the detector now looks for other objects."""
         self.looks[:] = 0
         self._window.written[:] = True
 
     def look(self, seen: Observation, range_m: float, enough: int) -> None:
-        """The detector searched this image.
+        """Count a look at each place in an image that the detector searched.
 
         Args:
-            range_m: how far away what it says counts.
-            enough: after so many looks a place was seen well.
+            seen: the image's observation.
+            range_m: range within which detections count.
+            enough: number of looks after which a place counts as seen well.
         """
         camera = seen.camera
         if camera is None:
@@ -108,18 +117,18 @@ class Coverage:
         self._show(T[0, 3], T[1, 3], first, between, rays, far, COUNT)
 
     def worth(self, view: Viewpoint) -> bool:
-        """Whether a view still shows enough that was seen badly."""
+        """Return True if a view still shows enough places that were not seen well."""
         return self._planned(view, KEEP) >= self._least
 
     def write_off(self, view: Viewpoint) -> None:
-        """What a view was to show and was not seen well all the same is not sought again."""
+        """Never seek the places of a view again that are still not seen well."""
         self._planned(view, WRITE_OFF)
 
     def snapshot(self) -> Grid:
-        """A copy of how well each place was looked at; see `Window.copy_of`.
+        """Return a copy of how well each place was seen; see `Window.copy_of`.
 
         Returns:
-            uint8 cells: 0 where nobody looked, 255 where the detector looked often enough.
+            uint8 cells: 0 = never seen, 255 = seen often enough.
         """
 
         def plane() -> np.ndarray:
@@ -129,18 +138,18 @@ class Coverage:
         return self._window.copy_of(plane)
 
     def start_over(self) -> None:
-        """Have the next `search` begin anew."""
+        """Restart the search: the next `search` begins at the first cell."""
         self._next = 0
         self._best[:] = 0.0
 
     def search(self, reach: ReachField) -> bool:
-        """One step of the search for the view that shows the most for the way to it.
+        """Do one step of the search for the view that shows the most per length of path to it.
 
-        The cells that the robot can get to are gone through some at a time, so that a step costs
-        a few milliseconds at most whatever the map's size.
+        A step tests some of the cells that the robot can reach. It takes at most a few
+        milliseconds, for maps of any size.
 
         Returns:
-            Whether all were gone through; `view` then holds the best.
+            True when all cells were tested; `view` then has the best view.
         """
         self.view = None
         if self._fov_rad == 0.0 or reach.generation == 0:
@@ -169,7 +178,7 @@ class Coverage:
     def _show(
         self, x_m: float, y_m: float, first: float, between: float, rays: int, far: float, then: int
     ) -> int:
-        """See `show`; in metres of `map`."""
+        """Call the kernel `show` with coordinates in metres of `map`."""
         window, res, (ox, oy) = self._window, self._window.resolution_m, self._window.origin
         if then != KEEP:
             x, y = window.cell_of(x_m, y_m)
@@ -184,9 +193,9 @@ class Coverage:
 
 @njit(nogil=True, cache=True)
 def sector(fov, far, bits):
-    """(angle between two rays, their number) so that two are about a place apart at the end.
+    """Return (angle between two rays, number of rays) of a sector.
 
-    A full circle is a whole number of such angles.
+    Two rays are about a place apart at the end, and the angle divides a full circle evenly.
     """
     circle = max(8, min(int(2.0 * math.pi * far / (1 << bits)), MAX_RAYS - 1))
     between = 2.0 * math.pi / circle
@@ -197,14 +206,13 @@ def sector(fov, far, bits):
 def show(
     raw, looks, bits, shift_x, shift_y, x, y, first, between, rays, near, far, enough, then, fresh
 ):  # fmt: skip
-    """Which places a camera sees, and what becomes of them.
+    """Cast rays from a camera and update the places that it sees.
 
-    Args:
-        x, y: window coordinates in cells, fractions too.
-        first, between: direction of the first ray, and from there to the next, radians.
-        near, far: cells; what lies nearer or farther does not count.
-        then: COUNT a look, WRITE_OFF what had too few, or KEEP all as it is.
-        fresh: (rays,) int32 output: places with too few looks that this ray was the first to show.
+    - `x`, `y`: window coordinates in cells, with fractions.
+    - `first`, `between`: direction of the first ray, and angle to the next, radians.
+    - `near`, `far`: range in cells that counts.
+    - `then`: COUNT a look, WRITE_OFF places with too few looks, or KEEP everything.
+    - `fresh`: (rays,) int32 output: places with too few looks that this ray was the first to show.
 
     Returns:
         The sum of `fresh`.
@@ -236,14 +244,14 @@ def show(
 
 @njit(nogil=True, cache=True, inline="always")
 def _stored(at, shift, n):
-    """Where a row or column of the window is stored."""
+    """Return the storage row or column of a window row or column."""
     at += shift
     return at - n if at >= n else at
 
 
 @njit(nogil=True, cache=True)
 def _square(x, y, far, bits, m):
-    """(x0, y0, x1, y1): the places of the window, half open, that may lie within `far` cells."""
+    """Return the half-open range (x0, y0, x1, y1) of places that may be within `far` cells."""
     return (
         max(int(x - far) >> bits, 0),
         max(int(y - far) >> bits, 0),
@@ -254,7 +262,7 @@ def _square(x, y, far, bits, m):
 
 @njit(nogil=True, cache=True)
 def _ray(raw, looks, bits, shift_x, shift_y, x, y, dx, dy, near, far, enough):
-    """Flag the places along a ray; the number of those not flagged yet with too few looks."""
+    """Flag the places along a ray; return how many of them are new and have too few looks."""
     n = raw.shape[0]
     step = max(1.0, 0.25 * (1 << bits))
     fresh, along = 0, 0.0
@@ -280,7 +288,7 @@ def _ray(raw, looks, bits, shift_x, shift_y, x, y, dx, dy, near, far, enough):
 
 @njit(nogil=True, cache=True)
 def _bad_around(looks, bits, shift_x, shift_y, x, y, far, enough):
-    """Places with too few looks in the square around a window cell: no view shows more."""
+    """Count the places with too few looks in the square around a cell: the most a view shows."""
     m = looks.shape[0]
     x0, y0, x1, y1 = _square(x, y, far, bits, m)
     count = 0
@@ -294,7 +302,7 @@ def _bad_around(looks, bits, shift_x, shift_y, x, y, far, enough):
 
 @njit(nogil=True, cache=True)
 def _best_sector(fresh, circle, width):
-    """(places, first ray) of the best `width` neighbouring rays of a full circle."""
+    """Return (places, first ray) of the best `width` neighbouring rays of a full circle."""
     now = 0
     for k in range(width):
         now += fresh[k]
@@ -311,18 +319,18 @@ def best_view(
     layers, distance, x0, y0, x1, y1, origin_x, origin_y, looks, bits, enough, fov, near, far,
     start, least, fresh, at, work, best,
 ):  # fmt: skip
-    """Go on through the lattice of reached cells, one a place, from point `at`.
+    """Continue the search over the lattice of reachable cells, one per place, from point `at`.
 
-    A view is worth the places it shows over the way to it, which counts `start` cells more.
+    The value of a view is the number of places it shows over the length of the path to it plus
+    `start` cells.
 
-    Args:
-        distance: the reach field; x0, y0, x1, y1: the world cells where it holds.
-        least: a view of fewer places is worth nothing.
-        work: see `WORK_PER_STEP`.
-        best: (4,) float64: worth, world cell x and y, heading of the best view so far.
+    - `distance`: driving-distance field, valid in the world cells `x0`, `y0`, `x1`, `y1`.
+    - `least`: a view with fewer places has no value.
+    - `work`: see `WORK_PER_STEP`.
+    - `best`: (4,) float64: value, world cell x and y, heading of the best view so far.
 
     Returns:
-        The point to go on with, or 0 when all were gone through.
+        The point where the search continues, or 0 when all points were tested.
     """
     n, side = layers.raw.shape[0], 1 << bits
     shift_x, shift_y = origin_x % n, origin_y % n
@@ -330,7 +338,7 @@ def best_view(
     columns, rows = (x1 - x0 + side - 1) >> bits, (y1 - y0 + side - 1) >> bits
     between, width = sector(fov, far, bits)
     circle = round(2.0 * math.pi / between)
-    # What fits into a sector, with the places that its rim cuts.
+    # Upper bound of the places in a sector, including those cut by its rim.
     angle = between * width
     room = (0.5 * angle * far * far / side + (2.0 + angle) * far) / side
     while at < columns * rows:

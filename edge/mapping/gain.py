@@ -1,8 +1,8 @@
-"""How much unknown area a look from somewhere would show: what a frontier is worth, and a turn.
+"""Information gain: the unknown area that a view or a full turn from a place would show.
 
-The expected area: what is behind the rim of the known is not all open. A ray that has gone a way u
-through unknown cells goes on with probability exp(-u / `OPEN_M`), as if walls and furniture were
-strewn at random, so that a gap behind a table is not taken for a room.
+The area is an expectation, because space behind the edge of the known area is not all open. A ray
+that has crossed unknown cells over a length u continues with probability exp(-u / `OPEN_M`), as if
+walls and furniture were spread at random. So a gap behind a table does not count as a room.
 """
 
 from __future__ import annotations
@@ -18,24 +18,26 @@ from edge.mapping.layers import OCCUPIED, UNSEEN, ZONE, Layers
 from edge.mapping.window import Window
 
 OPEN_M = 2.5
-"""Mean free way of a ray through rooms that were not seen yet."""
+"""Mean free length of a ray through rooms that were not seen yet."""
 RAYS = 64
 STEP_CELLS = 2.0
 SURE = 0.85
-"""Share of the field of view and of the range that is counted on."""
+"""Share of the field of view and of the range that is assumed."""
 HERE_M, PLACES = 0.8, 256
-"""Within so much of a place a look shows the same; the latest places are remembered."""
+"""Number of places that are remembered, the latest ones; within `HERE_M` views show the same."""
 CROWDED = 5
-"""With so many occupied cells around, a free one is a pinhole in a wall that was seen from afar."""
+"""With this many occupied cells around it, a free cell is a gap in a wall seen from afar."""
 RAY_LEAST_M2 = 0.05
-"""What a ray shows less is the rim of something."""
+"""Smallest area of a ray that counts; less is only the edge of something."""
 
 
 class Gain:
-    """Casts rays over the map as it is, and remembers where the camera looked from where.
+    """Ray casting over the current map, with a memory of the directions seen from each place.
 
     Args:
-        range_m: how far the map's sensor sees.
+        layers: layers of the map.
+        window: window of the map.
+        range_m: range of the map's sensor.
     """
 
     def __init__(self, layers: Layers, window: Window, range_m: float) -> None:
@@ -53,11 +55,12 @@ class Gain:
         self._next = 0
 
     def around(self, xy_m: np.ndarray, which: np.ndarray, n: int, out_m2: np.ndarray) -> None:
-        """The area that a full turn at each of some places would show, in expectation.
+        """Compute the expected area that a full turn at each of some places would show.
 
         Args:
             xy_m: (m, 2) float32 in `map`.
             which: (n or more,) int32, indices into `xy_m`; the first `n` count.
+            n: number of places.
             out_m2: (m,) float32, written at these indices.
         """
         window = self._window
@@ -67,21 +70,23 @@ class Gain:
         )  # fmt: skip
 
     def look(self, pose: SE2, camera_yaw_rad: float, fov_rad: float) -> None:
-        """The camera looks from here: what it does not show from here it never will."""
+        """Remember a view of the camera: it shows nothing new from this place in this direction."""
         ahead, k = pose.yaw_rad + camera_yaw_rad, self._place(pose)
         self._looked[k] |= sector_bits(ahead, SURE * fov_rad)
 
     def best_turn(
         self, pose: SE2, camera_yaw_rad: float, fov_rad: float
     ) -> tuple[float, float, float]:
-        """What turning on the spot would show, where the camera did not look from near here.
+        """Find the turn on the spot that shows unknown area the camera did not see from near here.
 
         Args:
-            camera_yaw_rad: of the camera on the robot.
+            pose: the robot's.
+            camera_yaw_rad: yaw of the camera on the robot.
+            fov_rad: horizontal field of view.
 
         Returns:
-            (heading_rad, turn_rad, area_m2): of the robot, for the next look of a turn that shows
-            it all; how far that turn goes; and what it shows, 0 where there is nothing to see.
+            (heading_rad, turn_rad, area_m2): heading of the robot for the next view of the turn,
+            angle of the whole turn, and the area that it shows; 0 if there is nothing to see.
         """
         window = self._window
         if not window.placed:
@@ -98,14 +103,18 @@ class Gain:
         return wrap_angle(pose.yaw_rad + turn), sweep, area_m2
 
     def state_dict(self) -> Arrays:
-        """Return from which places the camera looked where."""
-        used = np.isfinite(self._at_m[:, 0])  # the first ones
+        """Return the places and the directions that the camera saw from them."""
+        used = np.isfinite(self._at_m[:, 0])  # used entries come first
         return {
             "at_m": self._at_m[used], "looked": self._looked[used], "next": np.array(self._next),
         }  # fmt: skip
 
     def load_state_dict(self, state: Arrays) -> None:
-        """Go on with a `state_dict`; ValueError if it is none."""
+        """Restore a `state_dict`.
+
+        Raises:
+            ValueError: it is not one.
+        """
         rows: Rows = {("at_m", "looked"): PLACES}
         check_arrays(state, self.state_dict(), rows, {"next": PLACES - 1})
         n = len(state["at_m"])
@@ -113,7 +122,7 @@ class Gain:
         self._next = int(state["next"])
 
     def _place(self, pose: SE2) -> int:
-        """The place that stands for where the robot is, a new one where there is none."""
+        """Return the index of the robot's place; add a place if none is near."""
         away = np.hypot(self._at_m[:, 0] - pose.x_m, self._at_m[:, 1] - pose.y_m)
         k = int(away.argmin())
         if away[k] > 0.5 * HERE_M:
@@ -125,14 +134,13 @@ class Gain:
 
 @njit(nogil=True, cache=True)
 def cast(layers, origin_x, origin_y, x, y, direction, area, decay, out):
-    """Expected unknown area that each ray from a place shows.
+    """Compute the expected unknown area that each ray from a place shows.
 
-    Args:
-        x, y: world coordinates in cells, fractions too.
-        direction: (rays, 2) float64, a step along each ray, in cells.
-        area: (steps,) float64, that a ray stands for at each step.
-        decay: probability that a step through unknown cells goes on.
-        out: (rays,) float64 output.
+    - `x`, `y`: world coordinates in cells, with fractions.
+    - `direction`: (rays, 2) float64, one step along each ray, in cells.
+    - `area`: (steps,) float64, area of a ray's sector at each step.
+    - `decay`: probability that a ray continues after a step through unknown cells.
+    - `out`: (rays,) float64 output.
 
     Returns:
         The sum of `out`.
@@ -161,7 +169,7 @@ def cast(layers, origin_x, origin_y, x, y, direction, area, decay, out):
 
 @njit(nogil=True, cache=True)
 def gains(layers, origin_x, origin_y, inv_res, xy, which, n, direction, area, decay, ray, out):
-    """See `Gain.around`; `ray` is scratch."""
+    """Compute the area of each place for `Gain.around`; `ray` is scratch."""
     for j in range(n):
         i = which[j]
         out[i] = cast(
@@ -172,7 +180,7 @@ def gains(layers, origin_x, origin_y, inv_res, xy, which, n, direction, area, de
 
 @njit(nogil=True, cache=True)
 def sector_bits(ahead, fov):
-    """The rays within a field of view, as bits."""
+    """Return the rays within a field of view, as bits."""
     bits = np.uint64(0)
     for k in range(RAYS):
         off = (2.0 * math.pi / RAYS * k - ahead + math.pi) % (2.0 * math.pi) - math.pi
@@ -183,11 +191,11 @@ def sector_bits(ahead, fov):
 
 @njit(nogil=True, cache=True)
 def best_sweep(ray, looked, fov, ahead):
-    """The shorter turn that shows every ray worth it that was not looked along.
+    """Find the shorter turn, left or right, over all unseen rays that show enough.
 
     Returns:
-        (turn to the first look, angle of the whole turn, area); the first look is where the sweep
-        leads, but never more than two fields of view away, so that no robot turns the other way.
+        (turn to the next view, angle of the whole turn, area). The turn to the next view is at most
+        120 degrees, so that no controller takes the other way round.
     """
     left, right, total = 0.0, 0.0, 0.0
     half = 0.5 * fov

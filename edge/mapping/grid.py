@@ -1,4 +1,4 @@
-"""The rolling occupancy map with its frontiers (VL-Nav III.A, III.B)."""
+"""Rolling occupancy map with its frontiers (VL-Nav III.A, III.B)."""
 
 from __future__ import annotations
 
@@ -25,27 +25,30 @@ from edge.mapping.values import ValueMap
 from edge.mapping.window import Window
 from edge.mapping.zones import Zones
 
-# An obstacle this wide and high is sampled twice across at full range, and four times up: its
-# lowest sample may pass for ground, and from there the highest must still stand out by 0.06 m.
+# An obstacle of this width and height gets two samples across and four up at full range. Its
+# lowest sample may look like ground; the highest must still be 0.06 m above that.
 _SMALLEST_OBSTACLE_M = 0.1
 _SAMPLES_ACROSS, _SAMPLES_UP = 2, 4
 _FOOTPRINT_M = 0.3
-# The robot's centre is somewhere in its cell: a wall that it touches must not be under its body.
+# The robot's centre may be off its cell's centre: a wall that it touches must stay occupied.
 _OFF_CENTRE_CELLS = 0.7
-# Of each sight of the floor so much counts.
+# Weight of a new measurement of the floor's height.
 _FLOOR_GAIN = 0.2
-# Poses farther apart are not joined to one trail: the robot was carried, or frames were lost.
+# Poses farther apart do not join the trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
 FRONTIER_MIN_CELLS, FRONTIER_LARGE_CELLS, FRONTIER_SPACING_M = 6, 40, 1.0
-"""A smaller cluster is no frontier; a large one has several targets, so far apart."""
+"""A smaller cluster is not a frontier. A large one has several target points at this spacing."""
 MAX_FRONTIERS = 256
 REACH_CELLS_PER_TICK = 8000
-"""Cells by which the field of driving distances grows in a tick: more takes longer, fewer lag."""
+"""Cells by which the driving-distance field grows per tick.
+
+More cells make a tick slower; fewer make the field older.
+"""
 CLEAR_AFTER = 2
-"""Updates in a row that must see through an obstacle to clear it."""
+"""Number of updates in a row that must see through an obstacle to clear it."""
 GROUND_SLOPE = 0.3
 _ROBOT = config.Robot()
-_VALUE_CELL_M = 0.2  # of value maps, rounded to a power of two of the map's cells
+_VALUE_CELL_M = 0.2  # cell of value maps, rounded to a power of two of the map's cells
 _VALUE_BETA = 0.5  # ViTL's edge attenuation factor (IV-B2)
 _NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
 
@@ -53,28 +56,40 @@ _NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
 class RollingMap:
     """A square window of the world that follows the robot; memory is fixed at construction.
 
-    The floor is wherever it is seen near the robot, whatever z it has in `map`.
+    The floor is the floor seen near the robot, at any z in `map`.
 
     Args:
-        robot: its shape: what it sees of itself is no obstacle, and where it stands is free.
+        config: settings of the map.
+        robot: the robot's shape. Points on the robot itself are ignored, and the cells under it are
+            free.
 
     Attributes:
-        frontiers: refreshed in place by every update.
-        reach: geodesic distances from the robot; its `step` is called once a tick.
-        bumps: where the robot was held up by what no sensor shows.
-        zones: where the robot must not be; set by `set_zones`.
-        coverage: where the detector looked; its `look` is called for each image that it searched.
-        gain: what a look from somewhere would show.
-        values: what scorers say of places; whoever feeds it calls its `begin` first.
-        window: what of the world is held; only the map moves it.
-        layers: what updates write, read-only, by storage cell (see `edge.mapping.layers`).
+        frontiers: target points, refreshed in place by every update.
+        reach: driving distances from the robot; call its `step` once per tick.
+        bumps: obstacles that held the robot up but that no sensor shows.
+        zones: areas that the robot must not enter; set by `set_zones`.
+        coverage: places that the detector has seen; call its `look` for each searched image.
+        gain: unknown area that a view would show.
+        values: scores of places; call its `begin` before feeding it.
+        window: part of the world that is held; only the map moves it.
+        layers: arrays that updates write, read-only, by storage cell (see `edge.mapping.layers`).
+
+    Example:
+        >>> grid = RollingMap(config.Mapping(extent_m=6.0, range_m=2.0))
+        >>> camera, T_base_camera = CameraModel.from_hfov(48, 40, 1.6), np.eye(4)
+        >>> T_base_camera[:3, :3] = (0, 0, 1), (-1, 0, 0), (0, -1, 0)
+        >>> T_base_camera[2, 3] = 0.5
+        >>> wall_m = np.full((40, 48), 1.5, np.float32)
+        >>> update = grid.update_depth(wall_m, camera, np.eye(4), T_base_camera)
+        >>> grid.state_at(1.5, 0.0), grid.state_at(0.0, 0.0), grid.state_at(2.5, 0.0)
+        (100, 0, -1)
     """
 
     def __init__(self, config: config.Mapping, robot: config.Robot = _ROBOT) -> None:
         c = self.config = config
         self._robot_shape = robot
         res = c.resolution_m
-        # An obstacle may stand at the rim of its cell, half a cell nearer than the middle.
+        # An obstacle may be at the rim of its cell, half a cell nearer than the centre.
         self._inflation_cells = c.inflation_m / res + 0.5
         self._disc = ly.disc_half_widths(self._inflation_cells)
         self._body = ly.disc_half_widths(max(self._inflation_cells - ROUNDING_CELLS, 0.0))
@@ -95,9 +110,9 @@ class RollingMap:
         self._robot: tuple[int, int] | None = None  # its world cell at the last update
         self._lost = np.zeros(self._polar.sectors, np.uint64)
         self._floor, self._levels = np.zeros(3), np.zeros((2, 64))
-        self._floor_m = math.nan  # height of the floor over the base, if it was seen,
-        self._base_z_m = math.nan  # and of the base when it was last seen
-        self._nowhere = False  # the ground is far below the base: what is free nobody knows
+        self._floor_m = math.nan  # height of the floor over the base; NaN until it was seen
+        self._base_z_m = math.nan  # height of the base when the floor was last seen
+        self._nowhere = False  # True if the ground is far below the base; then no cell is freed
         self._changed = np.array(_NOTHING, np.int64)
         self._explored = np.array(_NOTHING, np.int64)
         self._flipped = np.zeros(self._polar.bin_of.size, np.int32)
@@ -116,7 +131,7 @@ class RollingMap:
         self.coverage = Coverage(self._layers, self.window)
         self.gain = Gain(self._layers, self.window, c.range_m)
         self.values = ValueMap(self._layers, self.window, _VALUE_CELL_M, c.range_m, _VALUE_BETA)
-        # Weakly: a map that is given up is let go at once, not when the collector comes to it.
+        # A weak reference, so that a dropped map is freed at once and not by the garbage collector.
         write = partial(RollingMap._write, proxy(self))
         self.bumps = Bumps(self._layers, self.window, c, write)
         self.zones = Zones(self._layers, self.window, self._inflation_cells)
@@ -128,16 +143,19 @@ class RollingMap:
         T_map_base: np.ndarray,
         T_base_camera: np.ndarray,
     ) -> MapUpdate:
-        """Bring a depth image into the map (VL-Nav algorithm 1).
+        """Update the map from a depth image (VL-Nav algorithm 1).
 
         Args:
-            depth_m: (h, w) float32; NaN, 0, inf and what is over 1e6 = no return.
+            depth_m: (h, w) float32; NaN, 0, inf and values over 1e6 are no returns.
             camera: its intrinsics.
-            T_map_base: (4, 4), the robot's base at the image's stamp.
-            T_base_camera: (4, 4), base from the optical frame.
+            T_map_base: (4, 4), pose of the robot's base at the image's stamp.
+            T_base_camera: (4, 4), pose of the optical frame on the base.
+
+        Returns:
+            The changed cells, and the floor.
 
         Raises:
-            ValueError: the image's size is not the camera's, or a pose is not finite.
+            ValueError: the image has another size than the camera, or a pose is not finite.
         """
         if depth_m.shape != (camera.height_px, camera.width_px):
             raise ValueError(
@@ -162,13 +180,13 @@ class RollingMap:
     def update_cloud(
         self, cloud_m: np.ndarray, T_map_base: np.ndarray, T_base_lidar: np.ndarray
     ) -> MapUpdate:
-        """Bring a point cloud into the map; like `update_depth`.
+        """Update the map from a point cloud, like `update_depth`.
 
         Args:
             cloud_m: (n, 3) float32 in the LiDAR's frame; points that are not finite are dropped. A
-                row (x, y, inf) is a ray that met nothing up to (x, y, 0): it frees only.
-            T_map_base: (4, 4), the robot's base when the cloud was taken.
-            T_base_lidar: (4, 4), base from the LiDAR's frame.
+                row (x, y, inf) is a ray that hit nothing up to (x, y, 0): it only frees cells.
+            T_map_base: (4, 4), pose of the robot's base at the cloud's stamp.
+            T_base_lidar: (4, 4), pose of the LiDAR on the base.
 
         Raises:
             ValueError: the cloud is not (n, 3), or a pose is not finite.
@@ -191,7 +209,7 @@ class RollingMap:
         self.zones.set(keep_out_m, stay_inside_m, self._changed)
 
     def state_at(self, x_m: float, y_m: float) -> int:
-        """-1 unknown or outside the window, 0 free, 100 occupied or inflated."""
+        """Return -1 for unknown or outside the window, 0 for free, 100 for occupied or inflated."""
         x, y = self.window.cell_of(x_m, y_m)
         if not self.window.holds(x, y):
             return UNKNOWN
@@ -202,7 +220,7 @@ class RollingMap:
 
     @property
     def floor_over_base_m(self) -> float:
-        """Height of the floor over the base's frame, usually below it; 0 until it was seen."""
+        """Height of the floor over the base frame, usually negative; 0 until the floor was seen."""
         return 0.0 if math.isnan(self._floor_m) else self._floor_m
 
     @property
@@ -212,20 +230,20 @@ class RollingMap:
 
     @property
     def known_m2(self) -> float:
-        """Area that was seen; costs with the map's size, so not for every tick.
+        """Area that was seen. Its cost grows with the map's size, so do not read it in every tick.
 
-        Another thread may ask while the map is updated: cells are then from before or after.
+        Another thread may read it during an update; some cells are then from before the update.
         """
         return float(unknown.count(self._layers.known)) * self.resolution_m**2
 
     def snapshot(self, inflated: int = OCCUPIED) -> Grid:
-        """Copy the explored part; costs with the map's size, so never in the steady tick.
+        """Copy the explored part; the cost grows with the map's size, so never in a steady tick.
+
+        Another thread may call it during an update; some cells are then from before the update. If
+        the window moves during the copy, the map is read again.
 
         Args:
-            inflated: value of cells that are not occupied themselves but too near to one that is.
-
-        Another thread may call it while the map is updated: cells are then from before or after,
-        and a window that moved meanwhile is read again.
+            inflated: value of cells that are not occupied, but too near to an occupied cell.
         """
         while True:
             origin = self.window.origin
@@ -236,7 +254,7 @@ class RollingMap:
             x1, y1 = (min(int(v) + margin, n) for v in self._explored[2:])
             cells = np.empty((max(y1 - y0, 0), max(x1 - x0, 0)), np.int8)
             corner = origin[0] + x0, origin[1] + y0
-            # In a map that is closed all around it, a controller would not drive out of a zone.
+            # A robot inside a zone gets the map without zones, or its controller could not leave.
             zones = self._robot is None or not self.zones.holds_cell(*self._robot)
             compose(self._layers, self._body, *corner, inflated, zones, cells)
             if self.window.origin == origin:
@@ -244,11 +262,12 @@ class RollingMap:
                 return Grid(cells, corner_m, self.resolution_m)
 
     def unknown_ratio(self, xy_m: np.ndarray, n: int, radius_m: float, out: np.ndarray) -> None:
-        """Share of unknown cells around points (VL-Nav eq. 6), into out[:n].
+        """Write the share of unknown cells around points (VL-Nav eq. 6) into out[:n].
 
         Args:
             xy_m: (n or more, 2) float32 in `map`.
-            radius_m: how far the search from each point goes; 31 cells at most.
+            n: number of points.
+            radius_m: radius of the search from each point; at most 31 cells.
             out: (n or more,) float32.
 
         Raises:
@@ -257,8 +276,8 @@ class RollingMap:
         if self._flood_disc[0] != radius_m:
             if radius_m > unknown.MAX_RADIUS_CELLS * self.resolution_m:
                 raise ValueError(
-                    f"unknown-area radius {radius_m} m: at most {unknown.MAX_RADIUS_CELLS} cells "
-                    f"of {self.resolution_m} m"
+                    f"unknown-area radius {radius_m} m: the limit is {unknown.MAX_RADIUS_CELLS} "
+                    f"cells of {self.resolution_m} m"
                 )
             self._flood_disc = (radius_m, ly.disc_half_widths(radius_m / self.resolution_m))
         if not self.window.placed:
@@ -269,11 +288,11 @@ class RollingMap:
             1.0 / self.resolution_m, xy_m, n, self._flood_disc[1], *self._flood, out,
         )  # fmt: skip
 
-    # -- across a restart -------------------------------------------------------------------
+    # -- checkpoint -------------------------------------------------------------------------
 
     @property
     def planes(self) -> tiles.Planes:
-        """The layers that last, by tile; all others follow from them."""
+        """Layers for the checkpoint, by tile; all other layers can be computed from them."""
         layers, m = self._layers, len(self.window.written)
         last = (
             layers.raw, layers.top, layers.trail, self.coverage.looks, self.values.value,
@@ -283,16 +302,16 @@ class RollingMap:
 
     @property
     def tiles_of_update(self) -> int:
-        """How many tiles one update may write."""
+        """Largest number of tiles that one update writes."""
         return (2 * (self._half + 1) // ly.WORD + 2) ** 2
 
     @property
     def tile_bytes(self) -> int:
-        """What a tile takes without the value maps."""
+        """Size of a tile in bytes without the value maps."""
         return tiles.bytes_of(self.planes[: -tiles.VALUE_PLANES])
 
     def state_dict(self) -> Arrays:
-        """Return what there is besides `planes`; `robot` and `floor_m` have no row if unknown."""
+        """Return the state outside `planes`; unknown `robot` and `floor_m` have no row."""
         robot = np.array([] if self._robot is None else [self._robot], np.int64)
         floor_m = self._floor_m, self._base_z_m
         known = all(abs(z_m) < FARTHEST_M for z_m in floor_m)
@@ -305,18 +324,19 @@ class RollingMap:
         }
 
     def load_state_dict(self, state: Arrays, packed: Arrays, tile_bytes: int, values: bool) -> None:
-        """Take the place of a map that there was; for one that has seen nothing yet.
+        """Restore a map from a checkpoint; this map must be empty.
 
-        Frontiers keep their clusters where the window is as large as it was; else the window lies
-        around the robot, and what lies outside is left out.
+        Frontiers keep their clusters if the window has the same size. Otherwise the window lies
+        around the robot, and cells outside it are lost.
 
         Args:
-            packed: state of `tiles.PackedTiles`: what `planes` had.
-            tile_bytes: what a tile takes, unpacked.
-            values: whether the value maps are for the same, and as fine.
+            state: result of `state_dict`.
+            packed: state of `tiles.PackedTiles` with the contents of `planes`.
+            tile_bytes: unpacked size of a tile.
+            values: True if the value maps have the same targets and cells.
 
         Raises:
-            ValueError: this was no map.
+            ValueError: this is not the state of a map.
         """
         layers, window, n = self._layers, self.window, self.window.n
         rows = {tuple(f"cluster_{name}" for name in group): most for group, most in cl.ROWS.items()}
@@ -353,7 +373,7 @@ class RollingMap:
         self._refresh_frontiers(True)
 
     def _use_camera(self, camera: CameraModel) -> None:
-        """Precompute what depends on the intrinsics alone."""
+        """Precompute arrays that depend only on the intrinsics."""
         if camera == self._camera:
             return
         pixels = _SMALLEST_OBSTACLE_M / self.config.range_m
@@ -379,7 +399,10 @@ class RollingMap:
     def _locate(
         self, T_map_base: np.ndarray, T_base_sensor: np.ndarray
     ) -> tuple[np.ndarray, tuple[int, int], tuple[np.float32, np.float32]]:
-        """The transform as (3, 4) float32, the sensor's world cell, its place in the scratch."""
+        """Return the transform, (3, 4) float32, and the place of the sensor.
+
+        The place is its world cell, and its coordinates in the scratch grid in cells.
+        """
         T_map_sensor = T_map_base @ T_base_sensor
         x_m, y_m = T_map_sensor[:2, 3].tolist()
         place = x_m, y_m, *T_map_base[:2, 3].tolist()
@@ -404,7 +427,7 @@ class RollingMap:
         T_base_sensor: np.ndarray,
         rolled: bool,
     ) -> MapUpdate:
-        """Everything that follows once scan.xyz holds the points: `hits`, then free rays' ends."""
+        """Complete an update after scan.xyz is filled: first `hits`, then the ends of free rays."""
         c, polar, scan, layers = self.config, self._polar, self._scan, self._layers
         sensor_z, robot = float(T[2, 3]), self._robot_shape
         if robot.self_filter_m:
@@ -452,10 +475,11 @@ class RollingMap:
         return MapUpdate(changed, rolled, base_z + self._floor_m, floor_seen, self._nowhere)
 
     def _find_floor(self, sensor_z: float, base_z: float) -> bool:
-        """Follow the ground from the floor that the robot stands on; return whether it was seen.
+        """Follow the ground from the floor under the robot; return True if the floor was seen.
 
-        The floor keeps its distance from the base, as in a lift. It is searched for until it is
-        known, and again when the base moves up or down at once: the robot may have crouched.
+        The floor keeps its height below the base, also in a lift. The search for it goes on until
+        it is found. It starts again if the base suddenly moves up or down, because the robot may
+        have crouched.
         """
         c, polar, scan, floor = self.config, self._polar, self._scan, self._floor
         step_m = c.obstacle_min_m
@@ -467,7 +491,7 @@ class RollingMap:
             if math.isnan(found_z):
                 found_z, below_m2 = points.find_floor(*search, c.range_m, self._levels)
             if not abs(found_z - floor_z) <= step_m:
-                # A sensor that sees no floor is over it, if only by what is no obstacle.
+                # Without a visible floor, assume it is at least two steps below the sensor.
                 guesses = found_z, floor_z, min(base_z, sensor_z - 2.0 * step_m)
                 floor_z = next(z for z in guesses if math.isfinite(z))
         floor[0], floor[1], floor[2] = floor_z, 0.0, 0.0
@@ -490,7 +514,7 @@ class RollingMap:
         return count > 0
 
     def _write(self, x: int, y: int, state: int, top: int = 0) -> None:
-        """Set one world cell of the window by hand, and what is inflated by it."""
+        """Set the state of one world cell, and update the inflation around it."""
         layers, n, (ox, oy) = self._layers, self.window.n, self.window.origin
         sx, sy, x, y = x % n, y % n, x - ox, y - oy
         before, after = layers.raw[sy, sx] >= ly.OCCUPIED, state >= ly.OCCUPIED
@@ -505,7 +529,7 @@ class RollingMap:
         self.window.wrote(x + ox, y + oy, x + ox + 1, y + oy + 1)
 
     def _extend_trail(self, robot: tuple[int, int]) -> None:
-        """The robot's body fits where it is: see `layers.on_trail`."""
+        """Mark the robot's path on the trail, where its body fits; see `layers.on_trail`."""
         before, (ox, oy) = self._robot, self.window.origin
         if before is None or math.dist(before, robot) > _TRAIL_STEP_CELLS:
             before = robot
@@ -516,14 +540,17 @@ class RollingMap:
         self._robot = robot
 
     def _note_written(self, sensor: tuple[int, int], robot: tuple[int, int]) -> None:
-        """One update wrote around the sensor, under the robot, and on its way there."""
+        """Mark the tiles that one update wrote, around the sensor and around the robot."""
         reach, (x, y), wrote = self._half + 1, sensor, self.window.wrote
         wrote(x - reach, y - reach, x + reach + 1, y + reach + 1)
         reach, (x, y) = max(len(self._footprint) // 2, _TRAIL_STEP_CELLS) + 1, robot
         wrote(x - reach, y - reach, x + reach + 1, y + reach + 1)
 
     def _refresh_frontiers(self, rolled: bool) -> tuple[int, int, int, int]:
-        """Test what changed again and list the target points; returns the changed world cells."""
+        """Find frontiers in the changed cells, list the target points, return these cells.
+
+        The result is a half-open rectangle of world cells, all zero if none changed.
+        """
         layers, window = self._layers, self.window
         x0, y0, x1, y1 = (int(v) for v in self._changed)
         world = (0, 0, 0, 0)
@@ -552,7 +579,7 @@ class RollingMap:
         )
 
     def _follow(self, x: int, y: int) -> bool:
-        """Keep the sensor's surroundings inside the window; whether it had to roll."""
+        """Keep the sensor's surroundings inside the window; return True if the window moved."""
         window, n, word = self.window, self.window.n, ly.WORD
         if not window.placed:
             window.origin = ((x - n // 2) // word * word, (y - n // 2) // word * word)
@@ -577,7 +604,7 @@ class RollingMap:
         return rolled
 
     def _roll(self, axis: int, by: int) -> None:
-        """Move the window along one axis by a multiple of 64 cells, forgetting a strip."""
+        """Move the window along one axis by a multiple of 64 cells; clear the strip that leaves."""
         window, n, layers, shift = self.window, self.window.n, self._layers, self.window.shift
         margin = len(self._disc) // 2
         gone = min(abs(by), n)
@@ -613,5 +640,5 @@ class RollingMap:
 
 
 def _band(axis: int, along: tuple[int, int], n: int) -> tuple[int, int, int, int]:
-    """A window rectangle that spans `along` on one axis and everything on the other."""
+    """Return the window rectangle that spans `along` on one axis and everything on the other."""
     return (along[0], 0, along[1], n) if axis == 0 else (0, along[0], n, along[1])

@@ -1,10 +1,10 @@
-"""The map's storage: one torus for all layers, and the kernels that write single cells.
+"""Storage of the map: one torus for all layers, and the kernels that write single cells.
 
-The window is a square of N x N cells, N a multiple of 64, whose lower-left world cell (ox, oy)
-lies on multiples of 64 too: rolling clears whole 64-cell strips, and a row of the bit planes
-never has the window's seam inside a word. Kernels take *window* coordinates (0 .. N-1 from the
-lower-left corner); the *storage* coordinate is (window + shift) mod N with shift = origin mod N.
-Every layer is zero where nothing was seen, so memory that was never visited stays untouched.
+The window is a square of N x N cells, N a multiple of 64. Its lower-left world cell (ox, oy) also
+lies on multiples of 64, so a move of the window clears whole 64-cell strips, and its seam is never
+inside a word of the bit planes. Kernels take *window* coordinates (0 .. N-1 from the lower-left
+corner). The *storage* coordinate is (window + shift) mod N with shift = origin mod N. Every layer
+is zero where nothing was seen, so memory that was never visited stays untouched.
 """
 
 from __future__ import annotations
@@ -18,22 +18,23 @@ WORD = 64
 UNSEEN, FREE, OCCUPIED = 0, 1, 2
 ZONE = np.uint16(0x8000)
 """Bit of `Layers.near`: a zone closes the cell (see `edge.mapping.zones`). The rest is a count."""
-BUMPED = 255  # occupied too, but no ray clears it: see `edge.mapping.bumps`
+BUMPED = 255  # also occupied, but no ray clears it: see `edge.mapping.bumps`
 
 
 class Layers(NamedTuple):
-    """All layers, row = y, column = x, in storage coordinates.
+    """All layers in storage coordinates: row = y, column = x.
 
     Attributes:
-        raw: (N, N) uint8, what was observed: 0 unseen, 1 free, 2 + k occupied and seen
-            through in the last k updates, 255 the robot was held up there.
-        near: (N, N) uint16, occupied cells within the inflation disc, and the bit `ZONE`.
+        raw: (N, N) uint8, observed state: 0 unseen, 1 free, 2 + k occupied and seen through in the
+            last k updates, 255 the robot was held up there.
+        near: (N, N) uint16, number of occupied cells within the inflation disc, and the bit `ZONE`.
         top: (N, N) uint8, height of the obstacle over the local ground (see `HEIGHT_CODES`).
         label: (N, N) int16, frontier cluster; 0 none, -1 not in a cluster yet.
         known: (N, N / 64) uint64 bits, raw != 0.
         blocked: (N, N / 64) uint64 bits, near != 0.
-        frontier: (N, N / 64) uint64 bits.
-        trail: (N, N / 64) uint64 bits, where the robot's centre was, a cell to each side.
+        frontier: (N, N / 64) uint64 bits, frontier cells.
+        trail: (N, N / 64) uint64 bits, cells where the robot's centre was, and their four
+            neighbours.
     """
 
     raw: np.ndarray
@@ -47,7 +48,7 @@ class Layers(NamedTuple):
 
 
 def make_layers(n: int) -> Layers:
-    """Empty layers of n x n cells (n a multiple of 64); pages are touched on first use."""
+    """Make empty layers of n x n cells (n a multiple of 64); pages are touched on first use."""
     bits = (n, n // WORD)
     return Layers(
         raw=np.zeros((n, n), np.uint8),
@@ -62,7 +63,7 @@ def make_layers(n: int) -> Layers:
 
 
 def disc_half_widths(radius_cells: float) -> np.ndarray:
-    """Half the width of each row of a disc, in cells, from its lowest row to its highest.
+    """Return half the width of each row of a disc, in cells, from its lowest row to its highest.
 
     >>> disc_half_widths(2.0).tolist()
     [0, 1, 2, 1, 0]
@@ -73,27 +74,27 @@ def disc_half_widths(radius_cells: float) -> np.ndarray:
 
 
 def plain(array: np.ndarray) -> np.ndarray:
-    """A writeable C-ordered float32 array: any other kind would compile the kernels again."""
+    """Return a writeable C-ordered float32 array; other kinds would compile the kernels again."""
     if array.dtype == np.float32 and array.flags.c_contiguous and array.flags.writeable:
         return array
     return np.array(array, np.float32, order="C")
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
-    """The same memory, for those who may not write there."""
+    """Return a read-only view of an array."""
     view = array.view()
     view.flags.writeable = False
     return view
 
 
 def bits_of(cells: np.ndarray) -> np.ndarray:
-    """(N, N) bool as a bit plane."""
+    """Pack (N, N) bool into a bit plane."""
     return np.packbits(cells, axis=1, bitorder="little").view(np.uint64)
 
 
 @njit(nogil=True, cache=True)
 def grow(rect, x, y):
-    """Grow a half-open rectangle (x0, y0, x1, y1) to hold a cell."""
+    """Extend a half-open rectangle (x0, y0, x1, y1) to contain a cell."""
     rect[0] = min(rect[0], x)
     rect[1] = min(rect[1], y)
     rect[2] = max(rect[2], x + 1)
@@ -102,6 +103,7 @@ def grow(rect, x, y):
 
 @njit(nogil=True, cache=True)
 def bit_set(plane, sy, sx, on):
+    """Set or clear one bit of a bit plane."""
     word = sx >> 6
     bit = np.uint64(1) << np.uint64(sx & 63)
     if on:
@@ -112,17 +114,17 @@ def bit_set(plane, sy, sx, on):
 
 @njit(nogil=True, cache=True)
 def bit_get(plane, sy, sx):
+    """Return one bit of a bit plane."""
     return (plane[sy, sx >> 6] >> np.uint64(sx & 63)) & np.uint64(1) != np.uint64(0)
 
 
 @njit(nogil=True, cache=True)
 def add_disc(layers, shift_x, shift_y, x, y, delta, disc, clip, changed):
-    """Count an occupied cell in (delta 1) or out (-1) of the cells within inflation.
+    """Add an occupied cell (delta 1) to the inflation around it, or remove it (delta -1).
 
-    Args:
-        x, y: window coordinates of the occupied cell.
-        clip: (x0, y0, x1, y1) window rectangle, half open, outside which nothing is written.
-        changed: rectangle that grows by the cells whose state became another.
+    - `x`, `y`: window coordinates of the occupied cell.
+    - `clip`: (x0, y0, x1, y1) half-open window rectangle outside which nothing is written.
+    - `changed`: rectangle that is extended by the cells whose state changed.
     """
     n = layers.raw.shape[0]
     radius = len(disc) // 2
@@ -162,7 +164,7 @@ def set_free(layers, shift_x, shift_y, x, y, changed):
 
 @njit(nogil=True, cache=True)
 def mark_trail(layers, shift_x, shift_y, x0, y0, x1, y1):
-    """Mark the straight way between two window cells, thick enough to be 4-connected."""
+    """Mark the straight line between two window cells, thick enough to be 4-connected."""
     n = layers.raw.shape[0]
     steps = max(abs(x1 - x0), abs(y1 - y0), 1)
     for k in range(steps + 1):
@@ -174,13 +176,11 @@ def mark_trail(layers, shift_x, shift_y, x0, y0, x1, y1):
 
 @njit(nogil=True, cache=True)
 def on_trail(layers, sy, sx, body):
-    """Whether the robot was at a storage cell, and nothing is known to stand in its way there.
+    """Return True if the robot was at a storage cell, and no obstacle is known there.
 
-    A gap that the robot went through may look too narrow from the other side, by what rounding to
-    cells adds; without this it would shut the robot in.
-
-    Args:
-        body: disc that has to be free of obstacles, smaller than the inflation's.
+    Rounding to cells may make a gap that the robot came through look too narrow afterwards. Without
+    this exception the robot would be shut in. `body` is the disc that must be free of obstacles; it
+    is smaller than the inflation.
     """
     if not bit_get(layers.trail, sy, sx) or layers.near[sy, sx] & ZONE:
         return False
@@ -195,7 +195,7 @@ def on_trail(layers, sy, sx, body):
 
 @njit(nogil=True, cache=True)
 def near_trail(layers, sy, sx, radius):
-    """Whether the trail comes within `radius` cells of a storage cell."""
+    """Return True if the trail comes within `radius` cells of a storage cell."""
     n = layers.raw.shape[0]
     r = int(radius)
     for dy in range(-r, r + 1):
@@ -208,7 +208,7 @@ def near_trail(layers, sy, sx, radius):
 
 @njit(nogil=True, cache=True)
 def remove_obstacles(layers, shift_x, shift_y, x0, y0, x1, y1, disc, changed):
-    """Take the obstacles of a window rectangle out of the inflation of all others."""
+    """Remove the obstacles of a window rectangle, and their inflation."""
     n = layers.raw.shape[0]
     clip = (0, 0, n, n)
     for y in range(y0, y1):
@@ -222,7 +222,7 @@ def remove_obstacles(layers, shift_x, shift_y, x0, y0, x1, y1, disc, changed):
 
 @njit(nogil=True, cache=True)
 def wipe(layers, shift_x, shift_y, x0, y0, x1, y1, dirty):
-    """Forget a window rectangle; clusters that had cells in it are marked in `dirty`."""
+    """Clear a window rectangle; mark clusters with cells in it in `dirty`."""
     n = layers.raw.shape[0]
     for y in range(y0, y1):
         sy = (y + shift_y) % n
@@ -244,7 +244,7 @@ def wipe(layers, shift_x, shift_y, x0, y0, x1, y1, dirty):
 
 @njit(nogil=True, cache=True)
 def inflate_into(layers, shift_x, shift_y, source, target, disc, changed):
-    """Inflate the obstacles of the window rectangle `source` into `target` alone."""
+    """Inflate the obstacles of the window rectangle `source`, writing only into `target`."""
     n = layers.raw.shape[0]
     for y in range(max(source[1], 0), min(source[3], n)):
         sy = (y + shift_y) % n

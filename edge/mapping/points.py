@@ -1,8 +1,8 @@
-"""From sensor points to floor, obstacle and overhang, in polar bins around the sensor.
+"""Classification of sensor points as floor, obstacle or overhang, in polar bins around the sensor.
 
-Depth images and clouds go the same road: points in map axes, binned by sector and ring around
-the sensor's cell; a sweep outward along each sector follows the local ground, so that height is
-measured over ramps too, and a tilted 3D LiDAR's floor is no wall.
+Depth images and clouds take the same path. Points in map axes are binned by sector and ring around
+the sensor's cell. A sweep outward along each sector follows the local ground. So heights are also
+correct on ramps, and the floor of a tilted 3-D LiDAR is not a wall.
 """
 
 from __future__ import annotations
@@ -15,45 +15,45 @@ from numba import njit
 
 from edge.geometry import FARTHEST_M
 
-# What `seen` holds of a cell: floor, a step that is too low for an obstacle but no floor, or
-# 3 + height in units of coded_m / HEIGHT_CODES above the ground, as `top` does.
+# Values of `seen` for a cell: floor, a step (too low for an obstacle, but not floor), or
+# 3 + height over the ground in units of coded_m / HEIGHT_CODES, as in `top`.
 FLOOR, STEP = 1, 2
 LOWEST_OBSTACLE, HEIGHT_CODES = 3, 250
-# From this part of obstacle_min_m on it is a step: a sill that stops the robot is one.
+# A step is at least this share of obstacle_min_m high, such as a sill that stops the robot.
 _STEP_FROM = 0.5
 TALL = LOWEST_OBSTACLE + int(0.85 * HEIGHT_CODES)
-"""`Layers.top` from which an obstacle is wall, or as good as one: nobody sees over it."""
+"""`Layers.top` from which an obstacle counts as a wall: nobody sees over it."""
 CODED_M = 1.0
-"""Heights are coded up to this, or `obstacle_max_m` if that is more: a low robot knows walls."""
-# An obstacle that ends so little below `obstacle_max_m` goes on in what is seen above that.
+"""Heights are coded up to this, or `obstacle_max_m` if that is more, so a low robot knows walls."""
+# An obstacle that ends this little below `obstacle_max_m` continues in the points above that.
 _GOES_ON_M = 0.1
-# Ground that wobbles by less is still the same ground (depth noise, carpets).
+# Ground that varies by less is still the same ground (depth noise, carpets).
 _GROUND_NOISE_M = 0.02
-# Rings near enough to tell the height of the floor that the robot stands on.
+# Rings within this range give the height of the floor under the robot.
 _NEAR_GROUND_M = 1.5
-# Only ground that is seen over this much of a ray's way tells that height: the foot of a bed
-# whose floor lies in the blind zone is one ring, and creeping up to it would lift the floor.
+# Only ground seen over this length of a ray counts for that height. The foot of a bed is one
+# ring; if the floor before it is in the blind zone, it would raise the floor as the robot nears.
 _GROUND_RUN_M = 0.3
 _RUN_GAP = 2  # rings
-# The base frame is so high over the floor at most (that of a legged robot is in its body).
+# Largest height of the base frame over the floor (a legged robot has it in its body).
 _HIGHEST_BASE_M = 0.9
-# Less ground is no floor: a wall has one ring, and something on the floor is not so wide.
+# Smaller areas are not floor: a wall has one ring, and objects on the floor are narrower.
 LEAST_FLOOR_M2, _LEAST_FLOOR_SHARE = 0.3, 0.3
 _LEVEL_M, _LEVELS_OF_FLOOR = 0.05, 4
-# A ray that falls less meets a wall: a level scan sees no floor.
+# A ray that falls less than this slope hits a wall: a level scan sees no floor.
 _LEAST_FALL = 0.08
-# Ground near the robot, in heights of the sensor: nearer, its rays are steep enough.
+# Range of the search for the floor, in heights of the sensor; there rays are steep enough.
 _SEARCH_HEIGHTS, _SEARCH_M, _SEARCH_BLIND = 4.0, 3.0, 2.0
-# The floor of a map leans by no more, whether the map is tilted or the road climbs.
+# Largest slope of the floor, from a tilted map or a climbing road.
 _STEEPEST_FLOOR = 0.15
 _FLOOR_SPREAD, _FITS = 0.06, 3
-# Slopes of rays that gave no return are kept in a bit each, from here on in steps as wide: a lower
-# one meets the floor near the sensor, where many cameras return nothing.
+# Each slope of rays without a return has one bit, from this slope upwards. Lower rays meet the
+# floor near the sensor, where many cameras return nothing.
 _LOST_FROM, _LOST_PER_SLOPE, _LOST_BITS = -0.75, 64, 64
 _LOST_NEAR_M = 1.0
-# Fewer are holes in the image.
+# Fewer rays are only holes in the image.
 _LOST_LEAST = 3
-# No sensor sees this far: a number beyond it is no return.
+# Values beyond this range are no returns.
 _FARTHEST_M = np.float32(FARTHEST_M)
 _MIN_SECTOR_RAD = 0.0175
 _MAX_SPREAD = 16
@@ -68,8 +68,9 @@ class Polar(NamedTuple):
         ring_of: (side, side) int16.
         distance_m: (side, side) float32, from the centre of the sensor's cell.
         spread: (side, side) uint8, sectors on each side that an obstacle in the cell blocks.
-        direction: (sectors, 2) float32, unit vector of a sector's middle.
-        sectors, rings: numbers of bins.
+        direction: (sectors, 2) float32, unit vector of a sector's centre line.
+        sectors: number of sectors.
+        rings: number of rings.
         ring_m: depth of a ring.
     """
 
@@ -85,20 +86,20 @@ class Polar(NamedTuple):
 
 
 class Scan(NamedTuple):
-    """Scratch of one update, reused by every one.
+    """Scratch arrays of an update, reused by every update.
 
     Attributes:
         xyz: (3, capacity) float32, points: x and y relative to the sensor, z in `map`.
         cell: (capacity,) int32, flat cell of each point within range.
-        z_m: (capacity,) float32, its height in `map`.
+        z_m: (capacity,) float32, height of each such point in `map`.
         lowest_m: (sectors, rings) float32, lowest point of each bin; inf = none.
-        far_slope: (sectors,) float32, lowest slope (rise / run) of a ray beyond range; inf.
+        far_slope: (sectors,) float32, lowest slope (rise / run) of a ray beyond range; inf = none.
         ground_m: (sectors, rings) float32, height of the local ground.
-        pass_slope: (sectors, rings) float32, lowest slope of a ray that flew over the bin.
-        reach_m: (sectors,) float32, how far rays free unknown cells; 0 = nothing seen.
+        pass_slope: (sectors, rings) float32, lowest slope of a ray that passed over the bin.
+        reach_m: (sectors,) float32, range to which rays free unknown cells; 0 = nothing seen.
         seen: (side, side) uint8, per cell 0, FLOOR, STEP, or the code of the highest obstacle
             point.
-        box: (4,) int64, half-open rectangle that holds the sensor's cell and all cells seen.
+        box: (4,) int64, half-open rectangle around the sensor's cell and all cells seen.
     """
 
     xyz: np.ndarray
@@ -114,14 +115,14 @@ class Scan(NamedTuple):
 
 
 def make_polar(range_m: float, resolution_m: float) -> Polar:
-    """Sectors 1.5 cells wide at full range (but no finer than a degree), rings of two cells."""
+    """Make sectors 1.5 cells wide at full range (but at least a degree), and rings of two cells."""
     half = math.ceil(range_m / resolution_m) + 1
     width_rad = max(1.5 * resolution_m / range_m, _MIN_SECTOR_RAD)
     sectors = max(8, math.ceil(2 * math.pi / width_rad))
     ring_m = max(2 * resolution_m, range_m / 128)
     rings = math.ceil(range_m / ring_m)
     offset_m = np.arange(-half, half + 1) * resolution_m
-    # Not zero in the middle: it is multiplied with slopes that may be infinite.
+    # Not zero in the centre: slopes may be infinite, and 0 * inf is NaN.
     distance = np.maximum(np.hypot(offset_m[:, None], offset_m[None, :]), 0.25 * resolution_m)
     angle = np.arctan2(offset_m[:, None], offset_m[None, :]) + math.pi
     sector = np.minimum((angle * (sectors / (2 * math.pi))).astype(np.int64), sectors - 1)
@@ -143,7 +144,7 @@ def make_polar(range_m: float, resolution_m: float) -> Polar:
 
 
 def make_scan(polar: Polar, capacity: int) -> Scan:
-    """Scratch for `capacity` points."""
+    """Make scratch arrays for `capacity` points."""
     bins = (polar.sectors, polar.rings)
     return Scan(
         xyz=np.zeros((3, capacity), np.float32),
@@ -160,18 +161,17 @@ def make_scan(polar: Polar, capacity: int) -> Scan:
 
 
 def search_range_m(height_m: float, min_range_m: float) -> float:
-    """Return how far to look for the floor that the robot stands on."""
+    """Return the range in which to search for the floor under the robot."""
     return max(_SEARCH_M, _SEARCH_HEIGHTS * height_m, _SEARCH_BLIND * min_range_m)
 
 
 @njit(nogil=True, cache=True)
 def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
-    """Points of every stride-th pixel, x and y relative to the sensor, z in `map`.
+    """Compute the points of every stride-th pixel: x and y relative to the sensor, z in `map`.
 
-    Args:
-        column, row: (w,), (h,) float32: (u - cx) / fx and (v - cy) / fy of each pixel.
-        T: (3, 4) float32, `map` from the optical frame.
-        xyz: (3, capacity) float32, filled.
+    - `column`, `row`: (w,) and (h,) float32: (u - cx) / fx and (v - cy) / fy of each pixel.
+    - `T`: (3, 4) float32, `map` from the optical frame.
+    - `xyz`: (3, capacity) float32 output.
 
     Returns:
         The number of points; pixels without a return give none.
@@ -195,10 +195,10 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
 
 @njit(nogil=True, cache=True)
 def lost_rays(depth_m, stride_u, stride_v, column, row, T, min_range_m, polar, lost):
-    """Note the rays of the pixels that `from_depth` leaves out; see `is_open`.
+    """Mark the rays of the pixels that `from_depth` leaves out; see `is_open`.
 
-    Args:
-        lost: (sectors,) uint64, a bit for each slope at which a ray gave no return.
+    `lost` is (sectors,) uint64 output, one bit for each slope at which a ray gave no return. The
+    other parameters are as in `from_depth`.
     """
     half = polar.bin_of.shape[0] // 2
     for v in range(stride_v // 2, depth_m.shape[0], stride_v):
@@ -220,18 +220,19 @@ def lost_rays(depth_m, stride_u, stride_v, column, row, T, min_range_m, polar, l
 
 @njit(nogil=True, cache=True)
 def is_open(lost, below_m, over_m, d, step_m, high_m):
-    """Return whether nothing can stand in a cell that a ray flew over.
+    """Return True if nothing can stand in a cell that a ray passed over.
 
-    A ray that flew lower than a step shows that. A higher one does only if no ray was sent lower:
-    those that gave no return may have met a thing that none shows (black, glass). Rays that meet
-    the floor within `_LOST_NEAR_M` say nothing: many cameras see nothing so near.
+    A ray lower than a step proves that. A higher ray proves it only if no lower ray was sent,
+    because lower rays without a return may have hit something black or transparent. Rays that meet
+    the floor within `_LOST_NEAR_M` are ignored: many cameras see nothing so near.
 
     Args:
-        lost: of the cell's sector, a bit for each slope, see `lost_rays`.
-        below_m: height over the ground at which the lowest ray flew over the cell.
+        lost: bits of the cell's sector, one for each slope, see `lost_rays`.
+        below_m: height over the ground at which the lowest ray passed over the cell.
         over_m: height of the sensor over the ground there.
-        d: distance of the cell.
-        high_m: a ray that flew higher than this, and than the sensor is, shows nothing.
+        d: distance of the cell in metres.
+        step_m: height of a step.
+        high_m: a ray higher than this, and higher than the sensor, proves nothing.
     """
     if below_m < step_m:
         return True
@@ -246,18 +247,19 @@ def is_open(lost, below_m, over_m, d, step_m, high_m):
     bits = np.uint64(0xFFFFFFFFFFFFFFFF) >> np.uint64(_LOST_BITS - (end - first))
     hidden = lost & (bits << np.uint64(first))
     for _ in range(_LOST_LEAST - 1):
-        hidden &= hidden - np.uint64(1)  # one bit less
+        hidden &= hidden - np.uint64(1)  # clear the lowest bit
     return hidden == np.uint64(0)
 
 
 @njit(nogil=True, cache=True)
 def from_cloud(cloud_m, T, min_range_m, xyz):
-    """Points of a cloud, like `from_depth`; points that are not finite or too near give none.
+    """Compute the points of a cloud, like `from_depth`.
 
-    A row (x, y, inf) is a ray that met nothing up to (x, y, 0). Their ends follow the points.
+    Points that are not finite or too near give none. A row (x, y, inf) is a ray that hit nothing up
+    to (x, y, 0). The ends of such rays follow the points.
 
     Returns:
-        (the number of points, the number of points and ends).
+        (number of points, number of points and ends).
     """
     n = ends = 0
     for i in range(cloud_m.shape[0]):
@@ -288,18 +290,20 @@ def from_cloud(cloud_m, T, min_range_m, xyz):
 
 @njit(nogil=True, cache=True)
 def drop_own(n, hits, xyz, axes, sensor_m, sensor_z, radius_m, height_m):
-    """Take the points of the robot itself out of `xyz`.
+    """Remove the points of the robot itself from `xyz`.
 
-    The robot is a cylinder around the axis of its base. It has no lid: what is over the robot is no
-    obstacle where it stands.
+    The robot is a cylinder around the axis of its base. The cylinder has no top, because something
+    above the robot is not an obstacle where the robot stands.
 
-    Args:
-        axes: (3, 3) float32, directions x, y, z of the base in `map`, as columns.
-        sensor_m: (3,) float32, the sensor on the base.
-        height_m: of the robot, so high that no point of it is missed if it is tilted.
+    - `n`, `hits`: number of all points, and of the hits, which come first.
+    - `axes`: (3, 3) float32, directions x, y, z of the base in `map`, as columns.
+    - `sensor_m`: (3,) float32, the sensor on the base.
+    - `sensor_z`: height of the sensor in `map`.
+    - `radius_m`, `height_m`: size of the robot; the height also covers its points when it is
+      tilted.
 
     Returns:
-        (how many of the `n` are left, how many of the `hits`, which come first).
+        (points left, hits left).
     """
     x, y, z = sensor_m[0], sensor_m[1], sensor_m[2]
     tilted_m = np.hypot(axes[2, 0], axes[2, 1]) * (height_m + abs(z))
@@ -327,12 +331,10 @@ def drop_own(n, hits, xyz, axes, sensor_m, sensor_z, radius_m, height_m):
 def bin_points(n_points, hits, sensor_z, range_m, inv_res, fx, fy, polar, scan):
     """Bin scan.xyz: the lowest point of each bin, and the cell of each point within range.
 
-    A point beyond range says only that its ray passed: it is pulled in to the circle of range.
-
-    Args:
-        hits: the points from this one on are ends of rays that met nothing. They have no cell, and
-            reach into the sectors on both sides: beams of a planar LiDAR are as far apart.
-        fx, fy: place of the sensor in the scratch, in cells from its lower-left corner.
+    The ray of a point beyond range passes through the whole range: its slope goes to `far_slope`.
+    Points from `hits` on are ends of rays that hit nothing. They have no cell, and count in the
+    sectors on both sides, because beams of a planar LiDAR may be that far apart. (`fx`, `fy`) is
+    the position of the sensor in the scratch grid, in cells from its lower-left corner.
 
     Returns:
         The number of points within range, in scan.cell and scan.z_m.
@@ -375,15 +377,13 @@ def bin_points(n_points, hits, sensor_z, range_m, inv_res, fx, fy, polar, scan):
 
 @njit(nogil=True, cache=True)
 def find_floor(lowest_m, polar, sensor_z, base_z, step_m, search_m, levels):
-    """Find the height of the floor: the lowest that much ground near the robot has.
+    """Find the height of the floor: the lowest height with enough ground near the robot.
 
-    What is higher may be a table, and what is much lower than the base is not under the robot.
-
-    Args:
-        levels: (2, 64) float64 scratch: area of ground at each height, and area times height.
+    Higher ground may be a table. Ground much lower than the base is not under the robot. `levels`
+    is (2, 64) float64 scratch: area of ground at each height, and area times height.
 
     Returns:
-        (height or NaN, area [m2] of what is lower than the base by more than a step).
+        (height or NaN, area [m2] that is lower than the base by more than a step).
     """
     area, moment = levels[0], levels[1]
     levels[:] = 0.0
@@ -415,16 +415,14 @@ def find_floor(lowest_m, polar, sensor_z, base_z, step_m, search_m, levels):
 
 @njit(nogil=True, cache=True)
 def fit_floor(lowest_m, polar, sensor_z, step_m, search_m, floor):
-    """Fit a plane to the ground near the robot, for what a blind zone or a gap hides.
+    """Fit a plane to the ground near the robot, to bridge a blind zone or a gap.
 
-    A thing that stands in a few sectors differs from what the others agree on, and is left out.
-
-    Args:
-        floor: (3,) float64: height at the sensor's cell, and how much it rises along x and y;
-            begins level, and is written.
+    An object in a few sectors deviates from the plane of the others and is left out. `floor` is
+    (3,) float64, input and output: height at the sensor's cell, and slope along x and y, which is 0
+    on entry.
 
     Returns:
-        Whether there was enough ground; else the floor is level, and as high as it was.
+        True if there was enough ground. Else the floor stays level at its height.
     """
     start_z = floor[0]
     a, b, c, total = start_z, 0.0, 0.0, 0.0
@@ -448,7 +446,7 @@ def fit_floor(lowest_m, polar, sensor_z, step_m, search_m, floor):
         if total < LEAST_FLOOR_M2:
             break
         x, y, z = sx / total, sy / total, sz / total
-        # Of ground in one direction only the slope across it says little: a weak pull to level.
+        # Ground in only one direction hardly fixes the slope across it: pull that weakly to level.
         sxx, syy = sxx / total - x * x + 0.02, syy / total - y * y + 0.02
         sxy, sxz, syz = sxy / total - x * y, sxz / total - x * z, syz / total - y * z
         det = sxx * syy - sxy * sxy
@@ -465,14 +463,14 @@ def fit_floor(lowest_m, polar, sensor_z, step_m, search_m, floor):
 def sweep_ground(scan, polar, floor, sensor_z, slope, step_m, range_m, inv_res):
     """Follow the ground outward in every sector; fill ground, pass slopes, reach and box.
 
-    It begins at the floor (see `fit_floor`). The ground may rise or fall by `slope` from the last
-    ground seen, but behind a gap nobody knows what lies between: by `step_m` at most where it is
-    first seen (a low box just outside the blind zone is no ramp), later by twice that. A return far
-    below is a drop: rays free nothing beyond the last ground before it, unless level ground follows
-    (a stray reflection).
+    It starts at the floor (see `fit_floor`). The ground may rise or fall by `slope` from the last
+    ground seen. Over a gap, the limit is `step_m` where ground is first seen, so that a low box
+    just outside the blind zone is not a ramp, and twice that later. A return far below is a drop.
+    Rays free nothing beyond the last ground before a drop, unless level ground follows (a stray
+    reflection).
 
     Returns:
-        (sum of the floor heights near the robot, their number).
+        (sum of the floor heights near the robot, number of these heights).
     """
     half = polar.bin_of.shape[0] // 2
     scan.box[0] = scan.box[1] = half
@@ -499,7 +497,7 @@ def sweep_ground(scan, polar, floor, sensor_z, slope, step_m, range_m, inv_res):
 
 @njit(nogil=True, cache=True, inline="always")
 def _last_ring(lowest_m, s):
-    """The farthest ring of a sector with a point, or -1."""
+    """Return the farthest ring of a sector with a point, or -1."""
     for r in range(lowest_m.shape[1] - 1, -1, -1):
         if lowest_m[s, r] < np.inf:
             return r
@@ -508,7 +506,7 @@ def _last_ring(lowest_m, s):
 
 @njit(nogil=True, cache=True, inline="always")
 def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, lean, slope, step_m):
-    """Fill one sector's ground; returns its reach, and sum and number of near floor heights."""
+    """Fill one sector's ground; return its reach, and sum and number of near floor heights."""
     ground, ground_d, drop = floor_z, 0.0, False
     near_sum, near_count = 0.0, 0
     run_from, run_to, run_sum, run_count = 0, -1 - _RUN_GAP, 0.0, 0
@@ -540,7 +538,7 @@ def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, lean, slope, st
 
 @njit(nogil=True, cache=True, inline="always")
 def _lowest_passing(scan, s, last, ring_m, sensor_z):
-    """Fill one sector's pass slopes: of rays that end two rings farther or more."""
+    """Fill one sector's pass slopes, from rays that end two rings farther or more."""
     lowest = scan.far_slope[s]
     for r in range(scan.lowest_m.shape[1] - 1, -1, -1):
         beyond = r + 2
@@ -552,7 +550,7 @@ def _lowest_passing(scan, s, last, ring_m, sensor_z):
 
 @njit(nogil=True, cache=True, inline="always")
 def _grow_box(box, polar, s, end_cells, half):
-    """Let the box hold one sector up to its end."""
+    """Extend the box to contain one sector up to its end."""
     side = polar.bin_of.shape[0]
     margin = int(end_cells * math.pi / polar.sectors) + 2
     x = half + int(end_cells * polar.direction[s, 0])
@@ -567,10 +565,8 @@ def _grow_box(box, polar, s, end_cells, half):
 def classify(n, scan, polar, obstacle_min_m, obstacle_max_m, coded_m):
     """Split points by height over the local ground; obstacles end the rays of their sectors.
 
-    Below `obstacle_min_m` is floor, above `obstacle_max_m` an overhang with free space beneath.
-
-    Args:
-        coded_m: what the highest code stands for.
+    Points below `obstacle_min_m` are floor. Points above `obstacle_max_m` are an overhang with free
+    space below. `coded_m` is the height of the highest code.
     """
     per_m = np.float32(HEIGHT_CODES / coded_m)
     lowest, highest = np.float32(obstacle_min_m), np.float32(obstacle_max_m)
@@ -595,7 +591,7 @@ def classify(n, scan, polar, obstacle_min_m, obstacle_max_m, coded_m):
 
 @njit(nogil=True, cache=True)
 def go_on(n, scan, polar, obstacle_max_m, coded_m):
-    """Let obstacles that reach `obstacle_max_m` go on in what is over them, up to `coded_m`."""
+    """Extend obstacles that reach `obstacle_max_m` by the points above them, up to `coded_m`."""
     per_m = np.float32(HEIGHT_CODES / coded_m)
     highest, coded = np.float32(obstacle_max_m), np.float32(coded_m)
     from_code = LOWEST_OBSTACLE + max(int((highest - np.float32(_GOES_ON_M)) * per_m), 0)
@@ -609,7 +605,7 @@ def go_on(n, scan, polar, obstacle_max_m, coded_m):
 
 @njit(nogil=True, cache=True)
 def _block(reach_m, polar, cell):
-    """An obstacle ends the rays of all sectors that its cell subtends."""
+    """End the rays of all sectors that an obstacle's cell subtends."""
     side = polar.bin_of.shape[1]
     y, x = cell // side, cell % side
     sector, wide = int(polar.sector_of[y, x]), int(polar.spread[y, x])

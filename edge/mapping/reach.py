@@ -1,4 +1,7 @@
-"""Which free cells the robot can get to, and how far they are: an amortised wavefront."""
+"""Driving distances: which free cells the robot can reach, and how far they are.
+
+A wavefront computes them, spread over many ticks.
+"""
 
 from __future__ import annotations
 
@@ -24,17 +27,17 @@ from edge.mapping.window import Window
 
 _CLEAR_PER_CELL = 16
 WAY_CELLS = 4096
-"""Of a longer way the end is shown."""
+"""Longest path in cells that `way_m` returns; of a longer one it returns the end."""
 
 
 class ReachField:
     """Geodesic distance from the robot over free cells, 8-connected.
 
-    Two fields take turns: the last complete one answers while the next grows by at most
-    `cells_per_tick` cells a step, so that a step's cost does not depend on the map's size.
+    There are two fields. The last complete one answers queries while the next one grows by at most
+    `per_tick` cells a step. So the cost of a step does not depend on the size of the map.
 
     Attributes:
-        generation: counts complete fields; 0 = none yet.
+        generation: number of complete fields; 0 = none yet.
     """
 
     def __init__(
@@ -45,9 +48,14 @@ class ReachField:
         body: np.ndarray,
         per_tick: int,
     ) -> None:
-        """
+        """Allocate both fields.
+
         Args:
-            body: disc that has to be free for the robot to go back where it was; see `on_trail`.
+            layers: layers of the map.
+            window: window of the map.
+            inflation_cells: inflation radius in cells.
+            body: disc that must be free for the robot to return to its trail; see `on_trail`.
+            per_tick: largest number of cells that a step adds.
         """
         n = window.n
         self.generation = 0
@@ -55,7 +63,7 @@ class ReachField:
         self._escape_cells = inflation_cells + 1.0
         self._body = body
         self._per_tick = per_tick
-        # No contour of equal cost in a window is longer, save in mazes made to be.
+        # Longest contour of equal cost in a window, except in artificial mazes.
         contour = 8192 + 16 * n
         self._waves = [
             Wave(
@@ -67,16 +75,15 @@ class ReachField:
             )
             for _ in range(2)
         ]
-        self._origins = [(0, 0), (0, 0)]  # of the window, when the fields began
+        self._origins = [(0, 0), (0, 0)]  # of the window at the start of each field
         self._current = 0
         self._growing = False
         self._clear_row = -1
 
     def step(self, pose: SE2) -> None:
-        """Grow the next field; take it into use when it is complete.
+        """Grow the next field; use it for queries when it is complete.
 
-        Args:
-            pose: where the robot is now; a new field starts there.
+        A new field starts at `pose`, the robot's current pose.
         """
         nxt = 1 - self._current
         wave = self._waves[nxt]
@@ -100,11 +107,11 @@ class ReachField:
 
     @property
     def field(self) -> tuple[np.ndarray, tuple[int, int, int, int]]:
-        """The distances in use (see `Wave.distance`), and the world cells where they hold."""
+        """The current distances (see `Wave.distance`), and the world cells where they hold."""
         return self._waves[self._current].distance, self._common(self._current)
 
     def distance_m(self, x_m: float, y_m: float) -> float:
-        """Geodesic distance to a point's cell in metres; inf where it was not reached."""
+        """Return the geodesic distance to a point's cell in metres; inf if it was not reached."""
         if self.generation == 0:
             return math.inf
         window = self._window
@@ -118,10 +125,10 @@ class ReachField:
         return (steps - 1) / STRAIGHT * window.resolution_m
 
     def nearest(self, x_m: float, y_m: float, radius_m: float) -> tuple[float, float, float] | None:
-        """The free cell nearest to a point, within `radius_m`, that the robot can get to.
+        """Return the nearest free cell that the robot can reach, within `radius_m` of a point.
 
         Returns:
-            (x_m, y_m, geodesic_m) of the cell's centre; None when there is none.
+            (x_m, y_m, geodesic_m) of the cell's centre; None if there is none.
         """
         if self.generation == 0:
             return None
@@ -135,16 +142,18 @@ class ReachField:
     def approach(
         self, surface_m: np.ndarray, within_m: float, points: int = 1
     ) -> tuple[float, float, float] | None:
-        """Where to stop on the way to a thing: the free cell with the shortest way there from
-        which points of its surface are near, with no wall in between.
+        """Return the stopping point for an object: the nearest free cell in sight of its surface.
+
+        The cell has the shortest driving distance of all cells that have enough points of the
+        surface near, with no wall in between.
 
         Args:
             surface_m: (k, 2 or more) float32 in `map`.
-            within_m: how near; the centre of the cell to the point.
-            points: how many at least are to be near; > 0.
+            within_m: largest distance from the cell's centre to a point.
+            points: least number of such points; > 0.
 
         Returns:
-            (x_m, y_m, geodesic_m) of the cell's centre; None when there is none.
+            (x_m, y_m, geodesic_m) of the cell's centre; None if there is none.
         """
         if self.generation == 0:
             return None
@@ -156,11 +165,11 @@ class ReachField:
         return _place_m(x, y, steps, res)
 
     def way_m(self, x_m: float, y_m: float) -> np.ndarray:
-        """The shortest way to a point's cell, from where the field began, for people to look at.
+        """Return the shortest path to a point's cell, from the start of the field, for display.
 
         Returns:
-            (k, 2) float32 centres of cells in `map`, at most `WAY_CELLS`, the point's own last;
-            (0, 2) where the robot does not get to.
+            (k, 2) float32 centres of cells in `map`, at most `WAY_CELLS`, the point's own cell
+            last; (0, 2) if the robot cannot get there.
         """
         if self.generation == 0:
             return np.zeros((0, 2), np.float32)
@@ -172,12 +181,14 @@ class ReachField:
     def paths_m(
         self, xy_m: np.ndarray, kind: np.ndarray, radius_m: np.ndarray, n: int, out_m: np.ndarray
     ) -> None:
-        """Driving distance to each of some points: to the free cell nearest to it, as `nearest`.
+        """Write the driving distance to each point, or to the nearest free cell as in `nearest`.
 
         Args:
-            xy_m: (n or more, 2) float32.
-            kind: (n or more,) int8, index into `radius_m`, how far that cell may lie.
-            out_m: (n or more,) float32; inf where the robot does not get to.
+            xy_m: (n or more, 2) float32 in `map`.
+            kind: (n or more,) int8, index into `radius_m`.
+            radius_m: search radius for each kind.
+            n: number of points.
+            out_m: (n or more,) float32 output; inf if the robot cannot get there.
         """
         if self.generation == 0:
             out_m[:n] = math.inf
@@ -187,12 +198,12 @@ class ReachField:
         path_lengths(self._layers, distance, *common, res, xy_m, kind, radius_m, n, out_m)
 
     def _common(self, which: int) -> tuple[int, int, int, int]:
-        """World cells that lie in a field's window and in the map's: half-open rectangle."""
+        """Return the half-open rectangle of world cells in both a field's window and the map's."""
         (ax, ay), (bx, by), n = self._origins[which], self._window.origin, self._window.n
         return max(ax, bx), max(ay, by), min(ax, bx) + n, min(ay, by) + n
 
     def _clear(self, wave: Wave) -> bool:
-        """Empty the older field, a share each step; True when it is empty."""
+        """Clear a part of the older field in each step; return True when it is empty."""
         x0, y0, x1, y1 = (int(v) for v in wave.bounds)
         if x1 <= x0:
             return True
@@ -208,7 +219,7 @@ class ReachField:
 
 
 def _place_m(x: int, y: int, steps: int, res_m: float) -> tuple[float, float, float] | None:
-    """(x_m, y_m, geodesic_m) of a cell's centre; None where it was not reached."""
+    """Return (x_m, y_m, geodesic_m) of a cell's centre; None if it was not reached."""
     if steps == UNREACHED:
         return None
     return (x + 0.5) * res_m, (y + 0.5) * res_m, (steps - 1) / STRAIGHT * res_m

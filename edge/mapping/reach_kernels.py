@@ -1,4 +1,4 @@
-"""The wavefront of the reach field, and what is read from a field that it has filled."""
+"""Kernels of the driving-distance field: the wavefront, and queries on a complete field."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from numba import njit
 from edge.mapping.layers import FREE, OCCUPIED, ZONE, bit_get, on_trail
 from edge.mapping.points import TALL
 
-# Octile steps as integers: 7 / 5 stands for sqrt 2 (1 % short), so that a handful of buckets
-# make a priority queue (Dial).
+# Octile steps as integers: 7 / 5 approximates sqrt 2 (1 % short), so that a few buckets are
+# enough for a priority queue (Dial).
 STRAIGHT, DIAGONAL = 5, 7
 BUCKETS = 8
-# Of the eight neighbours in row order, the two straight ones beside each diagonal one.
+# For each of the eight neighbours in row order: the two straight ones next to a diagonal one.
 _BESIDE = np.array([[1, 3], [0, 0], [1, 4], [0, 0], [0, 0], [3, 6], [0, 0], [4, 6]])
 UNREACHED = np.int32(0)
 # Entries of `Wave.state`: cost being settled, cells queued, squared escape radius, start.
 _LEVEL, _QUEUED, _ESCAPE2, _START_X, _START_Y, _LOST = range(6)
-# What stands so near to a point of a thing's surface is the thing.
+# An obstacle this near to a point of an object's surface is the object itself.
 _OWN_CELLS = 4
 
 
 class Wave(NamedTuple):
-    """One field and the queue it grows with.
+    """One field and the queue with which it grows.
 
     Attributes:
-        distance: (N, N) int32 by storage cell: 1 + steps' cost; 0 = not reached.
+        distance: (N, N) int32 by storage cell: 1 + cost of the steps; 0 = not reached.
         bucket: (8, m) int32, queued cells by cost mod 8.
-        filled: (8,) int64, cells in each bucket.
-        bounds: (4,) int64, half-open storage rectangle of what was written.
+        filled: (8,) int64, number of cells in each bucket.
+        bounds: (4,) int64, half-open storage rectangle that was written.
         state: (6,) int64.
     """
 
@@ -44,10 +44,10 @@ class Wave(NamedTuple):
 
 @njit(nogil=True, cache=True)
 def start_wave(layers, wave, sx, sy, escape_cells):
-    """Begin an empty field at a storage cell.
+    """Start an empty field at a storage cell.
 
-    A start inside inflation may leave it: within `escape_cells` of it every cell that is itself
-    free is passable, though inflated.
+    A robot inside the inflation may leave it: within `escape_cells` of the start, every free cell
+    can be crossed although it is inflated.
     """
     n = layers.raw.shape[0]
     wave.filled[:] = 0
@@ -65,7 +65,7 @@ def start_wave(layers, wave, sx, sy, escape_cells):
 
 @njit(nogil=True, cache=True)
 def _edge_steps(cell, n, shift_x, shift_y, x0, y0, x1, y1, steps):
-    """Storage offsets of the eight neighbours where the torus wraps; 0 outside the rectangle."""
+    """Write storage offsets of the eight neighbours at the torus' seam; 0 outside the rectangle."""
     x, y = (cell % n - shift_x) % n, (cell // n - shift_y) % n
     k = 0
     for dy in range(-1, 2):
@@ -97,7 +97,7 @@ def _escapes(layers, wave, cell):
 
 @njit(nogil=True, cache=True)
 def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
-    """Settle up to `budget` cells inside a world rectangle; True when none are left."""
+    """Settle up to `budget` cells inside a world rectangle; return True if none are left."""
     n = layers.raw.shape[0]
     shift_x, shift_y = origin_x % n, origin_y % n
     distance, bucket, filled = wave.distance.ravel(), wave.bucket, wave.filled
@@ -120,7 +120,7 @@ def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
         queued -= 1
         cell = bucket[slot, filled[slot]]
         if distance[cell] != level:
-            continue  # a shorter way was found after this one was queued
+            continue  # a shorter path was found after this entry was queued
         done += 1
         sy = cell // n
         sx = cell - sy * n
@@ -141,7 +141,7 @@ def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
                 near_obstacles[cell + steps[_BESIDE[k, 0]]] != 0
                 or near_obstacles[cell + steps[_BESIDE[k, 1]]] != 0
             ):
-                continue  # no robot cuts a corner, and no planner lets it
+                continue  # no cut corners, as in the planner
             there = distance[near]
             cheaper = level + cost[k]
             if there != 0:
@@ -169,10 +169,10 @@ def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
 
 @njit(nogil=True, cache=True)
 def nearest_reached(layers, distance, x0, y0, x1, y1, px, py, radius):
-    """The reached cell that is free now and nearest to a point, by centre, all in cells.
+    """Return the free reached cell whose centre is nearest to a point, all in cells.
 
     Returns:
-        (world x, world y, distance entry); the last is 0 when there is none.
+        (world x, world y, distance entry); the last is 0 if there is none.
     """
     n = layers.raw.shape[0]
     x, y = int(np.floor(px)), int(np.floor(py))
@@ -202,7 +202,7 @@ def nearest_reached(layers, distance, x0, y0, x1, y1, px, py, radius):
 
 @njit(nogil=True, cache=True)
 def path_lengths(layers, distance, x0, y0, x1, y1, res, xy, kind, radius, n, out):
-    """See `ReachField.paths_m`."""
+    """Do the work of `ReachField.paths_m`."""
     for i in range(n):
         _, _, steps = nearest_reached(
             layers, distance, x0, y0, x1, y1, xy[i, 0] / res, xy[i, 1] / res, radius[kind[i]] / res
@@ -212,14 +212,13 @@ def path_lengths(layers, distance, x0, y0, x1, y1, res, xy, kind, radius, n, out
 
 @njit(nogil=True, cache=True)
 def trace(distance, x0, y0, x1, y1, x, y, cells):
-    """The way back from a world cell to where a field began.
+    """Trace the path back from a world cell to the start of a field.
 
-    Args:
-        x0, y0, x1, y1: see `ReachField.field`.
-        cells: (cap, 2) int64 output, world cells, the first the given one.
+    - `x0`, `y0`, `x1`, `y1`: world cells where the field is valid, see `ReachField.field`.
+    - `cells`: (cap, 2) int64 output, world cells, the given one first.
 
     Returns:
-        How many there are; 0 where the cell was not reached.
+        The number of cells; 0 if the cell was not reached.
     """
     n, k = distance.shape[0], 0
     if not (x0 <= x < x1 and y0 <= y < y1) or distance[y % n, x % n] == 0:
@@ -242,9 +241,9 @@ def trace(distance, x0, y0, x1, y1, x, y, cells):
 
 @njit(nogil=True, cache=True)
 def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within, points):
-    """See `ReachField.approach`; results as of `nearest_reached`."""
+    """Do the work of `ReachField.approach`; the result is as in `nearest_reached`."""
     n, k, radius = layers.raw.shape[0], len(surface), within / res
-    at = np.empty((k, 2))  # in cells, from the middle of a cell
+    at = np.empty((k, 2))  # in cells, relative to cell centres
     first_x, first_y, last_x, last_y = x1, y1, x0, y0
     for i in range(k):
         at[i, 0], at[i, 1] = surface[i, 0] / res - 0.5, surface[i, 1] / res - 0.5
@@ -269,7 +268,7 @@ def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within, point
 
 @njit(nogil=True, cache=True)
 def _sees(layers, x, y, at, radius, points):
-    """Whether so many points, (k, 2) in cells, are within the radius of a cell and in sight."""
+    """Return True if enough `points` of (k, 2) are within the radius of a cell and in sight."""
     near, seen = 0, 0
     for i in range(len(at)):
         dx, dy = at[i, 0] - x, at[i, 1] - y
@@ -288,7 +287,10 @@ def _sees(layers, x, y, at, radius, points):
 
 @njit(nogil=True, cache=True)
 def _in_sight(layers, x, y, dx, dy):
-    """Whether no wall stands between a cell's centre and a point, but near the point: itself."""
+    """Return True if no wall stands between a cell's centre and a point.
+
+    Cells near the point do not count, because they are the object itself.
+    """
     n = layers.raw.shape[0]
     length = math.hypot(dx, dy)
     for k in range(int(length - _OWN_CELLS) + 1):

@@ -1,9 +1,9 @@
-"""The known map cut at its narrow places into regions, on a coarse grid; knows arrays only.
+"""Segmentation of the known map into rooms at its narrow places, on a coarse grid.
 
-Walls cut, furniture does not: what is tall is taken for wall. Rooms are the basins of the distance
-to the nearest wall. Two that meet are one room unless the place where they meet is a passage: as
-narrow as a door, and clearly narrower than the smaller of both. What is not known yet is no wall,
-so an opening towards it cuts nothing.
+Only tall obstacles are walls; furniture does not separate rooms. Rooms are the basins of the
+distance to the nearest wall. Two basins are one room unless a passage separates them: as narrow as
+a door, and clearly narrower than the smaller basin. Unknown space is not a wall, so an opening to
+it separates nothing. This module only knows arrays.
 """
 
 from __future__ import annotations
@@ -20,24 +20,26 @@ from edge.mapping.window import Window
 
 UNKNOWN, OPEN, WALL = 0, 1, 2
 DOOR_M = 2.2
-"""No door is wider, double ones included."""
+"""Largest width of a door, double doors included."""
 _NARROWER = 0.8
 _LEAST_M2 = 1.0
-"""Smaller basins are corners, and part of what they lie in."""
+"""A smaller basin is a corner of a larger one."""
 
 
 def survey(layers: Layers, window: Window, tall_code: int, cell_m: float) -> Grid:
-    """The explored part on coarse cells.
+    """Return the explored part of the map on coarse cells.
 
-    Another thread may call it while the map is updated: cells are then from before or after, and
-    a window that moved meanwhile is read again.
+    Another thread may call it during an update; some cells are then from before the update. If the
+    window moves during the copy, the map is read again.
 
     Args:
-        tall_code: obstacles from this `Layers.top` on are walls.
-        cell_m: about the side of a cell; never smaller than the map's.
+        layers: layers of the map.
+        window: window of the map.
+        tall_code: value of `Layers.top` from which an obstacle is a wall.
+        cell_m: approximate side of a cell; never smaller than the map's.
 
     Returns:
-        `Grid` of uint8 `UNKNOWN`, `OPEN` (furniture too) or `WALL`, in `map`.
+        `Grid` of uint8 `UNKNOWN`, `OPEN` (also furniture) or `WALL`, in `map`.
     """
     factor = max(1, round(cell_m / window.resolution_m))
     side_m = factor * window.resolution_m
@@ -56,19 +58,20 @@ def survey(layers: Layers, window: Window, tall_code: int, cell_m: float) -> Gri
 
 
 def _span(stored: np.ndarray, origin: int, n: int, unit: int) -> tuple[int, int]:
-    """Half-open span of world cells that storage rows, or words of a row, stand for."""
+    """Return the half-open span of world cells of some storage rows, or of words of a row."""
     world = (stored * unit - origin) % n + origin
     return int(world.min()), int(world.max()) + unit
 
 
 def cut(cells: np.ndarray, cell_m: float) -> tuple[np.ndarray, int]:
-    """Which region each cell belongs to.
+    """Return the region of each cell, and the number of regions.
 
     Args:
         cells: (h, w) uint8, see `survey`.
+        cell_m: side of a cell.
 
     Returns:
-        (h, w) int16: 1 … n; 0 where nothing is known, and at walls. And n.
+        (h, w) int16: 1 … n, 0 at walls and unknown cells; and n.
     """
     label = np.zeros(cells.shape, np.int16)
     if not cells.size:
@@ -80,11 +83,10 @@ def cut(cells: np.ndarray, cell_m: float) -> tuple[np.ndarray, int]:
 
 
 def borders(label: np.ndarray, n: int) -> np.ndarray:
-    """How long a border each two regions share, in cells: (n + 1, n + 1) int64, symmetric; 0 for
-    region 0, and on the diagonal.
+    """Return the length of the border between each two regions, in cells.
 
-    Args:
-        label: see `cut`.
+    The result is (n + 1, n + 1) int64, symmetric, 0 for region 0 and on the diagonal. `label` is
+    the result of `cut`.
     """
     out = np.zeros((n + 1, n + 1), np.int64)
     for a, b in ((label[1:], label[:-1]), (label[:, 1:], label[:, :-1])):
@@ -94,7 +96,7 @@ def borders(label: np.ndarray, n: int) -> np.ndarray:
 
 
 def _to_wall(cells: np.ndarray) -> np.ndarray:
-    """Distance to the nearest wall, in cells: (h, w) float32."""
+    """Return the distance to the nearest wall in cells, (h, w) float32."""
     wall = cells == WALL
     if not wall.any():
         return np.full(cells.shape, float(max(cells.shape)), np.float32)
@@ -103,7 +105,7 @@ def _to_wall(cells: np.ndarray) -> np.ndarray:
 
 @njit(nogil=True, cache=True)
 def _coarsen(layers, tall_code, x0, y0, factor, cells):
-    """A coarse cell is wall where one of its cells is, else open where one is known."""
+    """Make a coarse cell a wall if one of its cells is, else open if one is known."""
     raw, top = layers.raw, layers.top
     n = raw.shape[0]
     for row in range(cells.shape[0]):
@@ -121,6 +123,7 @@ def _coarsen(layers, tall_code, x0, y0, factor, cells):
 
 @njit(nogil=True, cache=True)
 def _root(parent, i):
+    """Return the representative of a set in a union-find forest, and shorten the path to it."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -129,14 +132,16 @@ def _root(parent, i):
 
 @njit(nogil=True, cache=True)
 def _basins(cells, apart, order, door_half_m, narrower, least_cells, label):
-    """Flood from the places farthest from walls; returns the number of regions.
+    """Flood from the places farthest from walls; return the number of regions.
 
-    A cell belongs with its neighbour that is farthest from walls; where it joins two basins, they
-    are one unless it is a passage.
+    A cell joins the basin of its neighbour that is farthest from walls. If it connects two basins,
+    they are merged unless the cell is a passage.
 
-    Args:
-        apart: (h, w) float32, metres to the nearest wall.
-        order: flat indices, farthest first.
+    - `apart`: (h, w) float32, metres to the nearest wall.
+    - `order`: flat indices, the farthest from walls first.
+    - `door_half_m`, `narrower`: limits of a passage.
+    - `least_cells`: a smaller basin is always merged.
+    - `label`: (h, w) int16 output.
     """
     h, w = cells.shape
     parent = np.zeros(order.size + 1, np.int32)
@@ -191,11 +196,16 @@ def _basins(cells, apart, order, door_half_m, narrower, least_cells, label):
 
 @njit(nogil=True, cache=True)
 def regions_at(label, x0_m, y0_m, cell_m, xy_m, n, radius_m, out):
-    """The region of the labelled cell nearest to each place, into out[:n]; 0 where none is near.
+    """Write the region of the labelled cell nearest to each place into out[:n]; 0 if none is near.
 
     Args:
-        label: (h, w) int16, see `cut`; (x0_m, y0_m) is its lower-left corner.
+        label: (h, w) int16, see `cut`.
+        x0_m: x of its lower-left corner.
+        y0_m: y of its lower-left corner.
+        cell_m: side of a cell.
         xy_m: (n or more, 2 or more) float32 in `map`.
+        n: number of places.
+        radius_m: radius of the search.
         out: (n or more,) int16.
     """
     h, w = label.shape

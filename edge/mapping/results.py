@@ -1,4 +1,4 @@
-"""What the rolling map hands out."""
+"""Results of the rolling map: updates and frontiers."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class MapUpdate:
-    """What one update did.
+    """Result of one update.
 
     Attributes:
         changed: (ix0, iy0, ix1, iy1), half-open rectangle of world cells (x = ix * resolution)
-            whose published state changed; all zero when none did.
-        rolled: whether the window moved.
+            whose published state changed; all zero if none did.
+        rolled: True if the window moved.
         floor_z_m: height of the floor under the robot in `map`; NaN until it was seen.
-        floor_seen: whether this update saw it.
-        floor_missing: whether there was no floor where the base and its sensor's mount say that it
-            must be, but ground far below; then nothing but the footprint was mapped.
+        floor_seen: True if this update saw the floor.
+        floor_missing: True if there is no floor at the height of the base, but ground far below.
+            Then only the footprint was mapped.
     """
 
     changed: tuple[int, int, int, int]
@@ -31,12 +31,13 @@ class MapUpdate:
 
 @dataclass(slots=True, eq=False)
 class Frontiers:
-    """Frontier-based target points: parallel arrays, the first `n` entries count.
+    """Target points on frontiers: parallel arrays, of which the first `n` entries count.
 
     Attributes:
+        n: number of target points.
         xy_m: (capacity, 2) float32 in `map`, centres of frontier cells.
         cells: (capacity,) int32, size of the cluster.
-        cluster: (capacity,) int32, equal for the samples of one cluster.
+        cluster: (capacity,) int32, id of the cluster; equal for its target points.
     """
 
     n: int

@@ -1,8 +1,8 @@
-"""The layers that last, by tiles of 64 x 64 cells: copied, packed, unpacked, put back.
+"""Tiles of 64 x 64 cells of the checkpoint's layers: copy, pack, unpack, restore.
 
-What a map holds is copied while the loop goes on, without a stall and yet as of one moment:
-`Copier` takes the tiles that were written since the last time, some in each tick, and those again
-that were written meanwhile. When none is left, what it has is the map of that tick.
+The map is copied while the loop continues, without a stall, but as of one moment. In each tick
+`Copier` copies some of the tiles written since the last time, and again those that were written in
+between. When none is left, its copy is the map of that tick.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from edge.host.checkpoint import Arrays, check_arrays
 from edge.mapping.window import TILE, Window
 
 MOST_PER_STEP = 128
-"""Tiles copied in a step, besides those of one update: a tenth of a millisecond or two."""
-_LEVEL = 1  # of zlib
+"""Tiles copied per step in addition to those of one update; takes 0.1 to 0.2 ms."""
+_LEVEL = 1  # compression level of zlib
 
 Place = tuple[int, int]
 
@@ -34,17 +34,23 @@ class Planes(NamedTuple):
     weight: np.ndarray
 
 
-VALUE_PLANES = 2  # the last of them
+VALUE_PLANES = 2  # number of value planes, which are the last
 
 
 def tiled(array: np.ndarray, m: int) -> np.ndarray:
-    """A view of (rows, columns, …) as (m, rows / m, m, columns / m, …)."""
+    """Return a view of (rows, columns, …) as (m, rows / m, m, columns / m, …)."""
     rows, columns, *rest = array.shape
     return array.reshape(m, rows // m, m, columns // m, *rest)
 
 
 class Batch(NamedTuple):
-    """Copies of some tiles: `planes` hold (k, rows, columns, …) each."""
+    """Copies of k tiles.
+
+    Attributes:
+        row: (k,) row of each tile.
+        column: (k,) column of each tile.
+        planes: the layers, (k, rows, columns, …) each.
+    """
 
     row: np.ndarray
     column: np.ndarray
@@ -52,7 +58,7 @@ class Batch(NamedTuple):
 
 
 class Copier:
-    """Copies what was written of a map, until it has all of one moment; for the loop's thread."""
+    """Copies the written tiles of a map until it has all of one moment; for the loop's thread."""
 
     def __init__(self) -> None:
         self._window: Window | None = None
@@ -60,8 +66,8 @@ class Copier:
         self._batches: list[Batch] = []
 
     def step(self, window: Window, planes: Planes, most: int) -> bool:
-        """Copy up to `most` tiles; whether `take` now gives the whole map as it is."""
-        if window is not self._window:  # another map: nothing of the last one counts
+        """Copy up to `most` tiles; return True if `take` now gives the complete current map."""
+        if window is not self._window:  # another map: drop the tiles of the last one
             self._window, self._anew, self._batches = window, True, []
         row, column = np.nonzero(window.written)
         row, column = row[:most], column[:most]
@@ -72,22 +78,24 @@ class Copier:
         return not window.written.any()
 
     def take(self) -> tuple[bool, list[Batch]]:
-        """Whether this is another map than the last time, and what was copied since, oldest
-        first."""
+        """Return True if the map is a new one, and the copies since the last call, oldest first."""
         taken = self._anew, self._batches
         self._anew, self._batches = False, []
         return taken
 
 
 class PackedTiles:
-    """A map's tiles, each packed by itself, so that only what changed is packed anew; those in
-    which nothing was written are left out. For the writer's thread."""
+    """A map's compressed tiles; for the writer's thread.
+
+    Each tile is packed by itself, so that only changed tiles are packed again. Empty tiles are left
+    out.
+    """
 
     def __init__(self) -> None:
         self._packed: dict[Place, bytes] = {}
 
     def update(self, batches: Iterable[Batch]) -> None:
-        """Take up copies, oldest first."""
+        """Pack copied tiles, oldest first."""
         for row, column, planes in batches:
             empty = ~np.any([plane.reshape(len(row), -1).any(axis=1) for plane in planes], axis=0)
             for i, place in enumerate(zip(row.tolist(), column.tolist(), strict=True)):
@@ -101,11 +109,12 @@ class PackedTiles:
         """Return the packed tiles, one after the other.
 
         Args:
-            origin: world cell of the window's lower-left corner; n: cells on its side.
+            origin: world cell of the window's lower-left corner.
+            n: cells on its side.
 
         Returns:
-            `xy` (k, 2) int32 world tiles, which hold the cells from 64 times that on; `n_bytes`
-            (k,) int32; `packed` (n_bytes.sum(),) uint8.
+            `xy` (k, 2) int32 world tiles, with the cells from 64 times that on; `n_bytes` (k,)
+            int32; `packed` (n_bytes.sum(),) uint8.
         """
         (x0, y0), m = (int(at) // TILE for at in origin), n // TILE
         xy = [(x0 + (c - x0) % m, y0 + (r - y0) % m) for r, c in self._packed]
@@ -120,42 +129,45 @@ def unpacked(state: Arrays, size: int) -> Iterator[tuple[Place, bytes]]:
     """Yield world tiles (x, y) of a `state_dict`, each with its bytes.
 
     Raises:
-        ValueError: the arrays do not fit, or a tile has another size.
+        ValueError: the arrays are inconsistent, or a tile has another size than `size` bytes.
     """
     like = PackedTiles().state_dict(np.zeros(2), TILE)
     rows = {("xy", "n_bytes"): 1 << 12, ("packed",): 1 << 27}
     check_arrays(state, like, rows, {"n_bytes": 1 << 24})
     packed, ends = state["packed"].data, np.cumsum(state["n_bytes"], dtype=np.int64).tolist()
     if (ends[-1] if ends else 0) != len(packed):
-        raise ValueError("the tiles do not fit")
+        raise ValueError("tiles: the sum of n_bytes is not the size of packed")
     for (x, y), start, end in zip(state["xy"].tolist(), [0, *ends], ends, strict=False):
         yield (x, y), _unpack(packed[start:end], size)
 
 
 def _unpack(packed: memoryview, size: int) -> bytes:
-    """Unpack one tile; ValueError if it has another size. No more than that is unpacked."""
+    """Unpack one tile, and at most one byte more than `size`.
+
+    Raises:
+        ValueError: it has another size.
+    """
     unpacker = zlib.decompressobj()
     try:
         tile = unpacker.decompress(packed, size + 1)
     except zlib.error:
-        raise ValueError("what is packed cannot be unpacked") from None
+        raise ValueError("tiles: a tile cannot be decompressed") from None
     if len(tile) != size or not unpacker.eof or unpacker.unused_data:
-        raise ValueError(f"what is packed is not of {size} bytes")
+        raise ValueError(f"tiles: a tile does not have {size} bytes")
     return tile
 
 
 def bytes_of(planes: Iterable[np.ndarray]) -> int:
-    """What one tile takes, unpacked."""
+    """Return the unpacked size of one tile in bytes."""
     return sum(plane[0, :, 0].nbytes for plane in planes)
 
 
 def write(
     planes: Iterable[np.ndarray], window: Window, tiles: Iterable[tuple[Place, bytes]]
 ) -> None:
-    """Put world tiles, unpacked, where they belong: those that lie in the window.
+    """Write unpacked world tiles into the layers; tiles outside the window are ignored.
 
-    Args:
-        planes: the first of `Planes`, or all.
+    `planes` are the first of `Planes`, or all.
     """
     m = len(window.written)
     first = window.origin[0] // TILE, window.origin[1] // TILE

@@ -13,6 +13,7 @@ MAX_RADIUS_CELLS = 31
 
 @njit(nogil=True, cache=True, inline="always")
 def _popcount(x):
+    """Return the number of set bits of a word."""
     x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
     x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
     x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -21,7 +22,7 @@ def _popcount(x):
 
 @njit(nogil=True, cache=True)
 def count(plane):
-    """How many bits of a bit plane, (N, N / 64) uint64, are set."""
+    """Return the number of set bits of a bit plane, (N, N / 64) uint64."""
     n = 0
     for row in plane:
         for word in row:
@@ -31,7 +32,7 @@ def count(plane):
 
 @njit(nogil=True, cache=True, inline="always")
 def _fill(x, p):
-    """Flood the bits x along the row within p."""
+    """Spread the bits x along the row within p."""
     while x != p:
         wider = (x | (x << np.uint64(1)) | (x >> np.uint64(1))) & p
         wider |= ((wider << np.uint64(1)) | (wider >> np.uint64(1))) & p
@@ -46,14 +47,12 @@ def ratios(
     known, blocked, shift_x, shift_y, origin_x, origin_y, inv_res, xy, n_points, disc,
     passable, flooded, out,
 ):  # fmt: skip
-    """Fill out[:n_points]: unknown cells over all cells that a 4-connected search reaches.
+    """Write out[:n_points]: unknown cells over all cells that a 4-connected search reaches.
 
-    The search starts at the point's cell, crosses unknown and free cells, and stays within the
-    disc and the window. A point on a blocked cell or outside the window has ratio 0.
-
-    Args:
-        disc: half widths of the disc's rows, MAX_RADIUS_CELLS at most.
-        passable, flooded: (64,) uint64 scratch.
+    The search starts at the point's cell, crosses unknown and free cells, and stays within the disc
+    and the window. A point on a blocked cell or outside the window has ratio 0. `disc` has the half
+    widths of the disc's rows, at most MAX_RADIUS_CELLS. `passable` and `flooded` are (64,) uint64
+    scratch.
     """
     n = known.shape[0]
     words = n >> 6
@@ -68,7 +67,7 @@ def ratios(
             continue
         left = x - radius
         word, offset = left >> 6, np.uint64(left & 63)
-        # A row's 64 columns lie in two words; what is not in the window is masked by `inside`.
+        # A row's 64 columns are in two words; `inside` masks columns outside the window.
         low = (word + (shift_x >> 6)) % words
         high = (low + 1) % words
         back = np.uint64(63) - offset

@@ -1,4 +1,4 @@
-"""Algorithm 1 of VL-Nav on the layers: clear stale obstacles, mark new ones, free by ray."""
+"""Map update (VL-Nav algorithm 1): clear stale obstacles, mark new ones, free cells along rays."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from edge.mapping.layers import BUMPED, FREE, OCCUPIED, UNSEEN, add_disc, bit_se
 from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE, is_open
 
 SEEN_FREE = 10
-"""`Layers.top` of a bumped cell that was floor in so many updates in a row, and nothing else."""
+"""`Layers.top` of a bumped cell after this many updates in a row that saw only floor there."""
 
 
 @njit(nogil=True, cache=True)
@@ -17,19 +17,18 @@ def apply_scan(
     layers, shift_x, shift_y, corner_x, corner_y, scan, polar, lost, sensor_z,
     obstacle_min_m, obstacle_max_m, coded_m, clear_after, disc, changed, explored, flipped,
 ):  # fmt: skip
-    """Bring a classified scan into the map, and leave `scan.seen` empty.
+    """Write a classified scan into the map, and clear `scan.seen`.
 
-    Of cells that were never seen a ray frees those that it shows to be open (`is_open`). An
-    occupied cell without a hit is stale when a ray flew over it lower than its top, which only a
-    ray that would have hit it can do: what lies below the camera's view stays.
+    A ray frees unseen cells that it shows to be open (`is_open`). An occupied cell without a hit is
+    stale if a ray passed over it below its top, because that ray would have hit the obstacle.
+    Obstacles below the camera's view stay.
 
-    Args:
-        lost: (sectors,) uint64, see `lost_rays`.
-        corner_x, corner_y: window coordinates of the scratch's cell (0, 0).
-        clear_after: updates in a row that must see through an obstacle to clear it.
-        changed: rectangle of cells whose published state changed.
-        explored: rectangle of all cells ever seen, window coordinates.
-        flipped: (side * side,) int32 scratch.
+    - `lost`: (sectors,) uint64, see `lost_rays`.
+    - `corner_x`, `corner_y`: window coordinates of cell (0, 0) of the scratch grid.
+    - `clear_after`: updates in a row that must see through an obstacle to clear it.
+    - `changed`: rectangle of cells whose published state changed.
+    - `explored`: rectangle of all cells ever seen, window coordinates.
+    - `flipped`: (side * side,) int32 scratch.
     """
     n = layers.raw.shape[0]
     clip = (0, 0, n, n)
@@ -74,9 +73,9 @@ def apply_scan(
 
 @njit(nogil=True, cache=True, inline="always")
 def _is_open(scan, polar, lost, cy, cx, sensor_z, step_m, high_m):
-    """Return `is_open` of a cell, by the rays that end in the next ring or farther.
+    """Return `is_open` of a cell, from the rays that end in the next ring or farther.
 
-    Near the sensor a cell is wider than a sector, and its returns are in any that it subtends.
+    Near the sensor a cell is wider than a sector, so its returns may be in each sector it subtends.
     """
     sector, ring, d = polar.sector_of[cy, cx], polar.ring_of[cy, cx], polar.distance_m[cy, cx]
     slope, wide = np.float32(np.inf), int(polar.spread[cy, cx])
@@ -93,7 +92,7 @@ def _is_open(scan, polar, lost, cy, cx, sensor_z, step_m, high_m):
 def _update_obstacle(
     layers, sy, sx, state, code, scan, polar, cy, cx, sensor_z, obstacle_max_m, coded_m, clear_after
 ):
-    """Update a cell that is or was occupied; whether it became so or ceased to be.
+    """Update a cell that is or was occupied; return True if it became occupied or free.
 
     A bumped cell stays occupied. Its top counts the updates in a row that saw only floor there.
     """
@@ -111,14 +110,14 @@ def _update_obstacle(
     top = layers.top[sy, sx]
     if code >= LOWEST_OBSTACLE:
         if state >= OCCUPIED and top > code:
-            # Taller than what was hit now, unless a ray has just flown through there.
+            # Keep the greater height, unless a ray has just passed below it.
             lid = LOWEST_OBSTACLE + int(min(max(below_m / metres, 0.0), 252.0))
             code = max(code, min(top, lid))
         layers.top[sy, sx] = code
         layers.raw[sy, sx] = OCCUPIED
         bit_set(layers.known, sy, sx, True)
         return state < OCCUPIED
-    # A code is rounded down, and the beams of a planar LiDAR are as high as their hits.
+    # Codes are rounded down, and beams of a planar LiDAR are as high as their hits: add one code.
     if below_m >= min((top - LOWEST_OBSTACLE + 1) * metres, obstacle_max_m):
         return False
     if state - OCCUPIED + 1 < clear_after:
@@ -131,13 +130,10 @@ def _update_obstacle(
 
 @njit(nogil=True, cache=True)
 def free_footprint(layers, shift_x, shift_y, x, y, footprint, body, disc, changed, explored):
-    """Free what the robot stands on: unknown cells of the footprint, and all of the body.
+    """Free the cells under the robot: unknown cells of the footprint, and all cells of the body.
 
-    A bumped cell stays: it was touched, and only standing on its middle opens it (see `Bumps`).
-
-    Args:
-        footprint, body: discs around the robot's cell; the footprint is the larger one.
-        disc: of the inflation.
+    A bumped cell stays closed until the robot stands on its centre (see `Bumps`). `footprint` and
+    `body` are discs around the robot's cell; the footprint is larger. `disc` is the inflation's.
     """
     n = layers.raw.shape[0]
     clip = (0, 0, n, n)

@@ -1,7 +1,7 @@
-"""Value maps: what was seen from where says about each target (ViTL IV-B2; VLFM's is one writer).
+"""Value maps: scores of each place for each target (ViTL IV-B2, or as VLFM writes them).
 
-A cell is some 0.2 m wide and has, for each target, a value and the weight that it rests on, 16 bits
-each: the scene score under ViTL's writer, the confidence under VLFM's. Weight 0: nothing was said.
+A cell is about 0.2 m wide. For each target it has a value and a weight of 16 bits each. The weight
+is the scene score when ViTL writes, and the confidence when VLFM writes. Weight 0: no score yet.
 """
 
 from __future__ import annotations
@@ -20,20 +20,21 @@ from edge.types import Observation
 
 RAYS = 128
 ROWS = 120
-"""A depth image is read in about so many rows: more show nothing else of a cell's width."""
+"""Number of rows of a depth image that are read; more would not change cells of this width."""
 UNIT = 65535
-"""What 1.0 is stored as."""
+"""Stored value of 1.0."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """How far one observation saw in each direction: all that is kept of it for a late answer.
+    """Range of one observation in each direction, kept so that a late score can still be written.
 
     Attributes:
-        x_m, y_m: the camera's place in `map`.
-        yaw_rad: where it looked.
-        fov_rad: its horizontal field of view, half to each side.
-        range_m: (RAYS,) float32, from the right rim to the left: how far the floor was in view.
+        x_m: the camera's x in `map`.
+        y_m: the camera's y in `map`.
+        yaw_rad: direction of the camera.
+        fov_rad: horizontal field of view, half to each side.
+        range_m: (RAYS,) float32, from the right edge to the left: range of visible floor.
     """
 
     x_m: float
@@ -43,32 +44,37 @@ class Sight:
     range_m: np.ndarray
 
     def bearing_rad(self, xy_m: np.ndarray) -> np.ndarray:
-        """(n,) float64: left of where the camera looked, of (n, 2) places in `map`."""
+        """Return the bearing (n,) float64 of places (n, 2) in `map`, positive to the left."""
         x, y = xy_m[:, 0] - self.x_m, xy_m[:, 1] - self.y_m
         return np.remainder(np.arctan2(y, x) - self.yaw_rad + math.pi, 2.0 * math.pi) - math.pi
 
 
 class ValueMap:
-    """A channel for each target, on the map's torus.
+    """A channel of values for each target, on the map's torus.
 
-    Memory is fixed by `begin`: 4 bytes a cell and channel, 1 MB for four targets in a window of
-    50 m (1000 x 1000 map cells of 0.05 m). A write costs with the cells in view, whatever the size.
+    `begin` allocates the memory: 4 bytes per cell and channel, or 1 MB for four targets in a window
+    of 50 m (1000 x 1000 map cells of 0.05 m). The cost of a write depends only on the cells in
+    view.
 
     Attributes:
-        cell_m: a cell's side, a power of two of the map's cells.
-        value, weight: (m, m, targets) uint16 by storage cell; 65535 stands for 1.
+        cell_m: side of a cell, a power of two of the map's cells.
+        value: (m, m, targets) uint16 by storage cell; 65535 stands for 1.
+        weight: (m, m, targets) uint16 by storage cell; 65535 stands for 1.
     """
 
     def __init__(
         self, layers: Layers, window: Window, cell_m: float, range_m: float, beta: float
     ) -> None:
-        """
+        """Prepare a map without channels; `begin` adds them.
+
         Args:
-            cell_m: is rounded so that a roll of the window moves whole cells.
-            range_m: what lies farther is not in view.
-            beta: of ViTL's virtual edge frontiers, in [0, 1].
+            layers: layers of the map.
+            window: window of the map.
+            cell_m: rounded so that a move of the window moves whole cells.
+            range_m: farthest range that counts as in view.
+            beta: factor of ViTL's virtual edge frontiers, in [0, 1].
         """
-        # The window's rolls are multiples of 64 map cells.
+        # The window moves by multiples of 64 map cells.
         self._bits = min(6, max(0, round(math.log2(cell_m / window.resolution_m))))
         self.cell_m = window.resolution_m * 2**self._bits
         self._layers, self._window = layers, window
@@ -82,7 +88,7 @@ class ValueMap:
         self._bearing = np.zeros(side * side, np.float32)
 
     def begin(self, targets: Sequence[str]) -> None:
-        """One channel for each target, in this order; what is known of those that stay is kept."""
+        """Make one channel per target, in this order; targets that stay keep their values."""
         if tuple(targets) == self._targets:
             return
         m = self._cells
@@ -97,16 +103,16 @@ class ValueMap:
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """What the channels are for."""
+        """Targets of the channels."""
         return self._targets
 
     @property
     def side(self) -> int:
-        """Cells on a side of a tile of the map."""
+        """Value cells on a side of a tile of the map."""
         return TILE >> self._bits
 
     def roll(self, axis: int, by: int) -> None:
-        """Forget what the window is about to leave, moving by so many map cells along x or y."""
+        """Clear the strip that leaves the window when it moves by `by` map cells along x or y."""
         start, n = self._window.origin[axis], self._window.n
         gone = min(abs(by), n)
         start += 0 if by > 0 else n - gone
@@ -116,12 +122,12 @@ class ValueMap:
         self.weight[where] = 0
 
     def sight(self, observation: Observation) -> Sight | None:
-        """How far an observation sees: by its depth image, else to the map's obstacles.
+        """Return how far an observation sees, by its depth image, else up to the map's obstacles.
 
-        A direction in which no pixel of the depth image has a return shows nothing.
+        A direction without any return in the depth image has range 0.
 
         Returns:
-            None where the observation has no camera, or its pose is not finite.
+            None if the observation has no camera, or its pose is not finite.
         """
         camera, depth = observation.camera, observation.depth_m
         T = observation.T_map_base @ observation.T_base_camera
@@ -143,36 +149,39 @@ class ValueMap:
         return Sight(x_m, y_m, yaw_rad, camera.hfov_rad, range_m)
 
     def write_view(self, sight: Sight, targets: Sequence[str], score: np.ndarray) -> None:
-        """VLFM: one score for all that was in view, weighted towards its middle.
+        """Write one VLFM score per target for everything in view, with more weight in the middle.
 
-        v = (c v + c' v') / (c + c'), c = (c^2 + c'^2) / (c + c'), where c' falls as cos^2 from 1
-        in the middle of the field of view to 0 at its rims. Both stay between what they were made
-        of.
+        v = (c v + c' v') / (c + c'), c = (c^2 + c'^2) / (c + c'). The confidence c' falls as cos^2
+        from 1 in the middle of the field of view to 0 at its edges.
 
         Args:
-            score: (n,) one for each of `targets`; scores below 0 or above 1 are taken as these.
-                The targets that have no channel are passed over.
+            sight: range of the observation.
+            targets: targets of the scores; targets without a channel are ignored.
+            score: (n,) one for each target, clipped to [0, 1].
         """
         channel = [self._targets.index(t) for t in targets if t in self._targets]
-        told = np.array([s for t, s in zip(targets, score, strict=True) if t in self._targets])
+        scores = np.array([s for t, s in zip(targets, score, strict=True) if t in self._targets])
         n = self._look(sight)
         if n and channel:
             blend(
                 self.value, self.weight, self._cell, self._bearing, n, sight.fov_rad,
-                np.array(channel, np.int64), np.clip(told, 0.0, 1.0).astype(np.float64),
+                np.array(channel, np.int64), np.clip(scores, 0.0, 1.0).astype(np.float64),
             )  # fmt: skip
 
     def write_directions(
         self, sight: Sight, target: str, xy_m: np.ndarray, p: np.ndarray, scene: float
     ) -> None:
-        """ViTL: the score of each direction, fused with what stood there, spread over the view.
+        """Write ViTL's score of each direction, fused with the earlier values, over the view.
 
-        Frontiers outside the field of view, or all of them, may be missing: what then remains are
-        the edges' scores.
+        Frontiers outside the field of view are ignored. Without any frontier, only the edges have
+        scores.
 
         Args:
-            xy_m: (n, 2) places of frontiers in `map`.
-            p: (n,) of eq. 4; scene: S_curr of eq. 5, in [0, 1].
+            sight: range of the observation.
+            target: target of the scores; without a channel nothing is written.
+            xy_m: (n, 2) frontiers in `map`.
+            p: (n,) probabilities of eq. 4.
+            scene: S_curr of eq. 5, in [0, 1].
         """
         n = self._look(sight)
         if n == 0 or target not in self._targets:
@@ -194,18 +203,20 @@ class ValueMap:
     def best(
         self, channel: int, xy_m: np.ndarray, n: int, radius_m: float, out: np.ndarray
     ) -> None:
-        """The highest value within a radius of each place (ViTL eq. 9), into out[:n].
+        """Write the highest value within a radius of each place (ViTL eq. 9) into out[:n].
 
         Args:
             channel: index of a target, as in `begin`.
             xy_m: (n or more, 2) float32 in `map`.
-            out: (n or more,) float32; NaN where nothing was said of any cell so near.
+            n: number of places.
+            radius_m: radius.
+            out: (n or more,) float32; NaN if no cell within the radius has a score.
 
         Raises:
             IndexError: there is no such channel.
         """
         if not 0 <= channel < len(self._targets):
-            raise IndexError(f"value channel {channel}: there are {len(self._targets)}")
+            raise IndexError(f"value channel {channel}: the map has {len(self._targets)} channels")
         ox, oy = self._window.origin
         best_near(
             self.value, self.weight, channel, ox >> self._bits, oy >> self._bits, self.cell_m,
@@ -213,14 +224,14 @@ class ValueMap:
         )  # fmt: skip
 
     def snapshot(self, target: str) -> Grid:
-        """A copy of what was said about a target; see `Window.copy_of`.
+        """Return a copy of a target's values; see `Window.copy_of`.
 
         Returns:
-            uint8 cells: 0 where nothing was said, else 1 + 254 times the value.
+            uint8 cells: 0 = no score, else 1 + 254 times the value.
         """
 
         def plane() -> np.ndarray:
-            # A mission that begins meanwhile puts others in the place of all three.
+            # A mission that begins on another thread replaces all three: take them once.
             targets, value, weight = self._targets, self.value, self.weight
             channel = targets.index(target) if target in targets else self.value.shape[2]
             if channel >= min(value.shape[2], weight.shape[2]):
@@ -231,7 +242,7 @@ class ValueMap:
         return self._window.copy_of(plane)
 
     def _at(self, channel: int, xy_m: np.ndarray) -> tuple[float, float]:
-        """(value, weight) of a place's cell; nothing was said of what lies outside the window."""
+        """Return (value, weight) of a place's cell; (0, 0) outside the window."""
         window, m = self._window, self._cells
         x, y = window.cell_of(float(xy_m[0]), float(xy_m[1]))
         if not window.holds(x, y):
@@ -240,7 +251,7 @@ class ValueMap:
         return float(self.value[at]) / UNIT, float(self.weight[at]) / UNIT
 
     def _look(self, sight: Sight) -> int:
-        """List the window's cells that a sight showed, into scratch; how many."""
+        """List the window's cells that a sight showed, into scratch; return their number."""
         if not self._window.placed:
             return 0
         window, (ox, oy) = self._window, self._window.origin
@@ -255,11 +266,11 @@ class ValueMap:
 
 
 def fuse(v_old: float, s_old: float, v_curr: float, s_curr: float) -> float:
-    """ViTL eq. 7: what a frontier is worth, by what stood at its place and by this view.
+    """Return the fused value of a frontier from the stored value and this view (ViTL eq. 7).
 
-    V is S times a probability, so V <= S in every cell, and the quotient is the mean probability
-    weighted by scene scores: the result is at most `s_curr`. Rounding to 16 bits can break
-    V <= S by half a step, which is cut off.
+    V is S times a probability, so V <= S in every cell. The quotient is the mean probability
+    weighted by scene scores, so the result is at most `s_curr`. Rounding to 16 bits can break V <=
+    S by half a step, which is clipped.
     """
     if s_old == 0.0 or s_curr == 0.0:
         return min(v_curr, s_curr)
@@ -268,14 +279,14 @@ def fuse(v_old: float, s_old: float, v_curr: float, s_curr: float) -> float:
 
 @njit(nogil=True, cache=True)
 def depth_profile(depth, fx, fy, cx, cy, R, fov, limit, range_m):
-    """How far the floor is in view in each direction: the farthest return of a column (VLFM).
+    """Compute the range of visible floor in each direction: the farthest return of a column (VLFM).
 
-    Args:
-        depth: (h, w) float32; what is not finite, 0 or less, or over 1e6 is no return.
-        fx, fy, cx, cy: intrinsics in pixels.
-        R: (2, 3) float64, x and y in `map` of a direction in the optical frame.
-        limit: metres at most.
-        range_m: (RAYS,) float32 output, 0 where nothing returned.
+    - `depth`: (h, w) float32; values that are not finite, 0 or less, or over 1e6 are no returns.
+    - `fx`, `fy`, `cx`, `cy`: intrinsics in pixels.
+    - `R`: (2, 3) float64, rotates a direction from the optical frame to x and y of `map`.
+    - `fov`: horizontal field of view in radians.
+    - `limit`: largest range in metres.
+    - `range_m`: (RAYS,) float32 output; 0 without a return.
     """
     h, w = depth.shape
     k = len(range_m)
@@ -302,12 +313,13 @@ def depth_profile(depth, fx, fy, cx, cy, R, fov, limit, range_m):
 
 @njit(nogil=True, cache=True)
 def map_profile(raw, shift_x, shift_y, x, y, yaw, fov, far, res, range_m):
-    """The same by the map: up to the first cell that is occupied or was never seen.
+    """Compute the range in each direction from the map: up to the first occupied or unseen cell.
 
-    Args:
-        raw: (N, N) uint8 by storage cell.
-        x, y: window coordinates in map cells, fractions too; far: cells.
-        res: metres a cell.
+    - `raw`: (N, N) uint8 by storage cell.
+    - `x`, `y`: window coordinates in map cells, with fractions.
+    - `far`: largest range in cells.
+    - `res`: metres per cell.
+    - `range_m`: (RAYS,) float32 output.
     """
     n, k = raw.shape[0], len(range_m)
     for i in range(k):
@@ -326,14 +338,15 @@ def map_profile(raw, shift_x, shift_y, x, y, yaw, fov, far, res, range_m):
 
 @njit(nogil=True, cache=True)
 def seen_cells(x, y, yaw, fov, range_m, origin_x, origin_y, m, cell, cells, bearings):
-    """The cells of the window whose centres a sight showed; what is cut by its end counts too.
+    """List the cells of the window whose centres a sight showed, with cells cut by its end.
 
-    Args:
-        x, y, cell: metres; origin_x, origin_y: the window's first cell, of `m` on a side.
-        cells: (cap, 2) int32 output, storage row and column; bearings: (cap,) float32 output.
+    - `x`, `y`, `cell`: place of the camera and side of a cell, metres.
+    - `origin_x`, `origin_y`: first cell of the window, which has `m` cells on a side.
+    - `cells`: (cap, 2) int32 output, storage row and column.
+    - `bearings`: (cap,) float32 output.
 
     Returns:
-        How many there are.
+        The number of cells.
     """
     k, n = len(range_m), 0
     far = 0.0
@@ -367,7 +380,7 @@ def seen_cells(x, y, yaw, fov, range_m, origin_x, origin_y, m, cell, cells, bear
 
 @njit(nogil=True, cache=True)
 def blend(value, weight, cells, bearings, n, fov, channels, score):
-    """VLFM's update of `n` listed cells; see `ValueMap.write_view`."""
+    """Apply VLFM's update to `n` listed cells; see `ValueMap.write_view`."""
     for i in range(n):
         confidence = math.cos(bearings[i] / fov * math.pi) ** 2
         if confidence * UNIT < 0.5:
@@ -385,14 +398,13 @@ def blend(value, weight, cells, bearings, n, fov, channels, score):
 
 @njit(nogil=True, cache=True)
 def spread(value, weight, cells, bearings, n, channel, angle, v, scene):
-    """ViTL eq. 8 for `n` listed cells: linear in the bearing between neighbours.
+    """Write ViTL eq. 8 into `n` listed cells: linear in the bearing between neighbouring frontiers.
 
-    Args:
-        angle: (k,) float64 ascending, from one rim of the field of view to the other.
-        v: (k,) float64 in [0, scene].
+    `angle` is (k,) float64, ascending from one edge of the field of view to the other. `v` is (k,)
+    float64 in [0, scene].
     """
     last = len(angle) - 2
-    stored = np.uint16(max(1.0, scene * UNIT + 0.5))  # said, even where it promises nothing
+    stored = np.uint16(max(1.0, scene * UNIT + 0.5))  # above 0: a score of 0 is a score too
     for i in range(n):
         j = 0
         while j < last and bearings[i] > angle[j + 1]:
@@ -406,8 +418,10 @@ def spread(value, weight, cells, bearings, n, channel, angle, v, scene):
 
 @njit(nogil=True, cache=True)
 def best_near(value, weight, channel, origin_x, origin_y, cell, xy, n, radius, out):
-    """See `ValueMap.best`: over cells of the window whose centres lie within the radius, and the
-    one that holds the place."""
+    """Do the work of `ValueMap.best`.
+
+    The cells are those with centres within the radius, and the cell that contains the place.
+    """
     m = value.shape[0]
     reach = int(radius / cell) + 1
     for i in range(n):

@@ -1,4 +1,4 @@
-"""The reading side of the rolling map: all that a policy sees of it."""
+"""Read-only view of the rolling map, for policies."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from edge.mapping.values import ValueMap
 
 
 class ValuesView:
-    """The value maps, to be read.
+    """Read-only view of the value maps.
 
     Attributes:
         best: see `edge.mapping.values.ValueMap`.
@@ -20,16 +20,16 @@ class ValuesView:
 
 
 class MapView:
-    """A map as it is at each moment, without what changes it; made once for a map.
+    """Read-only view of a map that always shows its current state; made once per map.
 
     Attributes:
         resolution_m: side of a cell.
         layers: read-only, by storage cell (see `edge.mapping.layers`).
-        window: what of the world they hold; only the map moves it.
+        window: part of the world that they hold; only the map moves it.
         state_at, unknown_ratio, snapshot: see `edge.mapping.grid.RollingMap`.
         distance_m, nearest, approach: see `edge.mapping.reach.ReachField`.
         worth: see `edge.mapping.coverage.Coverage`.
-        values: a channel for each target of the mission, where the policy's scorer feeds them.
+        values: one channel per target of the mission, if the policy's scorer feeds them.
     """
 
     def __init__(self, grid: RollingMap) -> None:
@@ -47,7 +47,7 @@ class MapView:
 
     @property
     def frontiers(self) -> Frontiers:
-        """Target points, arrays read-only."""
+        """Target points; the arrays are read-only."""
         self._frontiers.n = self._grid.frontiers.n
         return self._frontiers
 

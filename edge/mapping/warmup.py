@@ -1,4 +1,4 @@
-"""Compile the mapping kernels before the first observation needs them."""
+"""Warm-up: compile the mapping kernels before the first observation needs them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from edge.types import Observation
 
 
 def warmup(mapping: config.Mapping) -> None:
-    """Compile the kernels of every map, on a map of its own."""
+    """Compile the kernels that every map needs, on a small map."""
     grid, camera, T = _small(mapping)
     holed = np.full((16, 16), 1.0, np.float32)
     holed[8, 8] = np.nan
@@ -55,7 +55,7 @@ def warm_values(mapping: config.Mapping) -> None:
 
 
 def _small(mapping: config.Mapping) -> tuple[RollingMap, CameraModel, np.ndarray]:
-    """Return a small map, a camera, and the camera's pose in the robot."""
+    """Return a small map, a camera, and the camera's pose on the robot."""
     grid = RollingMap(mapping.model_copy(update={"extent_m": 1.0}))
     T = np.eye(4)
     T[:3, :3] = ((0, 0, 1), (-1, 0, 0), (0, -1, 0))

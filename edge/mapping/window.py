@@ -1,4 +1,4 @@
-"""Which part of the world the map's torus holds."""
+"""Window of the world that the map's torus holds."""
 
 from __future__ import annotations
 
@@ -10,20 +10,22 @@ import numpy as np
 from edge.geometry import Grid
 
 TILE = 64
-"""Cells on a side of a tile; the window moves by whole ones."""
+"""Cells on a side of a tile; the window moves by whole tiles."""
 
 
 class Window:
     """A square of n x n world cells; world cell c of an axis is stored at c mod n.
 
-    World cells count from `map`'s origin: cell (x, y) spans [x, x + 1) x [y, y + 1) times
-    `resolution_m`. Whoever keeps a layer reads the window; only the map moves it.
+    World cells count from the origin of `map`: cell (x, y) spans [x, x + 1) x [y, y + 1) times
+    `resolution_m`. Layers read the window; only the map moves it.
 
     Attributes:
+        n: cells on a side.
+        resolution_m: side of a cell.
         origin: world cell (x, y) of the lower-left corner.
-        placed: whether the window has its place; the first sensor decides it.
-        written: (n / TILE, n / TILE) bool by storage tile: a layer that lasts was written there.
-            Whoever writes sets it; who copies what was written clears it.
+        placed: True once the window has its place; the first sensor data decide it.
+        written: (n / TILE, n / TILE) bool by storage tile: True if a layer of the checkpoint was
+            written there. Writers of layers set it; the copier clears it.
     """
 
     __slots__ = ("n", "origin", "placed", "resolution_m", "written")
@@ -41,26 +43,27 @@ class Window:
         return self.origin[0] % self.n, self.origin[1] % self.n
 
     def cell_of(self, x_m: float, y_m: float) -> tuple[int, int]:
-        """The world cell (x, y) of a point, in the window or not."""
+        """Return the world cell (x, y) of a point, inside the window or not."""
         return math.floor(x_m / self.resolution_m), math.floor(y_m / self.resolution_m)
 
     def centre_m(self, cell: tuple[int, int]) -> tuple[float, float]:
-        """The centre of a world cell."""
+        """Return the centre of a world cell in `map`."""
         return (cell[0] + 0.5) * self.resolution_m, (cell[1] + 0.5) * self.resolution_m
 
     def holds(self, x: int, y: int) -> bool:
-        """Whether a world cell lies in the window."""
+        """Return True if a world cell lies in the window."""
         (ox, oy), n = self.origin, self.n
         return self.placed and ox <= x < ox + n and oy <= y < oy + n
 
     def copy_of(self, plane: Callable[[], np.ndarray]) -> Grid:
-        """What is written of a layer, as it lies in the world; costs with the map's size.
+        """Return the written part of a layer as a grid in `map`.
 
-        Another thread may call it while the window moves: then the layer is read again.
+        The cost grows with the map's size. Another thread may call it. If the window moves during
+        the copy, the layer is read again.
 
         Args:
-            plane: gives an (m, m) copy of the layer by its storage cells, 0 where nothing is
-                written; m divides the window's n.
+            plane: returns an (m, m) copy of the layer by storage cells, 0 = not written; m divides
+                n.
         """
         while True:
             (ox, oy), cells = self.origin, plane()
@@ -78,7 +81,7 @@ class Window:
         return Grid(written, corner_m, cell_m)
 
     def wrote(self, x0: int, y0: int, x1: int, y1: int) -> None:
-        """Note that layers were written in a half-open rectangle of world cells."""
+        """Mark a half-open rectangle of world cells as written."""
         (ox, oy), n, m = self.origin, self.n, len(self.written)
         x0, y0, x1, y1 = max(x0, ox), max(y0, oy), min(x1, ox + n), min(y1, oy + n)
         if x0 >= x1 or y0 >= y1:
@@ -90,7 +93,7 @@ class Window:
 
 
 def _tiles(start: int, end: int, m: int) -> tuple[slice, ...]:
-    """Storage tiles along one axis that hold the cells of [start, end), in one run or two."""
+    """Return the storage tiles along one axis with the cells [start, end), in one run or two."""
     first, last = start // TILE, (end - 1) // TILE + 1
     if last - first >= m:
         return (slice(0, m),)

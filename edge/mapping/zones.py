@@ -12,19 +12,19 @@ from edge.mapping.layers import WORD, ZONE, Layers, bits_of, grow
 from edge.mapping.window import Window
 
 MARGIN_CELLS = 2
-"""Added to the inflation: a controller may cut a corner by as much."""
+"""Cells added to the inflation, because a controller may cut a corner by this much."""
 _FIXED_BITS = 4  # fractional bits of the coordinates that OpenCV takes
 
 
 class Zones:
-    """Closes cells for every planner, whatever the sensors see there.
+    """Keep-out and stay-inside zones: cells closed to every planner, whether seen free or not.
 
     A cell is closed if the robot, with its centre there, would touch a keep-out polygon or leave
     all stay-inside polygons. A closed cell has the bit `ZONE` in `Layers.near`, and is `blocked`.
 
     Args:
-        layers: written.
-        window: the cells that the layers hold.
+        layers: layers of the map; the zones are written there.
+        window: window of the map.
         inflation_cells: distance that the robot keeps from obstacles.
     """
 
@@ -46,8 +46,8 @@ class Zones:
 
         Args:
             keep_out_m: polygons, each (n, 2) float64 in `map`.
-            stay_inside_m: polygons; with none, the robot may be anywhere.
-            changed: (4,) int64, window rectangle that grows by the cells that open or close.
+            stay_inside_m: polygons; without any, the robot may be anywhere.
+            changed: (4,) int64, window rectangle, extended by the cells that open or close.
         """
         self._keep_out_m, self._stay_inside_m = tuple(keep_out_m), tuple(stay_inside_m)
         if self._window.placed:
@@ -108,7 +108,7 @@ class Zones:
     def _fill(self, mask: np.ndarray, polygons_m: Sequence[np.ndarray], corner: np.ndarray) -> None:
         """Set the cells in any of the polygons to 1; `corner` is the world cell of `mask[0, 0]`."""
         for polygon_m in polygons_m:
-            # OpenCV's pixel has its centre at whole numbers, a cell of the map at halves.
+            # OpenCV has pixel centres at integers, the map has cell centres at halves.
             cells = polygon_m / self._window.resolution_m - 0.5 - corner
             fixed = np.round(cells * (1 << _FIXED_BITS)).astype(np.int32)
             cv2.fillPoly(mask, [fixed], 1, shift=_FIXED_BITS)

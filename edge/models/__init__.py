@@ -1,4 +1,4 @@
-"""`edge models`: what models there are, how they are had and made, whether they are sound.
+"""The commands of `edge models`: list, check, download, export and switch models.
 
-Commands only: the service reads cards and runs models by `edge.perception`.
+The service does not use this package: it reads cards and runs models with `edge.perception`.
 """

@@ -1,7 +1,7 @@
-"""`edge models list --check`: is a model's file whole, what its card says, and of sound answers?
+"""`edge models list --check`: checks the hash, interface and output of model files.
 
-A model that runs here is loaded and run in a process of its own, this module's program: one that
-never ends, or that ends its process, costs one line.
+A model is loaded and run in a separate process, whose program is this module. So a model that hangs
+or crashes costs only one line of output.
 """
 
 from __future__ import annotations
@@ -49,32 +49,35 @@ from edge.text import one_line, without_secrets
 
 PROGRAM = python_module("edge.models.check")
 _TEXTS = 2
-"""Rows of text that a model is tried with; marks in a view."""
+"""Number of text rows, and of marks in an image, for the test inference."""
 _TARGET = "chair"
 _VIEW_HWC = (480, 640, 3)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge models list --check`; 1 when a model is not sound.
+    """Handle `edge models list --check`; return 1 if a check fails.
 
     Raises:
-        ModelError: no such card, or a card that has no file was named with one.
+        ModelError: no such card, or `--file` was given for a card without a file.
     """
     if args.file is not None:
         if args.name is None:
-            raise ModelError("--file needs the NAME of the card it is held against")
+            raise ModelError("--file needs the NAME of the card to check the file against")
         return _report([(with_file(args.name), args.file)], args.timeout)
     if args.name is not None:
         return _report([(card, None) for card in cards_of(args.name)], args.timeout)
     present = [file for card in all_cards() for file in card.files if file.is_here()]
     if not present:
-        print("no model files here: run `edge models list` for what there is", file=sys.stderr)
+        print(
+            "no model files on this machine: see `edge models list`, then `edge models pull NAME`",
+            file=sys.stderr,
+        )
         return 1
     return _report([(file, None) for file in present], args.timeout)
 
 
 def _report(models: list[tuple[FileCard | ChoiceCard, Path | None]], limit_s: float) -> int:
-    """A line for each model, on stderr for those that are not sound; 1 when there are any."""
+    """Print a line for each model, failures to stderr; return 1 if any check failed."""
     failed = 0
     for card, file in models:
         try:
@@ -86,25 +89,25 @@ def _report(models: list[tuple[FileCard | ChoiceCard, Path | None]], limit_s: fl
 
 
 def check_apart(card: FileCard | ChoiceCard, file: Path | None, limit_s: float) -> str:
-    """See `check_model`, in a process that is killed after `limit_s` seconds."""
+    """Run `check_model` in a process that is killed after `limit_s`; return its line."""
     if isinstance(card, FileCard) and card.server is not None and file is None:
-        return check_model(card)  # nothing of it runs here
-    told = {
+        return check_model(card)  # it runs on a server
+    request = {
         "kind": type(card).__name__,
         "card": card.model_dump(mode="json"),
         "file": None if file is None else str(file),
     }
-    with closing(FrameFile()) as frames, closing(Link(told, card.name, frames, PROGRAM)) as link:
+    with closing(FrameFile()) as frames, closing(Link(request, card.name, frames, PROGRAM)) as link:
         header = link.wait_ready(limit_s, lambda: False, log_progress, "--timeout")
     return str(header.get("said"))
 
 
 def main() -> int:
-    """Check the model that stdin tells of, as the process of `check_apart`."""
-    told, _, control, _ = begin()
+    """Check the model that stdin names; the entry point of the separate process."""
+    request, _, control, _ = begin()
     try:
-        card = getattr(card_types, told["kind"]).model_validate(told["card"])
-        said = check_model(card, None if told["file"] is None else Path(told["file"]))
+        card = getattr(card_types, request["kind"]).model_validate(request["card"])
+        said = check_model(card, None if request["file"] is None else Path(request["file"]))
     except Exception as error:
         control.send(wire.encode_error(by_kind(error)))
         return 1
@@ -113,16 +116,17 @@ def main() -> int:
 
 
 def check_model(card: FileCard | ChoiceCard, file: Path | None = None) -> str:
-    """Hash, format, names and shapes, and one inference on noise.
+    """Check hash, format, names and shapes of a model, and run it once on noise.
 
     Args:
-        file: to check in place of the card's own; where no hash is known, it is not compared.
+        card: card of the model.
+        file: file to check instead of that of the card. Without a known hash, the hash is skipped.
 
     Returns:
-        One line that says what was found.
+        The result in one line.
 
     Raises:
-        ModelError: with what is wrong and what to do.
+        ModelError: a check failed; the message says what to do.
     """
     if isinstance(card, ChoiceCard):
         return _check_choice(card)
@@ -169,7 +173,7 @@ def _check_detector(path: Path | str, session: Any, card: DetectCard) -> str:
 
 
 def _check_choice(card: ChoiceCard) -> str:
-    """All files, and both questions of ViTL about a view of noise."""
+    """Check all files, and ask both questions of ViTL about an image of noise."""
     model = LanguageModel(card, asked_of(MAX_MARKS, _TARGET))
     noise = np.random.default_rng(0).integers(0, 255, _VIEW_HWC, np.uint8)
     view = noise if model.sees else "The robot sees:\n- nothing that it knows"
@@ -224,7 +228,7 @@ def _check_mask_encoder(path: Path, session: Any, card: MaskEncoderCard) -> str:
 
 
 def _check_mask_decoder(path: Path, session: Any, card: MaskDecoderCard) -> str:
-    """One box on features of nothing."""
+    """Decode one box on features of zeros."""
     feed = {
         v.name: np.zeros([n if isinstance(n, int) else 1 for n in v.shape], DTYPES[v.type])
         for v in session.get_inputs()
@@ -245,7 +249,7 @@ def _check_mask_decoder(path: Path, session: Any, card: MaskDecoderCard) -> str:
 
 
 def _check_translator(path: Path, session: Any, card: TranslateCard) -> str:
-    """One token of a text of one token."""
+    """Decode one token from a text of one token."""
     feed = {
         v.name: np.zeros([n if isinstance(n, int) else 1 for n in v.shape], DTYPES[v.type])
         for v in session.get_inputs()
@@ -264,7 +268,7 @@ _TRIALS = {
     MarksCard: _check_marks,
     TranslateCard: _check_translator,
 }
-"""How a model is tried out, where it is no encoder of one embedding."""
+"""Card → test of a model; all other models are encoders of one embedding."""
 
 
 def _infer(
@@ -272,7 +276,7 @@ def _infer(
 ) -> list[np.ndarray]:
     try:
         return session.run(outputs, feed)
-    except ModelError:  # of a server, which says all
+    except ModelError:  # from a server, with a complete message
         raise
     except Exception as error:  # onnxruntime raises many types of its own
         reason = one_line(error)

@@ -1,6 +1,7 @@
-"""Files over HTTP: resumed, measured against what they should be, never waited for forever.
+"""Downloads over HTTP that can be resumed, are verified, and end in limited time.
 
-Our own, since pooch begins anew after a break, and limits each read of a socket but not the whole.
+The package pooch is not used: it starts again after a broken connection, and limits only each read
+of a socket.
 """
 
 from __future__ import annotations
@@ -22,21 +23,23 @@ from edge.text import one_line, without_secrets
 
 _HEADERS = {"User-Agent": f"edge-vln/{__version__}", "Accept-Encoding": "identity"}
 _PASSING = {408, 425, 429, 500, 502, 503, 504}
-"""HTTP errors that may be gone at the next try."""
+"""HTTP errors that are worth another try."""
 _REDIRECTS = 10
 
 
 @dataclass(frozen=True)
 class Limits:
-    """How long a server is waited for.
+    """Time limits of downloads.
 
     Attributes:
-        answer_s: the head of an answer must be there after so long, with all that comes before
-            it: connecting, TLS, a proxy, redirects.
-        slow_s, slow_bytes: content that comes slower than so many bytes in so long is given up.
-        tries: connections to one address; each goes on where the last ended.
-        small_s, small_bytes: of a small file, which must be there whole after so long.
-        wheel_s: how long pip may take for a wheel.
+        answer_s: time until the header of the response, including connection, TLS, proxy and
+            redirects.
+        slow_s: period for `slow_bytes`.
+        slow_bytes: a download that gets fewer bytes in `slow_s` is stopped.
+        tries: connections to one address; each resumes the last one.
+        small_s: time for a whole small file.
+        small_bytes: largest small file.
+        wheel_s: time for pip to download a wheel.
     """
 
     answer_s: float = 30.0
@@ -52,14 +55,19 @@ LIMITS = Limits()
 
 
 class _NoRange(Interrupted):
-    """The server's file ends before the part does."""
+    """The file on the server is shorter than the partial file."""
 
 
 def download(url: str, part: Part, limits: Limits = LIMITS) -> None:
-    """Fetch a file into `part`, from where that ends, and put it in its place.
+    """Download a file into `part`, resume where it ends, verify it, and move it to its place.
+
+    Args:
+        url: address of the file.
+        part: the partial file, entered as a context.
+        limits: time limits.
 
     Raises:
-        FetchError: it cannot be had there, or is not what it should be.
+        FetchError: the download failed, or the file has another hash or size.
     """
     part.ask_elsewhere()
     for tries_left in reversed(range(limits.tries)):
@@ -77,10 +85,10 @@ def download(url: str, part: Part, limits: Limits = LIMITS) -> None:
 
 
 def read_small(url: str, limits: Limits = LIMITS) -> bytes:
-    """The content of a small file.
+    """Return the content of a small file.
 
     Raises:
-        FetchError: it cannot be had, or is no small file.
+        FetchError: the download failed, or the file is too large.
     """
     content = bytearray()
     try:
@@ -98,16 +106,16 @@ def read_small(url: str, limits: Limits = LIMITS) -> bytes:
 
 
 def shown(url: str) -> str:
-    """An address as messages may show it."""
+    """Return an address for messages: one line, without secrets."""
     return one_line(without_secrets(url), 500)
 
 
 def _fetch(url: str, part: Part, limits: Limits) -> None:
-    """Bring what is missing of a part.
+    """Download the rest of a partial file.
 
     Raises:
-        Interrupted: another try may bring the rest.
-        FetchError: none will.
+        Interrupted: another try may succeed.
+        FetchError: another try will not succeed.
     """
     wanted = {"Range": f"bytes={part.have}-"} if part.have else {}
     try:
@@ -117,7 +125,7 @@ def _fetch(url: str, part: Part, limits: Limits) -> None:
         ):
             total = _agree_on_start(response, part)
             if total is not None and total > MAX_BYTES:
-                raise FetchError(f"offers {total} bytes, more than any model has")
+                raise FetchError(f"offers {total} bytes, more than the limit of {MAX_BYTES}")
             if None not in (total, part.size) and total != part.size:
                 raise FetchError(f"offers {total} bytes, the card says {part.size}")
             size = part.size if total is None else total
@@ -132,35 +140,35 @@ def _fetch(url: str, part: Part, limits: Limits) -> None:
 
 
 def _agree_on_start(response: httpx.Response, part: Part) -> int | None:
-    """Make `part` end where the response begins; bytes of the whole file, None if not told."""
+    """Restart `part` if the response begins at 0; return the file's size, None if unknown."""
     length = response.headers.get("Content-Length", "")
     if response.status_code == 206:
-        told = re.fullmatch(r"bytes (\d+)-\d+/(\d+|\*)", response.headers.get("Content-Range", ""))
-        if told is None or int(told[1]) != part.have:
+        sent = re.fullmatch(r"bytes (\d+)-\d+/(\d+|\*)", response.headers.get("Content-Range", ""))
+        if sent is None or int(sent[1]) != part.have:
             part.restart()
-            raise Interrupted("the server sent another range than was asked for")
-        return int(told[2]) if told[2] != "*" else None
+            raise Interrupted("the server sent another range than requested")
+        return int(sent[2]) if sent[2] != "*" else None
     if part.have:
-        part.restart()  # it does not resume, and sends all of it
+        part.restart()  # the server does not resume, and sends the whole file
     return int(length) if length.isdecimal() else None
 
 
 class _Watch:
-    """Cuts the connection of a server that takes too long; a context, entered before the request.
+    """Context that cuts the connection of a slow server; enter it before the request.
 
-    Its end raises Interrupted with the reason where the watch is why the request broke off.
+    If it cut the connection, its exit raises Interrupted with the reason.
+
+    Args:
+        limits: time limits.
+        whole_s: time for the whole content; None: the content must keep coming.
 
     Attributes:
-        connection: of the request.
-        answered: to be set when the head of the answer is there.
-        came: bytes of content until now, to be kept up to date.
+        connection: connection of the request.
+        answered: set it when the header of the response has come.
+        came: number of content bytes so far; keep it up to date.
     """
 
     def __init__(self, limits: Limits, whole_s: float | None = None) -> None:
-        """
-        Args:
-            whole_s: the content must be there after so long; None: it must keep coming.
-        """
         self.connection, self.answered, self.came = Connection(), threading.Event(), 0
         self._limits, self._whole_s, self._over = limits, whole_s, threading.Event()
         self._why = ""
@@ -181,7 +189,7 @@ class _Watch:
             self._cut(f"no answer within {limits.answer_s:g} s")
         elif self._whole_s is not None:
             if not self._over.wait(self._whole_s):
-                self._cut(f"not whole after {self._whole_s:g} s")
+                self._cut(f"not complete after {self._whole_s:g} s")
         else:
             while not self._over.wait(limits.slow_s):
                 came, before = self.came - before, self.came
@@ -197,8 +205,12 @@ class _Watch:
 def _answer(
     url: str, headers: dict[str, str], watch: _Watch, connect_s: float
 ) -> Iterator[httpx.Response]:
-    """An answer of 2xx, its content unread; raises FetchError, or Interrupted where another try
-    may help, also for what goes wrong while the content is read."""
+    """Yield a response of status 2xx, before its content is read.
+
+    Raises:
+        Interrupted: another try may succeed; also for errors while the content is read.
+        FetchError: another try will not succeed.
+    """
     try:
         with _client(connect_s) as client:
             request = client.build_request(
@@ -210,7 +222,7 @@ def _answer(
                 _check_status(response)
                 yield response
     except (httpx.InvalidURL, httpx.UnsupportedProtocol) as error:
-        raise FetchError(f"is no address to ask ({one_line(error)})") from None
+        raise FetchError(f"is not a valid address ({one_line(error)})") from None
     except (httpx.ConnectError, UnicodeError) as error:
         raise FetchError(failure(error)) from None
     except httpx.HTTPError as error:
@@ -218,17 +230,22 @@ def _answer(
 
 
 def _client(connect_s: float) -> httpx.Client:
-    """With the system's certificates, through the proxies of the environment."""
+    """Return a client with the system's certificates and the proxies of the environment."""
     timeout = httpx.Timeout(None, connect=connect_s)
     try:
         return httpx.Client(timeout=timeout, verify=ssl.create_default_context())
     except (ImportError, ValueError) as error:
-        raise FetchError(f"no proxy of the environment can be used ({one_line(error)})") from None
+        raise FetchError(
+            f"the proxy of the environment cannot be used ({one_line(error)})"
+        ) from None
 
 
 def _follow(client: httpx.Client, request: httpx.Request) -> httpx.Response:
-    """The answer where all redirects end. Their content, which may be of any length, is not read,
-    and a password is for the first address alone."""
+    """Follow redirects, and return the last response.
+
+    The content of redirects is not read, since it may be of any length. The password is sent only
+    to the first address.
+    """
     for _ in range(_REDIRECTS):
         response = client.send(request, stream=True)
         if response.next_request is None:
@@ -244,6 +261,6 @@ def _check_status(response: httpx.Response) -> None:
     if response.is_success:
         return
     if response.status_code == 416:
-        raise _NoRange("the server has no such range")
+        raise _NoRange("the file on the server is shorter than the part on the disk")
     kind = Interrupted if response.status_code in _PASSING else FetchError
     raise kind(f"HTTP {response.status_code} {one_line(response.reason_phrase)}")

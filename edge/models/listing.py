@@ -1,4 +1,4 @@
-"""`edge models list`."""
+"""`edge models list`: prints the model cards as a table or as JSON."""
 
 from __future__ import annotations
 
@@ -22,8 +22,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def as_json(cards: Iterable[Card]) -> str:
-    """Every card with where its file, or the first of them, is (null: they are not all here, or
-    the card has none)."""
+    """Return the cards as JSON, each with the `path` of its first file.
+
+    `path` is null if the card has no file, or a file is missing.
+    """
     rows = []
     for card in cards:
         path = _path(card)
@@ -32,7 +34,7 @@ def as_json(cards: Iterable[Card]) -> str:
 
 
 def as_table(cards: Iterable[Card]) -> str:
-    """A table of cards, ready to print."""
+    """Return a table of the cards."""
     rows = [_HEADINGS, *map(_row, cards)]
     if len(rows) == 1:
         return "no model cards"
@@ -73,7 +75,7 @@ def _megabytes(size: int) -> str:
 
 
 def _parity(card: Card) -> str:
-    """How it compares with its reference: as the card says, else as made here."""
+    """Return how the model compares with its reference: from the card, else from its export."""
     p = card.parity or next((p for file in card.files if (p := made_parity(file))), None)
     if p is None:
         return "-"

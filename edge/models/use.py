@@ -1,6 +1,6 @@
-"""`edge models use`: have the running service put another model in the place of its present one.
+"""`edge models use`: requests a switch of the model from the running service, and follows it.
 
-The service does it (`edge.perception.swap`); here it is asked for, and followed to its end.
+The service does the switch (`edge.perception.swap`).
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ Ask = Callable[[dict], dict]
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge models use NAME CONFIG`; 0 only when the model was kept.
+    """Handle `edge models use NAME CONFIG`; return 0 only if the new model was kept.
 
     Raises:
-        RequestError: no service is there, it does not answer, or it refuses to begin.
+        RequestError: no service is running, it does not answer, or it refuses.
         ConfigError: the configuration cannot be read.
     """
     from edge.config import load
@@ -42,8 +42,8 @@ def run(args: argparse.Namespace) -> int:
             print(one_line(": ".join(filter(None, (state, swap["detail"]))), 1000), flush=True)
     if state == "kept":
         print(
-            f"until the service stops; for good: {swap.get('key', _DETECTOR_KEY)}: {args.name} "
-            f"in {args.config}"
+            f"valid until the service stops; to keep it, set {swap.get('key', _DETECTOR_KEY)}: "
+            f"{args.name} in {args.config}"
         )
     return 0 if state == "kept" else 1
 
@@ -51,32 +51,35 @@ def run(args: argparse.Namespace) -> int:
 def follow(
     ask: Ask, name: str, force: bool, patient: Callable[[], bool], pause_s: float = _LOOK_S
 ) -> Iterator[dict]:
-    """Ask for a swap; how it stands, whenever that has changed, until it is over.
+    """Request a swap, and yield its state at every change until it has ended.
 
     Args:
-        ask: asks the service for something.
-        patient: whether to wait on.
+        ask: sends a request to the service and returns its answer.
+        name: name of the new model.
+        force: True: accept a model that is too slow or finds too few boxes.
+        patient: returns False when the caller does not want to wait any longer.
+        pause_s: pause between two requests of the state.
 
     Raises:
-        RequestError: see `edge.bus.client.ask`; or it took too long, or another swap came after it.
+        RequestError: see `edge.bus.client.ask`; or it took too long, or another swap has begun.
     """
     swap = ask({"do": "use", "model": name, "force": force})
-    number, told = swap["number"], None
+    number, last = swap["number"], None
     while True:
         if swap["number"] != number:
             raise RequestError(
-                f"{_WHAT}: another swap has begun since; the service's log knows more"
+                f"{_WHAT}: another swap has begun meanwhile; see the log of the service"
             )
-        if (told_now := (swap["state"], swap["detail"])) != told:
-            told = told_now
+        if (now := (swap["state"], swap["detail"])) != last:
+            last = now
             yield swap
         if swap["state"] in ("kept", "rolled back", "refused"):
             return
         if not patient():
             progress = f" ({swap['progress']})" if swap["progress"] else ""
             raise RequestError(
-                f"{_WHAT}: still {swap['state']}{progress}, not waited for any longer; "
-                "the service goes on with it and says in its log how it ends"
+                f"{_WHAT}: still {swap['state']}{progress} after --timeout; "
+                "the service continues, see the result in its log"
             )
         time.sleep(pause_s)
         swap = ask({"do": "status"})

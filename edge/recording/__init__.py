@@ -1,6 +1,6 @@
-"""Recordings of a run as MCAP: how they are written and read, replayed and traced.
+"""Recordings of a run as MCAP: writing, reading, replay and traces.
 
-What is written is for Foxglove and the ROS 2 tools to show; the journal beside it holds what a
-service must be given to do the same again. What takes a recording from where is in `edge.sinks` and
+Most channels are for Foxglove and the ROS 2 tools. The journal channel holds the inputs that a
+service needs to repeat the run. The sinks and sources that use recordings are in `edge.sinks` and
 `edge.sources`.
 """

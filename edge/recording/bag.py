@@ -1,8 +1,8 @@
-"""Recordings of any robot: MCAP files, and rosbag2's folders and SQLite files (`.db3`).
+"""Reader of recordings of any robot: MCAP files, and rosbag2 folders and SQLite files (`.db3`).
 
-A file is untrusted. Nothing in it is larger than `MAX_RECORD_BYTES` once decompressed, and the
-tables of a `.db3` must be plain ones: a view could compute for ever.
-https://github.com/ros2/rosbag2 has both layouts.
+Files are untrusted. Decompressed data are limited to `MAX_RECORD_BYTES`. The tables of a `.db3`
+must be plain tables, since a view could compute forever. https://github.com/ros2/rosbag2 defines
+both layouts.
 """
 
 from __future__ import annotations
@@ -29,24 +29,25 @@ from edge.text import one_line
 
 METADATA = "metadata.yaml"
 WINDOW_NS = 1_000_000_000
-"""Messages that are written nearly in order lie no farther from their place in time."""
+"""In files that are nearly sorted, messages are at most this far from their place."""
 _MOST_WAITING_BYTES = 1 << 28
-_MESSAGE_BYTES = 1000  # what a message takes besides its payload
+_MESSAGE_BYTES = 1000  # memory of a message besides its payload
 _SQLITE = b"SQLite format 3\0"
 _ROS1 = b"#ROSBAG V"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _BLOCK_BYTES = 1 << 20
-_LONGEST_NAMES = 2000  # of a topic and its type together
+_LONGEST_NAMES = 2000  # characters of a topic and its type together
 _STORED = (".mcap", ".mcap.zstd", ".db3", ".db3.zstd")
 
 
 def in_order(
     messages: Iterable[Recorded], most_bytes: int = _MOST_WAITING_BYTES
 ) -> Iterator[Recorded]:
-    """Yield messages by the time at which they were heard; they are written nearly so.
+    """Yield nearly sorted messages in the order of their log times.
 
     Args:
-        most_bytes: that wait to be put in order.
+        messages: nearly sorted.
+        most_bytes: limit of messages in the sorting buffer.
     """
     waiting: list[tuple[int, int, Recorded]] = []
     size = 0
@@ -65,14 +66,15 @@ class Db3Reading:
     """The messages of a rosbag2 SQLite file in the order in which they were written.
 
     Attributes:
-        cut: why reading ended before the file did; empty while it has not.
+        cut: why reading stopped before the end; empty if it did not.
     """
 
     def __init__(self, path: Path) -> None:
         self.path, self.cut = path, ""
 
     def __iter__(self) -> Iterator[Recorded]:
-        """
+        """Yield the messages.
+
         Raises:
             RecordingError: it is no rosbag2 file.
         """
@@ -93,7 +95,7 @@ class Db3Reading:
                 }
                 begun = True
                 yield from self._messages(db, topics)
-        except (sqlite3.Error, ValueError, OverflowError) as error:  # of bytes that nobody wrote
+        except (sqlite3.Error, ValueError, OverflowError) as error:  # damaged or forged data
             why = one_line(error, 80)
             if not begun:
                 raise RecordingError(f"{self.path}: not a rosbag2 file: {why}") from None
@@ -116,7 +118,7 @@ class Db3Reading:
 
 
 def _check_tables(db: sqlite3.Connection) -> None:
-    """Raises sqlite3.DatabaseError unless both tables hold what was written to them."""
+    """Raise sqlite3.DatabaseError unless both tables are plain, without computed columns."""
     for table in ("topics", "messages"):
         plain = "SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = ?"
         root = db.execute(plain, (table,)).fetchone()
@@ -126,16 +128,16 @@ def _check_tables(db: sqlite3.Connection) -> None:
 
 
 class Bag:
-    """A recording of one or several files: a context manager.
+    """A recording of one or several files; a context manager.
 
     Args:
-        path: an MCAP file, a `.db3`, or rosbag2's folder of either.
+        path: an MCAP file, a `.db3`, or a rosbag2 folder of either.
 
     Attributes:
-        notes: what a user should know of it, one line each: a file that is missing, damage.
+        notes: problems that the user should know, such as missing or damaged files, one per line.
 
     Raises:
-        RecordingError: there is nothing to read, or it is of another kind; one line.
+        RecordingError: there is no recording, or of another kind; one line.
     """
 
     def __init__(self, path: Path) -> None:
@@ -161,7 +163,7 @@ class Bag:
         self._stack.close()
 
     def __iter__(self) -> Iterator[Recorded]:
-        """Yield every message, in the order of the files. Damage ends a file, and is noted."""
+        """Yield every message, file by file. A damaged file ends early, with a note."""
         for path in self._files:
             with self._noted(alone=len(self._files) == 1):
                 yield from self._messages(path)
@@ -179,7 +181,7 @@ class Bag:
 
     @contextmanager
     def _noted(self, alone: bool) -> Iterator[None]:
-        """Go on without a file that cannot be read, unless it is `alone`."""
+        """Skip a file that cannot be read, unless it is the only one (`alone`)."""
         try:
             yield
         except RecordingError as error:
@@ -192,11 +194,12 @@ class Bag:
             self.notes.append(note)
 
     def by_time(self, topics: Collection[str], sorted_nearly: bool) -> Iterator[Recorded]:
-        """Yield the messages of some topics by the time at which they were heard.
+        """Yield the messages of some topics in the order of their log times.
 
         Args:
-            sorted_nearly: whether all lie within `WINDOW_NS` of their place. If not, each topic is
-                read by itself: a file may hold one topic after the other.
+            topics: their names.
+            sorted_nearly: True if all messages are within `WINDOW_NS` of their place. If not, the
+                file is read once per topic, since it may hold one topic after the other.
         """
         if sorted_nearly:
             return in_order(m for m in self if m.topic in topics)
@@ -209,21 +212,21 @@ class Bag:
 
 
 def _files_of(folder: Path, notes: list[str]) -> list[Path]:
-    """The files of a rosbag2 folder, in the order in which they were written."""
+    """Return the files of a rosbag2 folder in the order in which they were written."""
     there = sorted((p for p in folder.iterdir() if p.name.endswith(_STORED)), key=_natural)
     named = _named(folder, notes)
     if named is not None:
         files = []
         for name in named:
-            # Compressed files are named as they were before, or as they are.
+            # The names of compressed files may lack the suffix.
             found = next((p for p in there if p.name in (name, f"{name}.zstd")), None)
             if found is None:
-                notes.append(f"{METADATA} names {one_line(name, 80)}, which is not there")
+                notes.append(f"{METADATA} names {one_line(name, 80)}, but there is no such file")
             else:
                 files.append(found)
         there = files
     elif there:
-        notes.append(f"no {METADATA}: its files are taken by name")
+        notes.append(f"no {METADATA}: files are read in the order of their names")
     if not there:
         kinds = ", ".join(_STORED)
         raise RecordingError(f"{folder}: no recording in this folder (looked for {kinds})")
@@ -231,7 +234,7 @@ def _files_of(folder: Path, notes: list[str]) -> list[Path]:
 
 
 def _named(folder: Path, notes: list[str]) -> list[str] | None:
-    """The names in `metadata.yaml`, without folders: old ones have one, a forged one might."""
+    """Return the names in `metadata.yaml` without folders, which old or forged files have."""
     path = folder / METADATA
     if not path.exists():
         return None
@@ -244,7 +247,7 @@ def _named(folder: Path, notes: list[str]) -> list[str] | None:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """Sort `bag_10` behind `bag_9`."""
+    """Return a sort key that puts `bag_10` behind `bag_9`."""
     parts = re.findall(r"\d+|\D+", path.name)
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
@@ -262,10 +265,10 @@ def _first_bytes(path: Path, n: int) -> bytes:
 
 
 def _unpacked(path: Path, stack: ExitStack) -> Path:
-    """The file, decompressed if need be.
+    """Return the file, or a decompressed copy.
 
     Raises:
-        RecordingError: no such file, of another kind, or larger than there is room for.
+        RecordingError: no such file, of another kind, or too large for the disk.
     """
     out, first = path, _first_bytes(path, len(_SQLITE))
     if first.startswith(_ZSTD):
@@ -276,16 +279,16 @@ def _unpacked(path: Path, stack: ExitStack) -> Path:
         raise RecordingError(f"{path}: empty")
     if first.startswith(_ROS1):
         raise RecordingError(
-            f"{path}: a bag of ROS 1: convert it first, as with "
+            f"{path}: a ROS 1 bag: convert it first, for example with "
             "`rosbags-convert --src FILE.bag --dst FOLDER` (pip install rosbags)"
         )
     if not (MAGIC.startswith(first[: len(MAGIC)]) or first.startswith(_SQLITE)):
-        raise RecordingError(f"{path}: neither an MCAP file nor rosbag2's (.db3)")
+        raise RecordingError(f"{path}: neither an MCAP file nor a rosbag2 file (.db3)")
     return out
 
 
 def _decompressed(path: Path, out: Path) -> Path:
-    """Write a decompressed copy, of half the free disk at most."""
+    """Write a decompressed copy, which may use half the free disk space."""
     left = shutil.disk_usage(out.parent).free // 2
     try:
         with (
@@ -309,9 +312,9 @@ def _decompressed(path: Path, out: Path) -> Path:
 
 
 def _payload(payload: bytes) -> bytes | None:
-    """A message, decompressed if rosbag2 compressed it; None: it is damaged or too large.
+    """Decompress a message if rosbag2 compressed it; return None if it is damaged or too large.
 
-    No message begins like a compressed one: CDR's first byte is 0, JSON's a bracket.
+    No other message begins like zstd: CDR begins with 0, JSON with a bracket.
     """
     if not payload.startswith(_ZSTD):
         return payload

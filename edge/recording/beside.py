@@ -1,4 +1,4 @@
-"""What stands beside the loop in a replay: workers that say what they said, when they said it."""
+"""Replay source: stand-ins for the loop's workers, which give the recorded answers in time."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from edge.recording import journal
 from edge.recording.file import RecordingError
 from edge.types import Detections, Observation
 
-_MOST_FRAMES = 256  # that wait for their detections
+_MOST_FRAMES = 256  # frames that wait for their detections
 _MOST_FRAMES_BYTES = 1 << 30  # a recording of 1 MB may hold 256 frames of 100 MB
 
 
 class Silent:
-    """Stands where a model was: what it said is in the recording."""
+    """A stand-in for a model, whose answers are in the recording."""
 
     prompts: tuple[str, ...] = ()
     invalid_boxes = 0
@@ -32,7 +32,7 @@ class Silent:
         self.prompts = tuple(prompts)
 
     def detect(self, observation: Observation) -> Detections:
-        raise AssertionError("a replay does not ask")
+        raise AssertionError("a model is not called in a replay")
 
     look = answer = score = detect
 
@@ -40,17 +40,19 @@ class Silent:
         return Health()
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing."""
 
 
 @dataclass
 class Now:
-    """What was asked, found and decided beside the loop in the tick that is replayed, and what of
-    it is known of earlier ones.
+    """Recorded worker events and decisions of the replayed tick, and frames of earlier ticks.
 
     Attributes:
-        frames: observations that detections may still be of, by number.
-        pictures: of those, whose pictures were recorded.
+        asked: names of workers that got a question.
+        found: answers by worker.
+        decided: decisions by name.
+        frames: observations that may still get detections, by number.
+        pictures: numbers of those with a recorded image.
     """
 
     asked: set[str] = field(default_factory=set)
@@ -77,11 +79,11 @@ class Now:
             self._forget(next(iter(self.frames)))
 
     def frame(self, seq: int) -> Observation:
-        """The one of this number, where no earlier one is asked for any more."""
+        """Return the frame of this number and forget older ones; detections come in order."""
         for old in [old for old in self.frames if old < seq]:
             self._forget(old)
         if seq not in self.frames:
-            raise RecordingError(f"detections of frame {seq}, which is not in the recording")
+            raise RecordingError(f"detections of frame {seq}, but the recording has no such frame")
         return self.frames[seq]
 
     def _forget(self, seq: int) -> None:
@@ -94,14 +96,14 @@ def _bytes_of(observation: Observation) -> int:
     return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
 
 
-class _Beside:
-    """Stands for a worker: asked when it was asked, and found when it was found."""
+class _ReplayedWorker:
+    """A stand-in for a worker: it gets questions and gives answers in the recorded ticks."""
 
     def __init__(
-        self, name: str, worker: Any, now: Now, take_up: Callable[[dict[str, Any], Any], Any]
+        self, name: str, worker: Any, now: Now, decode: Callable[[dict[str, Any], Any], Any]
     ) -> None:
-        self._name, self._worker, self._now, self._take_up = name, worker, now, take_up
-        # An answer may come after the next question was asked, in one tick.
+        self._name, self._worker, self._now, self._decode = name, worker, now, decode
+        # In one tick an answer may come after the next question.
         self._asked: deque[Any] = deque(maxlen=2)
 
     def __getattr__(self, name: str) -> Any:
@@ -116,18 +118,19 @@ class _Beside:
 
     def poll(self) -> Any:
         said = self._now.found.get(self._name)
-        return None if said is None else self._take_up(said, self._asked)
+        return None if said is None else self._decode(said, self._asked)
 
     def forget(self) -> None:
         self._asked.clear()
 
 
 class Replayed(Journal):
-    """Puts what was recorded in the place of what runs beside the loop.
+    """Replaces the loop's workers by the recorded answers.
 
     Args:
-        anew: detects in the recorded pictures instead; None: nothing does.
-        own: workers that are to work.
+        now: recorded events of the current tick.
+        anew: runs a detector on the recorded images; None: recorded detections are used.
+        own: names of workers that run for real.
     """
 
     def __init__(
@@ -136,7 +139,7 @@ class Replayed(Journal):
         super().__init__()
         self.unseen = 0
         self._now, self._anew, self._own = now, anew, own
-        self._take_up: dict[str, Callable[[dict[str, Any], Any], Any]] = {
+        self._decode: dict[str, Callable[[dict[str, Any], Any], Any]] = {
             "detector": self._detections,
             "surveyor": lambda said, asked: journal.survey_of(said),
             "prior": lambda said, asked: journal.rooms_of(said),
@@ -146,15 +149,17 @@ class Replayed(Journal):
         }
 
     def decided(self, what: str, decide: Callable[[], str], usual: str | None = None) -> str:
-        """Return the recorded decision. If none was recorded it was the usual one; a run with other
-        settings may ask for another, which is decided now."""
+        """Return the recorded decision; if there is none, the usual one.
+
+        Without a usual one, decide now: other settings may need a decision that was not recorded.
+        """
         said = self._now.decided.get(what, usual)
         return decide() if said is None else said
 
     def beside(self, name: str, worker: Any) -> Any:
         if name in self._own:
             return worker
-        return _Beside(name, worker, self._now, self._take_up[name])
+        return _ReplayedWorker(name, worker, self._now, self._decode[name])
 
     def _detections(self, said: dict[str, Any], asked: Any) -> Detections | None:
         observation = self._now.frame(said["seq"])
@@ -171,7 +176,7 @@ class Replayed(Journal):
         return None if question is None else (question, similarity)
 
     def _choice(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
-        """None where the question was another, as other settings may have made it."""
+        """Return the recorded choice; None if other settings led to another question."""
         choice = journal.choice_of(said)
         question = _question(asked, choice.stamp_ns)
         if question is None or not {m.id for m in question.view.marks} >= set(choice.ids):
@@ -180,5 +185,5 @@ class Replayed(Journal):
 
 
 def _question(asked: Iterable[Any], stamp_ns: int) -> Any:
-    """The one about the observation of this stamp; None: it was not asked."""
+    """Return the question about the observation of this stamp; None if there was none."""
     return next((q for q in asked if q.observation.stamp_ns == stamp_ns), None)

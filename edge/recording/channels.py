@@ -1,4 +1,4 @@
-"""What a recording's channels are called, and the schemas that Foxglove and ROS 2 know them by."""
+"""Channels of a recording, with the schemas of Foxglove and ROS 2."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ class Channel:
 
 
 def of_ros(topic: str, type_name: str) -> Channel:
-    """A channel of a ROS 2 message."""
+    """Return a channel of a ROS 2 message."""
     text = schemas.schema_text(type_name)
     return Channel(topic, "cdr", schemas.full_name(type_name), "ros2msg", text)
 
 
 def of_json(topic: str, name: str, schema: dict[str, Any] | None = None) -> Channel:
-    """A channel of JSON objects; without a schema, of any."""
+    """Return a channel of JSON objects; without a schema, of any objects."""
     text = json.dumps({"type": "object"} if schema is None else schema)
     return Channel(topic, "json", name, "jsonschema", text)
 
 
 @cache
 def of_topic(topic: Topic) -> Channel:
-    """What goes over the bus, as it went."""
+    """Return the channel of a bus topic, with its own format."""
     if topic.type == "json":
         return of_json(f"/{topic.key}", topic.key)
     return of_ros(f"/{topic.key}", topic.type)
@@ -103,6 +103,6 @@ TOLD = (
     PICTURE, DEPTH, CAMERA_INFO, CLOUD, ODOMETRY, TF, BOXES, EVENTS, GOAL, MAP, STATUS, LATENCY,
     MISSION, TRAJECTORY, GOAL_STATUS, PATH, MARKERS, SPANS,
 )  # fmt: skip
-"""What people look at; the journal beside them is for the replay."""
+"""Channels for people; the journal is for the replay."""
 
 JOURNAL = of_json("/journal", "edge.Journal", _JOURNAL)

@@ -1,4 +1,4 @@
-"""`edge replay`, and what it writes by `--recover` and `--trace`."""
+"""The command `edge replay`, with `--recover` and `--trace`."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from edge.text import aligned, one_line, read_json
 
 _PATIENCE_S = 10.0
 MAX_SPANS = 2_000_000
-"""Most spans of a trace, about an hour; each takes a kilobyte while it is written."""
+"""Most spans of a trace, about an hour; each takes a kilobyte while the trace is written."""
 
 
 def replay(args: argparse.Namespace) -> int:
-    """Handle `edge replay`; 1 where not the same was said, or not all could be compared.
+    """Run `edge replay`; return 1 if results differ or could not all be compared.
 
     Raises:
         UserError: see `edge.recording.replay.replay`.
@@ -45,27 +45,27 @@ def replay(args: argparse.Namespace) -> int:
 
 
 def told(session: Session, o: Outcome) -> str:
-    """How a replay went, for people."""
+    """Format the outcome of a replay."""
     files = f" and {len(session.files) - 1} more" if len(session.files) > 1 else ""
     lines = [
         f"{session.head.path}{files}: {o.ticks} ticks, {o.seconds:.1f} s, recorded by edge "
         f"{session.head.edge}",
-        f"goals: {o.goals_then} then, {o.goals_now} now; ended "
-        f"{one_line(o.phase_then) or '-'} then, {o.phase_now or '-'} now",
+        f"goals: {o.goals_then} recorded, {o.goals_now} replayed; final phase "
+        f"{one_line(o.phase_then) or '-'} recorded, {o.phase_now or '-'} replayed",
     ]
     if o.unseen:
-        lines.append(f"{o.unseen} images that were looked at then were not recorded: raise rgb_hz")
+        lines.append(f"{o.unseen} images for the detector were not recorded: raise rgb_hz")
     if o.ended:
         lines.append(f"ends early: {o.ended}")
     if o.first is None:
-        lines.append("the same, tick for tick" if o.ticks else "nothing in it to compare")
+        lines.append("identical in every tick" if o.ticks else "it has no ticks to compare")
     else:
         at = o.first
         lines.append(
             f"differs in {o.differing} of {o.ticks} ticks, first in tick {at.tick} (stamp "
             f"{at.stamp_ns}):"
         )
-        lines.append(aligned([("", "then", "now"), *_differing(at.then, at.now)]))
+        lines.append(aligned([("", "recorded", "replayed"), *_differing(at.then, at.now)]))
     if o.latency_then is not None and o.latency_now is not None:
         lines += ["", latencies(o.latency_then, o.latency_now)]
     return "\n".join(lines)
@@ -94,8 +94,8 @@ def _shown(value: Any) -> str:
 
 
 def latencies(then: dict[str, Any], now: LatencyReport) -> str:
-    """What each stage took then and takes now; then is of the newest ticks that the ring held."""
-    rows = [("ms", "p50 then", "now", "p95 then", "now", "ratio")]
+    """Compare latencies by stage. The recorded ones are of the newest ticks in the ring."""
+    rows = [("ms", "p50 recorded", "replayed", "p95 recorded", "replayed", "ratio")]
     for row in now.rows:
         before = then["tick"] if row.name == now.tick.name else then["stages"].get(row.name)
         if before is None or not row.in_tick:
@@ -107,10 +107,10 @@ def latencies(then: dict[str, Any], now: LatencyReport) -> str:
 
 
 def recover(args: argparse.Namespace) -> int:
-    """Handle `edge replay --recover`.
+    """Run `edge replay --recover`.
 
     Raises:
-        RecordingError: it cannot be read, or nothing can be written.
+        RecordingError: the file cannot be read, or the copy cannot be written.
     """
     path = Path(args.file)
     out = args.out or path.with_name(path.name.removesuffix(PARTIAL))
@@ -122,7 +122,7 @@ def recover(args: argparse.Namespace) -> int:
 
 
 def trace(args: argparse.Namespace) -> int:
-    """Handle `edge replay --trace`.
+    """Run `edge replay --trace`.
 
     Raises:
         UserError: no such recording or service, or the file cannot be written.
@@ -141,7 +141,7 @@ def spans_of(path: Path) -> list[Span]:
     """Return the first `MAX_SPANS` spans of a recorded run, from this file on.
 
     Raises:
-        RecordingError: see `edge.recording.session.head_of`; or there are none.
+        RecordingError: see `edge.recording.session.head_of`; or there are no spans.
     """
     spans: list[Span] = []
     session = Session(path)
@@ -149,7 +149,7 @@ def spans_of(path: Path) -> list[Span]:
         if m.topic == channels.SPANS.topic:
             spans += _spans(path, m.payload)
         if len(spans) >= MAX_SPANS:
-            print(f"{path}: only its first {MAX_SPANS} spans; name a later file for the others")
+            print(f"{path}: only its first {MAX_SPANS} spans; name a later file for more")
             return spans[:MAX_SPANS]
     if not spans:
         raise RecordingError(f"{session.cut or path}: no tick in it")
@@ -160,17 +160,17 @@ def _spans(path: Path, payload: bytes) -> list[Span]:
     try:
         spans = [Span(*span) for span in read_json(payload, MAX_VALUES)["spans"]]
         trace_bytes(spans)
-    except Exception as error:  # whatever comes of bytes that nobody wrote
+    except Exception as error:  # damaged data can raise anything
         why = f"{type(error).__name__}: {one_line(error, 120)}"
         raise RecordingError(f"{path}: damaged spans: {why}") from None
     return spans
 
 
 def _asked(name: str) -> bytes:
-    """The page of the running service of a configuration."""
+    """Return the trace page of the running service of a configuration."""
     http = load(name).http
     if http.port is None:
-        raise ConfigError(f"{name}: http.port: not set, so that no service can be asked: set it")
+        raise ConfigError(f"{name}: http.port: not set, so the service has no page: set it")
     headers = {}
     if http.token_file is not None:
         headers = read_token("http.token_file", http.token_file).header()

@@ -1,7 +1,6 @@
-"""MCAP files: a power cut costs the last seconds at most, and what is there can be read.
+"""MCAP files that survive a power cut: at most the last seconds are lost.
 
-A file appears under its name only when it is complete; until then it is called `NAME.partial`, and
-what it holds can be read all the same.
+A file has the name `NAME.partial` until it is complete. A partial file can be read, too.
 """
 
 from __future__ import annotations
@@ -25,18 +24,18 @@ from edge.recording.reader import MAGIC, DamagedError, Message, records
 
 PARTIAL = ".partial"
 COMPRESSIONS = {kind.name.lower(): kind for kind in CompressionType}
-"""`none`, `lz4` and `zstd`, as the user names them."""
+"""`none`, `lz4` and `zstd`, as in the configuration."""
 _LONGER = "damaged: a record is longer than what is left of the file"
 _RECOVERING = ".recovering"
-"""Another, since what is recovered may be the partial file of the very name."""
+"""Another suffix, since the recovered file may have the name of its partial file."""
 
 
 class RecordingError(FileError):
-    """A recording that cannot be written or read; one line."""
+    """A recording cannot be written or read; the message is one line."""
 
 
 class _Whole:
-    """A stream for the library: `write` writes all or raises, and nothing is kept in a buffer."""
+    """A stream for the library: `write` writes everything or raises, without a buffer."""
 
     def __init__(self, path: Path) -> None:
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
@@ -53,7 +52,7 @@ class _Whole:
         return self._at
 
     def flush(self) -> None:
-        """Nothing is kept back."""
+        """Do nothing: there is no buffer."""
 
     def sync(self) -> None:
         os.fdatasync(self._fd)
@@ -63,14 +62,16 @@ class _Whole:
 
 
 class McapFile:
-    """Writes one recording: a context manager, complete and in place when it ends without error.
+    """Writes one recording; a context manager. The file is complete if the block has no error.
 
     Args:
+        path: name of the complete file.
+        compression: `none`, `lz4` or `zstd`.
         metadata: of the file, by name.
-        suffix: that its name has until it is complete.
+        suffix: of the name until the file is complete.
 
     Raises:
-        OSError: `add`, `sync` and the end of the block: the disk is full, or gone.
+        OSError: by `add`, `sync` and the end of the block: the disk is full or gone.
     """
 
     def __init__(
@@ -107,7 +108,7 @@ class McapFile:
             self._partial.unlink()
 
     def open(self) -> None:
-        """Begin the file; raises OSError, and there is none then."""
+        """Create the file; if that raises OSError, there is no file."""
         self._file = _Whole(self._partial)
         try:
             self._writer = Writer(
@@ -124,8 +125,7 @@ class McapFile:
     def add(
         self, channel: Channel, log_ns: int, stamp_ns: int, *payload: Any, sequence: int = 0
     ) -> None:
-        """One message: when it was heard (or made), its stamp, and its bytes, which may come in
-        parts."""
+        """Add one message with its log time, stamp and payload, which may have several parts."""
         at = self._channels.get(channel)
         if at is None:
             at = self._channels[channel] = self._register(channel)
@@ -135,16 +135,16 @@ class McapFile:
 
     @property
     def bytes(self) -> int:
-        """That were written so far; what is in the chunk at hand is not yet counted."""
+        """Bytes written so far, without the current chunk."""
         return self._file.tell()
 
     def sync(self) -> None:
-        """Have all that was added on the disk."""
+        """Write all messages to the disk."""
         self._writer.flush()
         self._file.sync()
 
     def finish(self) -> None:
-        """Complete the file, and give it its name."""
+        """Complete the file and rename it."""
         self._writer.finish()
         self._file.sync()
         self._file.close()
@@ -152,7 +152,7 @@ class McapFile:
         sync(self.path.parent)
 
     def abandon(self) -> None:
-        """Leave the file as far as it was written, under the name that it has so far."""
+        """Close the incomplete file and keep its partial name."""
         self._file.close()
 
     def _register(self, channel: Channel) -> int:
@@ -162,7 +162,7 @@ class McapFile:
 
 
 class Recorded(NamedTuple):
-    """One message of a file; `schema` is its name."""
+    """One message of a file; `schema` is the name of its schema."""
 
     topic: str
     schema: str
@@ -177,9 +177,11 @@ class McapReading:
     """The messages of a file in the order in which they were written.
 
     Attributes:
-        metadata: by name, of what was read so far.
-        whole: whether the file's end was read: one that was cut off has none.
-        cut: why reading ended before that; empty while it has not.
+        metadata: by name, read so far.
+        schemas: by id, read so far.
+        channels: by id, read so far.
+        whole: True if the end of the data was read; a file that is cut off has no end.
+        cut: why reading stopped before the end; empty if it did not.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -190,9 +192,10 @@ class McapReading:
         self.whole, self.cut = False, ""
 
     def __iter__(self) -> Iterator[Recorded]:
-        """
+        """Yield the messages.
+
         Raises:
-            RecordingError: there is no such file, or it is no MCAP file.
+            RecordingError: no such file, or no MCAP file.
         """
         with _opened(self.path) as file:
             found = records(file)
@@ -209,13 +212,13 @@ class McapReading:
                     return
                 begun = True
                 if isinstance(record, Schema):
-                    self.schemas.setdefault(record.id, record)  # it may come again, as it was
+                    self.schemas.setdefault(record.id, record)  # it may be repeated
                 elif isinstance(record, ChannelRecord):
                     self.channels.setdefault(record.id, record)
                 elif isinstance(record, Metadata):
                     self.metadata[record.name] = record.metadata
                 elif isinstance(record, DataEnd):
-                    self.whole = True  # what follows only helps to find messages
+                    self.whole = True  # the rest is only an index
                 elif isinstance(record, Message) and record.channel_id in self.channels:
                     yield self._message(record)
 
@@ -234,20 +237,20 @@ class McapReading:
 
 
 def _has_end(file: BinaryIO) -> bool:
-    """Whether a file is there to its last byte."""
+    """Return True if the file has its last bytes."""
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - len(MAGIC)))
     return file.read() == MAGIC
 
 
 def is_complete(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file ends as a complete one does; raises RecordingError for no file."""
+    """Return True if a file has the end of a complete one; raise RecordingError for no file."""
     with _opened(Path(path)) as file:
         return _has_end(file)
 
 
 def is_written(path: Path) -> bool:
-    """Whether somebody writes this file now."""
+    """Return True if a process is writing this file now."""
     with _opened(path) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -267,20 +270,24 @@ def _opened(path: Path):  # type: ignore[no-untyped-def]
 
 
 def recover(path: Path, out: Path) -> tuple[int, str]:
-    """Write what can be read of a file as a complete one.
+    """Copy the readable part of a file into a complete one.
+
+    Args:
+        path: the damaged file.
+        out: the new file.
 
     Returns:
-        How many messages that were, and why no more; empty where it was complete.
+        The number of messages, and why there are no more; "" if the file was complete.
 
     Raises:
-        RecordingError: it cannot be read, `out` cannot be written or is there already.
+        RecordingError: `path` cannot be read, or `out` exists or cannot be written.
     """
     for there in (out, out.with_name(out.name + _RECOVERING)):
         if there.exists():
-            raise RecordingError(f"{there}: is there already; name another file with --out")
+            raise RecordingError(f"{there}: exists already; name another file with --out")
     reading = McapReading(path)
     messages = iter(reading)
-    first = next(messages, None)  # before anything is made: it may be no recording
+    first = next(messages, None)  # before creating a file: it may be no recording
     copy = McapFile(out, "zstd", reading.metadata, _RECOVERING)
     try:
         with copy:
@@ -297,6 +304,6 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
 
 def _channel_of(reading: McapReading, message: Recorded) -> Channel:
     of_name = (s for s in reading.schemas.values() if s.name == message.schema)
-    schema = next(of_name, Schema(0, b"", "", message.schema))  # there may be none
+    schema = next(of_name, Schema(0, b"", "", message.schema))  # a channel may have no schema
     text = schema.data.decode(errors="replace")
     return Channel(message.topic, message.encoding, schema.name, schema.encoding, text)

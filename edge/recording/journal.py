@@ -1,7 +1,7 @@
-"""The journal of a recording, as JSON: what came into the loop, what it saw, what it said.
+"""The journal of a recording, as JSON: inputs of the loop, observations and decisions.
 
-docs/recording.md has the schema. Numbers come back as they were, to the last bit: arrays go as the
-base64 of their bytes, and JSON's floats are the shortest that mean the same.
+docs/recording.md has the schema. Numbers are exact to the last bit: arrays are base64, and JSON
+floats are the shortest that give the same number.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from edge.types import ContextBoxes, Detections, Goal, GoalStatus, Observation
 
 FORMAT, VERSION = "edge-recording", 1
 MAX_VALUES = 1 << 20
-"""Most values of one message; arrays are one each."""
+"""Most JSON values of one message; an array counts as one."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class Page:
     """One message of the journal.
 
     Attributes:
-        entries: what came, in order; decoded but for `what` of `found`.
-        observation: what is known of it without its arrays; None: there was none.
-        said: what came of it; None: nothing that is compared.
+        entries: inputs in order. The field `what` of `found` stays as JSON.
+        observation: the observation without its arrays, as JSON; None: there was none.
+        said: decisions, which a replay compares; None: there were none.
     """
 
     entries: list[Input]
@@ -58,12 +58,13 @@ class Page:
 def encode_page(
     inputs: Iterable[Input], result: TickResult, seen: Observation | None, rig: dict[str, Any]
 ) -> bytes:
-    """One message.
+    """Encode one page.
 
     Args:
-        result: the newest of those that the inputs led to.
-        seen: its observation, with those arrays only that are recorded.
-        rig: as it was written last, empty at first; changed in place.
+        inputs: inputs since the last page.
+        result: the newest result of these inputs.
+        seen: its observation, with only the arrays that are recorded.
+        rig: camera and mounts as last written, empty at first; changed in place.
     """
     page = {
         "entries": [
@@ -79,10 +80,10 @@ _JSON = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
 def decode_page(payload: bytes) -> Page:
-    """What `encode_page` made.
+    """Decode a page of `encode_page`.
 
     Raises:
-        Exception: it did not, whichever comes of that.
+        Exception: any, if the payload is damaged.
     """
     page = read_json(payload, MAX_VALUES)
     entries = []
@@ -96,11 +97,11 @@ _NOWHERE = {"pose": (0.0, 0.0, 0.0), "score": 0.0, "kind": "", "id": 0, "target"
 
 
 def _said(said: dict[str, Any] | None) -> dict[str, Any] | None:
-    """What `said_of` made, looked through: it will be compared, and shown where it differs."""
+    """Check decisions of `said_of`, which will be compared and printed."""
     if said is None:
         return None
     if not {"target", "phase", "goal", "sent"} <= said.keys():
-        raise ValueError(f"said only {list(said)}")
+        raise ValueError(f"decisions with only {list(said)}")
     for goal in (said["goal"] or dict(_NOWHERE), *said["sent"]):
         if not _NOWHERE.keys() <= goal.keys() or len(goal["pose"]) != 3:
             raise ValueError("not a goal")
@@ -110,7 +111,7 @@ def _said(said: dict[str, Any] | None) -> dict[str, Any] | None:
 
 
 def said_of(result: TickResult) -> dict[str, Any] | None:
-    """What a result says, as it is compared; None where nothing came of it."""
+    """Return the decisions in a result, for comparison; None if there are none."""
     if result.observation is None and not result.goals:
         return None
     return {
@@ -166,10 +167,14 @@ def observation_of(
     depth_m: np.ndarray | None,
     cloud_m: np.ndarray | None,
 ) -> Observation:
-    """An observation again, with the arrays that were recorded beside it.
+    """Decode an observation, with its recorded arrays.
 
     Args:
-        rig: as it was read last; changed in place.
+        said: the observation as JSON.
+        rig: camera and mounts as last read; changed in place.
+        rgb: (h, w, 3) uint8, or None.
+        depth_m: (h, w) float32, or None.
+        cloud_m: (n, 3) float32, or None.
     """
     rig.update(said.get("rig", {}))
     camera = rig["camera"]
@@ -242,7 +247,7 @@ def _start_of(said: dict[str, Any]) -> dict[str, Any]:
 
 
 def _file_of(said: str | None) -> bytes | None:
-    if said is None or said.startswith("{"):  # a mission of a version before
+    if said is None or said.startswith("{"):  # JSON of a mission, written by older versions
         return said and said.encode()
     return base64.b64decode(said)
 
@@ -264,7 +269,7 @@ def _boxes(found: Detections) -> dict[str, Any]:
 
 
 def detections_of(said: dict[str, Any], observation: Observation) -> Detections:
-    """Detections again, of this observation."""
+    """Decode detections of this observation."""
     c = said["context"]
     return Detections(
         observation, _array_of(said["xyxy_px"]), _array_of(said["score"]),
@@ -279,7 +284,7 @@ def detections_of(said: dict[str, Any], observation: Observation) -> Detections:
 
 
 def _masks_of(said: dict[str, Any] | None) -> np.ndarray | None:
-    """None where none were made, as in a recording from before there were any."""
+    """Decode masks; None if there are none, as in older recordings."""
     return None if said is None else np.unpackbits(_array_of(said), axis=-1).astype(np.bool_)
 
 
@@ -292,7 +297,7 @@ def _rooms(r: Rooms) -> dict[str, Any]:
 
 
 def rooms_of(said: dict[str, Any]) -> Rooms:
-    """See `edge.loop.prior.Rooms`."""
+    """Decode `edge.loop.prior.Rooms`."""
     origin = said["origin_xy_m"]
     grid = Grid(_array_of(said["cells"]), (origin[0], origin[1]), said["resolution_m"])
     wall, label = _array_of(said["wall"]), _array_of(said["label"])
@@ -308,7 +313,7 @@ def _similarity(found: tuple[Any, Similarity]) -> dict[str, Any]:
 
 
 def similarity_of(said: dict[str, Any]) -> Similarity:
-    """A similarity scorer's answer."""
+    """Decode the answer of a similarity scorer."""
     targets, score = tuple(said["targets"]), _array_of(said["score"])
     return Similarity(said["stamp_ns"], SE2(*said["pose"]), targets, score)
 
@@ -322,7 +327,7 @@ def _choice(found: tuple[Any, Choice]) -> dict[str, Any]:
 
 
 def choice_of(said: dict[str, Any]) -> Choice:
-    """A choice scorer's answer."""
+    """Decode the answer of a choice scorer."""
     return Choice(
         said["stamp_ns"], said["target"], tuple(said["ids"]), _array_of(said["p"]),
         said["elsewhere"], said["scene"],
@@ -362,7 +367,7 @@ def _draft(d: Draft) -> dict[str, Any]:
 
 
 def draft_of(said: dict[str, Any]) -> Draft:
-    """See `Draft`; older recordings have no `mistakable`, or no `stops`."""
+    """Decode a `Draft`; older recordings have no `mistakable`, or no `stops`."""
     refined, coarse_m, stops_at = said["refined"], said["coarse_m"], said["stops_at"]
     same = {name: said[name] for name in ("error", "hopeless", "upto", "understood", "prompt")}
     return Draft(
@@ -385,7 +390,7 @@ def _survey(distance_m: np.ndarray) -> dict[str, Any]:
 
 
 def survey_of(said: dict[str, Any]) -> np.ndarray:
-    """Return the driving distances of a survey."""
+    """Decode the driving distances of a survey, in metres."""
     return _array_of(said["distance_m"])
 
 
@@ -401,12 +406,12 @@ def _answer_of(said: dict[str, Any]) -> dict[str, Any]:
 
 
 def config_text(config: Config) -> dict[str, Any]:
-    """A configuration without what may be secret."""
+    """Return a configuration as JSON without secrets."""
     return without_secrets(config.model_dump(mode="json"))
 
 
 def config_of(said: dict[str, Any]) -> Config:
-    """A configuration again; raises ConfigError."""
+    """Decode a configuration; raise ConfigError."""
     path = said.pop("path", "<recording>")
     return parse(said, path)
 

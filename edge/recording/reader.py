@@ -1,9 +1,8 @@
-"""Reads the records of an MCAP file that anybody may have made.
+"""Reader of the records of untrusted MCAP files.
 
-The library `mcap` reads as much as lengths inside a record say, and decompresses a chunk to
-whatever it holds: a file of 200 kB can take gigabytes. Here nothing is larger than
-`MAX_RECORD_BYTES`, and nothing differs from the size that the file gives for it.
-https://mcap.dev/spec is the format.
+The library `mcap` trusts lengths inside a record and decompresses chunks without a limit, so a file
+of 200 kB can take gigabytes. This reader limits everything to `MAX_RECORD_BYTES`, and rejects data
+that differ from their declared size. https://mcap.dev/spec defines the format.
 """
 
 from __future__ import annotations
@@ -25,10 +24,12 @@ from edge.text import one_line
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD_BYTES = 1 << 27
-"""Of a record, and of a chunk when it is decompressed: twice the largest message that a robot sends
-(`source.max_message_mb`)."""
+"""Limit of a record, and of a decompressed chunk.
+
+Twice the largest message that a robot sends (`source.max_message_mb`).
+"""
 MAX_KEPT, MAX_KEPT_BYTES = 10_000, 1 << 23
-"""Of all schemas, channels and metadata of a file together: a reader keeps them to its end."""
+"""Limits of all schemas, channels and metadata of a file together, which stay in memory."""
 _BLOCK_BYTES = 1 << 20
 
 _HEAD = struct.Struct("<BQ")
@@ -42,7 +43,7 @@ _KEPT = {
 
 
 class DamagedError(ValueError):
-    """A file that is not as the format says, or too large; one line."""
+    """A file that violates the format or is too large; the message is one line."""
 
 
 class Message(NamedTuple):
@@ -59,17 +60,16 @@ Record = Header | Schema | Channel | Metadata | DataEnd | Message
 
 
 def records(file: BinaryIO) -> Iterator[Record]:
-    """Yield the records that a recording is read by, in the order of the file: `Header` is first,
-    `DataEnd` last.
+    """Yield the records of a file in their order; `Header` is first, `DataEnd` last.
 
-    Attachments, indices and whatever else there is are passed over.
+    Attachments, indices and unknown records are skipped.
 
     Raises:
         EOFError: the file ends before its data do.
-        DamagedError: it is not as the format says. What was yielded before is sound.
+        DamagedError: the file violates the format. Records yielded before are valid.
     """
     if _read(file, len(MAGIC)) != MAGIC:
-        raise DamagedError("not the beginning of an MCAP file")
+        raise DamagedError("no MCAP magic at the start of the file")
     crc, kept, begun = zlib.crc32(MAGIC), _Kept(), False
     while True:
         head = _read(file, _HEAD.size)
@@ -101,7 +101,7 @@ _READ = (Opcode.CHUNK, Opcode.MESSAGE, *_KEPT)
 
 
 class _Kept:
-    """Counts what a reader keeps; a record that comes again takes no more room."""
+    """Counts the records that stay in memory; a repeated record counts once."""
 
     def __init__(self) -> None:
         self._sizes: dict[tuple[int, int | str], int] = {}
@@ -137,27 +137,27 @@ def _unpacked(chunk: Chunk, kept: _Kept) -> Iterator[Record]:
 
 
 def _decompressed(chunk: Chunk) -> bytes:
-    """Return the records of a chunk; no more is allocated than it says that they take."""
+    """Return the records of a chunk; allocates no more than its declared size."""
     size = _checked(chunk.uncompressed_size)
     try:
         if chunk.compression == "":
             data = chunk.data
         elif chunk.compression == "zstd":
-            # A frame that says its size is decompressed to that, whatever limit is given.
+            # zstandard ignores the limit if the frame declares a size.
             if zstandard.frame_content_size(chunk.data) not in (-1, size):
-                raise DamagedError("a chunk is not of the size that it says")
+                raise DamagedError("a chunk does not have its declared size")
             data = zstandard.decompress(chunk.data, max_output_size=size)
         elif chunk.compression == "lz4":
             frame = lz4.frame.LZ4FrameDecompressor()
             data = frame.decompress(chunk.data, max_length=size + 1)
             if not frame.eof:
-                raise DamagedError("a chunk is not of the size that it says")
+                raise DamagedError("a chunk does not have its declared size")
         else:
-            raise DamagedError(f"compression {one_line(chunk.compression, 40)} is not known")
+            raise DamagedError(f"unknown compression {one_line(chunk.compression, 40)}")
     except (zstandard.ZstdError, RuntimeError) as error:
         raise DamagedError(f"a chunk cannot be decompressed: {one_line(error, 80)}") from None
     if len(data) != size:
-        raise DamagedError("a chunk is not of the size that it says")
+        raise DamagedError("a chunk does not have its declared size")
     return data
 
 
@@ -172,7 +172,7 @@ def _record(opcode: int, body: bytes, kept: _Kept) -> Record:
 
 
 class _Body(ReadDataStream):
-    """The bytes of one record: what is longer than the record is not there."""
+    """The bytes of one record; a read beyond its end raises EndOfFile."""
 
     def read(self, length: int) -> bytes:
         data = super().read(length)
@@ -185,8 +185,8 @@ def _parsed(kind: type[McapRecord], body: bytes) -> McapRecord:
     try:
         return kind.read(_Body(BytesIO(body)))
     except EndOfFile:
-        raise DamagedError("a record is shorter than what it holds") from None
-    except Exception as error:  # whatever the library makes of bytes that nobody wrote
+        raise DamagedError("a record is shorter than its content") from None
+    except Exception as error:  # damaged data can raise anything in the library
         why = one_line(error, 80) or type(error).__name__
         raise DamagedError(f"a {kind.__name__} cannot be read: {why}") from None
 
@@ -204,5 +204,5 @@ def _most(opcode: int) -> int:
 
 def _checked(size: int, most: int = MAX_RECORD_BYTES) -> int:
     if size > most:
-        raise DamagedError(f"a record or chunk of {size} bytes, at most {most} are read")
+        raise DamagedError(f"a record or chunk of {size} bytes, at most {most} are allowed")
     return size

@@ -1,8 +1,8 @@
-"""A recorded run again, through the real service, tick for tick.
+"""Replay of a recorded run through the real service, tick for tick.
 
-Whatever runs beside the loop is not run: what it found comes when it came. With another
-configuration the loop goes other ways, and what the map alone decides, a survey or the cut into
-rooms, is worked out anew; what a detector or a scorer said stays what they said then.
+Background workers do not run: their recorded answers arrive in the recorded ticks. With another
+configuration the loop takes other decisions. Then workers that need only the map (the travel-cost
+survey, the room segmentation) do run; answers of detectors and scorers stay as recorded.
 """
 
 from __future__ import annotations
@@ -44,16 +44,18 @@ _BY_THE_MAP = ("surveyor", "prior")
 
 
 class ReplayError(UserError):
-    """A recording that cannot be replayed as it is asked for; one line."""
+    """A recording cannot be replayed with these options; the message is one line."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A tick in which not the same was said.
+    """A tick with different decisions.
 
     Attributes:
         tick: counts from 1; 0: before the first.
-        then, now: see `edge.recording.journal.said_of`; None: nothing.
+        stamp_ns: stamp of the observation; 0: there was none.
+        then: recorded decisions, see `edge.recording.journal.said_of`; None: none.
+        now: replayed decisions; None: none.
     """
 
     tick: int
@@ -64,14 +66,21 @@ class Difference:
 
 @dataclass
 class Outcome:
-    """How a replay went.
+    """Result of a replay.
 
     Attributes:
-        ticks: that were replayed; `differing`: of these, in which not the same was said.
-        goals_then, goals_now: how many were sent.
-        unseen: images that the detector was to be run on and that were not recorded.
-        ended: why it ended before the run did; empty where it did not.
-        latency_then: as the run said last, JSON; None: it said nothing.
+        ticks: replayed ticks.
+        differing: ticks with different decisions.
+        first: the first difference.
+        goals_then: number of recorded goals.
+        goals_now: number of replayed goals.
+        unseen: images for the detector that were not recorded.
+        ended: why the replay ended before the run did; empty if it did not.
+        phase_then: last recorded phase of the mission.
+        phase_now: last replayed phase.
+        seconds: duration of the replayed observations.
+        latency_then: last recorded latency report, JSON; None: there is none.
+        latency_now: latency of the replay.
     """
 
     ticks: int = 0
@@ -89,26 +98,28 @@ class Outcome:
 
 
 class Said:
-    """The sink of a replay: what results said, as it is compared."""
+    """The sink of a replay: collects the decisions of results."""
 
     def __init__(self) -> None:
         self.said: list[dict[str, Any]] = []
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
+        """Collect decisions; see `edge.loop.result.Sink`."""
         if (said := said_of(result)) is not None:
             self.said.append(said)
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Do nothing."""
 
 
 class _Run:
-    """A service that is given what was recorded.
+    """A service that gets the recorded inputs.
 
     Args:
-        config: another one than was recorded; None: the same.
-        detect: run the detector on the recorded pictures.
+        session: the recorded run.
+        config: another configuration; None: the recorded one.
+        detect: run the detector on the recorded images.
+        stack: closes what is opened.
     """
 
     def __init__(
@@ -119,12 +130,12 @@ class _Run:
         self.config = self._recorded(session.config()) if config is None else _alone(config)
         self._now, self.sink = Now(), Said()
         self._journal: Replayed | None = None
-        self._failed: Observation | None = None  # what a tick failed on, or refused
+        self._failed: Observation | None = None  # observation of a failed or refused tick
         self.service: Service | None = None
         self._worker: DetectorWorker | None = None
 
     def _recorded(self, config: Config) -> Config:
-        """Return a recorded configuration that names no files and asks for no endless work."""
+        """Return the recorded configuration without file names and with limits on computation."""
         if self._session.trust:
             return _alone(config)
         mission, usual = config.mission, Mission()
@@ -138,7 +149,7 @@ class _Run:
             return config
         if self._detect and detector.vocabulary is not None:
             raise ReplayError(
-                "--detect: perception.detector.vocabulary: a recording may name any file: give "
+                "--detect: perception.detector.vocabulary: a recording may name any file. Give "
                 "your own configuration with --config, or --trust if you know who made it"
             )
         detector = detector.model_copy(update={"engine_cache": None, "vocabulary": None})
@@ -150,7 +161,7 @@ class _Run:
         return 0 if self._journal is None else self._journal.unseen
 
     def do(self, moment: Moment) -> None:
-        """Give the service what came."""
+        """Give the inputs of a page to the service."""
         if moment.observation is not None:
             self._now.see(moment.observation, moment.picture)
         for action, entries in _actions(moment.page.entries):
@@ -160,7 +171,7 @@ class _Run:
             if action.kind == "start":
                 self._start(**action.fields)
             elif self.service is None:
-                raise RecordingError("a journal that does not begin with the start")
+                raise RecordingError("the journal does not begin with a start")
             else:
                 _DO[action.kind](self, moment.observation, **action.fields)
 
@@ -181,7 +192,7 @@ class _Run:
         if self._detect:
             if config.perception.detector.kind == "sim":
                 raise ReplayError(
-                    "--detect: perception.detector.kind: sim finds nothing in pictures: name a "
+                    "--detect: perception.detector.kind: sim cannot detect in images: name a "
                     "model with --config, or EDGE__PERCEPTION__DETECTOR__KIND=onnx"
                 )
             masker = make_masker(config.perception, timed=False)
@@ -204,7 +215,7 @@ class _Run:
         self._stack.callback(self.service.close)
 
     def _checkpoint(self, *files: bytes | None) -> ServiceCheckpoint | None:
-        """Return one of the files that the run read, the mission's and the map's, or None."""
+        """Return the checkpoint that the run loaded, from the files of mission and map, or None."""
         if files == (None, None):
             return None
         folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="edge-replay-"))
@@ -219,7 +230,7 @@ class _Run:
         return checkpoint
 
     def _count_images(self, entries: Sequence[Input]) -> None:
-        """So many the detector had looked at when the loop asked."""
+        """Set the number of images that the detector had processed when the loop asked."""
         for entry in entries:
             if entry.kind == "images":
                 self._worker.stats.done = entry.fields["done"]
@@ -234,10 +245,10 @@ class _Run:
             self._stack.callback(scorers.close)
         return scorers
 
-    # -- what came, by kind ------------------------------------------------------------------------
+    # -- inputs by kind ----------------------------------------------------------------------------
 
     def _tick(self, observation: Observation, now_ns: int) -> None:
-        """As `edge.loop.runner` does it."""
+        """Run a tick as `edge.loop.runner` does."""
         service = self.service
         service.latency.begin_tick(perf_counter_ns())
         service.latency.mark(INGEST, perf_counter_ns())
@@ -267,7 +278,7 @@ class _Run:
         self.service.begin(brief_again(self.config.mission, translation, task), now_ns, id)
 
     def _reconfigure(self, observation: Observation | None, config: Config) -> None:
-        """Not with another configuration, which then holds for the whole run."""
+        """Apply a recorded reload, unless another configuration is used for the whole run."""
         if not self._other:
             self._session.check(config)
             config, service = self._recorded(config), self.service
@@ -277,7 +288,7 @@ class _Run:
 
 
 def _alone(config: Config) -> Config:
-    """Return the configuration of a replay: in lockstep, without sinks and checkpoint."""
+    """Return the configuration for a replay: lockstep, without sinks and checkpoint."""
     loop = config.loop.model_copy(update={"lockstep": True})
     mission = config.mission.model_copy(update={"checkpoint": None})
     return config.model_copy(update={"loop": loop, "mission": mission, "sinks": ()})
@@ -297,17 +308,17 @@ _DO: dict[str, Callable[..., None]] = {
 
 
 def _actions(entries: Sequence[Input]) -> Iterator[tuple[Input, list[Input]]]:
-    """What came, each with what was asked and found beside the loop while it was dealt with."""
-    action, beside = None, []
+    """Yield each input with the worker events and decisions that happened while it was handled."""
+    action, events = None, []
     for entry in entries:
         if entry.kind in ("asked", "found", "decided", "images"):
-            beside.append(entry)
+            events.append(entry)
             continue
         if action is not None:
-            yield action, beside
-        action, beside = entry, []
+            yield action, events
+        action, events = entry, []
     if action is not None:
-        yield action, beside
+        yield action, events
 
 
 def replay(
@@ -316,22 +327,23 @@ def replay(
     detect: bool = False,
     each: Callable[[Outcome], None] = lambda outcome: None,
 ) -> Outcome:
-    """Feed a recorded run through a service, and compare what it says.
+    """Replay a recorded run through a service and compare the decisions.
 
     Args:
-        config: another configuration than was recorded; the mission is the recorded one.
-        detect: run the detector on the recorded pictures, in the place of what it found then.
+        session: the recorded run.
+        config: another configuration than the recorded one; the mission stays the recorded one.
+        detect: run the detector on the recorded images instead of using recorded detections.
         each: called after every page.
 
     Raises:
         RecordingError: the recording does not begin with the run, or is malformed.
-        ReplayError: there is nothing to detect with.
+        ReplayError: there is no usable detector.
         UserError: configuration, mission or model cannot be used.
     """
     if session.head.part:
         raise RecordingError(
-            f"{session.head.path}: begins in the middle of a run (file {session.head.part + 1} of "
-            "it): replay its first file, which goes on with those beside it"
+            f"{session.head.path}: begins in the middle of a run (it is file "
+            f"{session.head.part + 1}): replay its first file; the others of its folder follow"
         )
     outcome, first_ns = Outcome(), None
     with ExitStack() as stack:
@@ -341,9 +353,9 @@ def replay(
                 run.do(moment)
             except UserError:
                 raise
-            except Exception as error:  # what the loop outlived then, or bytes that nobody wrote
+            except Exception as error:  # an error that the loop survived, or damaged data
                 raise RecordingError(
-                    f"{session.head.path}: cannot be replayed any further, after {outcome.ticks} "
+                    f"{session.head.path}: the replay failed after {outcome.ticks} "
                     f"ticks: {type(error).__name__}: {one_line(error, 120)}"
                 ) from error
             _compare(outcome, moment, run.sink.said)

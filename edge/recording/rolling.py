@@ -1,6 +1,6 @@
 """A recording in several files of limited size and age, in a folder of limited size.
 
-For one thread, which may wait for the disk. A disk that is full costs what comes meanwhile.
+For one thread, which may wait for the disk. While the disk is full, messages are lost.
 """
 
 from __future__ import annotations
@@ -28,11 +28,13 @@ _NAME = re.compile(rf"{PREFIX}\d{{8}}T\d{{6}}\.\d{{3}}Z\.mcap({re.escape(PARTIAL
 
 @dataclass(frozen=True)
 class Limits:
-    """
+    """Limits of files and folder.
+
     Attributes:
-        max_mb, max_s: of a file; then the next is begun.
-        keep_mb: of the folder; the oldest files are deleted, never one that is being written.
-        sync_s: what is older than that has reached the disk.
+        max_mb: size of a file; then the next one begins.
+        max_s: age of a file; then the next one begins.
+        keep_mb: size of the folder; the oldest files are deleted, never one that is being written.
+        sync_s: data reach the disk within this time.
     """
 
     max_mb: float = 256.0
@@ -45,13 +47,17 @@ class Rolling:
     """Writes the files.
 
     Args:
-        metadata: of the file of this number, by name.
+        folder: created if missing.
+        limits: limits of files and folder.
+        compression: `none`, `lz4` or `zstd`.
+        metadata: returns the metadata of the file of a number, by name.
         clock: seconds.
 
     Attributes:
-        messages: that were written; `lost`: that were not, for want of a file to write to. What
-            was not yet on the disk when that failed counts as lost.
-        problem: why nothing can be written now, in one line; empty while it can.
+        messages: number of messages written.
+        lost: number of messages lost because no file could be written, including those that were
+            not yet on the disk when a write failed.
+        problem: why nothing can be written now, in one line; empty if all is well.
     """
 
     def __init__(
@@ -73,12 +79,12 @@ class Rolling:
 
     @property
     def name(self) -> str:
-        """Of the file that is being written; empty while there is none."""
-        file = self._file  # of another thread
+        """Name of the file that is being written; empty if there is none."""
+        file = self._file  # another thread may change it
         return "" if file is None else file.path.name
 
     def ready(self) -> None:
-        """What is added from here on may come into another file than what was before."""
+        """Begin a new file if needed; later messages may be in another file than earlier ones."""
         now_s = self._clock()
         if self._file is not None:
             full = self._file.bytes >= self._limits.max_mb * _MB
@@ -90,7 +96,7 @@ class Rolling:
     def add(
         self, channel: Channel, log_ns: int, stamp_ns: int, *payload: Any, sequence: int = 0
     ) -> None:
-        """One message; see `McapFile.add`."""
+        """Add one message; see `McapFile.add`."""
         if self._file is None:
             self.lost += 1
             return
@@ -100,10 +106,10 @@ class Rolling:
             self._fresh += 1
         except OSError as error:
             self.lost += 1
-            self._give_up(error)
+            self._close_failed(error)
 
     def sync(self) -> None:
-        """Have what was added on the disk, where it is time for that."""
+        """Write buffered messages to the disk if it is time."""
         now_s = self._clock()
         if self._file is None or now_s - self._synced_s < self._limits.sync_s:
             return
@@ -112,7 +118,7 @@ class Rolling:
             self._file.sync()
             self._fresh = 0
         except OSError as error:
-            self._give_up(error)
+            self._close_failed(error)
 
     def close(self) -> None:
         """Complete the file."""
@@ -127,10 +133,10 @@ class Rolling:
             make_room(self._folder, int((self._limits.keep_mb - self._limits.max_mb) * _MB))
             file.open()
         except OSError as error:
-            self._tell(error)
+            self._report(error)
             return
         if self.problem:
-            log.warning("%s: goes on in %s; %d messages are lost", self._folder, path.name,
+            log.warning("%s: recording again, in %s; %d messages are lost", self._folder, path.name,
                         self.lost)  # fmt: skip
             self.problem = ""
         self._file, self._parts = file, self._parts + 1
@@ -141,28 +147,28 @@ class Rolling:
             self._file.finish()
             self._file, self._fresh = None, 0
         except OSError as error:
-            self._give_up(error)
+            self._close_failed(error)
 
-    def _give_up(self, error: OSError) -> None:
-        """The file stays as it is: it can be read up to where it ends."""
+    def _close_failed(self, error: OSError) -> None:
+        """Close the file as it is; it can be read up to its end."""
         self._file.abandon()
         self._file = None
         self.messages -= self._fresh
         self.lost += self._fresh
         self._fresh = 0
-        self._tell(error)
+        self._report(error)
 
-    def _tell(self, error: OSError) -> None:
+    def _report(self, error: OSError) -> None:
         self._again_s = self._clock() + AGAIN_S
         why = error.strerror or str(error)
         if why != self.problem:
-            log.error("%s: nothing can be recorded: %s; goes on as soon as it can", self._folder,
+            log.error("%s: cannot record: %s; trying again every few seconds", self._folder,
                       why)  # fmt: skip
         self.problem = why
 
 
 def _free_name(folder: Path) -> Path:
-    """The time of day, or the next millisecond of which there is no file."""
+    """Return a file name of the current time, moved by milliseconds until it is free."""
     now = datetime.now(timezone.utc)
     while True:
         path = folder / f"{PREFIX}{now.strftime('%Y%m%dT%H%M%S.%f')[:-3]}Z.mcap"
@@ -172,17 +178,19 @@ def _free_name(folder: Path) -> Path:
 
 
 def files_of(folder: Path) -> list[Path]:
-    """The recordings of a folder, complete or not, the oldest first.
+    """Return the recordings of a folder, complete or not, the oldest first.
 
-    Only names that `_free_name` gives: the oldest are deleted, and a file that a person named or
-    copied here is not ours.
+    Only names of `_free_name` count: old files are deleted, and files that a person named or copied
+    here must stay.
     """
     return sorted(path for path in folder.glob(f"{PREFIX}*") if _NAME.fullmatch(path.name))
 
 
 def make_room(folder: Path, most_bytes: int) -> None:
-    """Delete the oldest recordings until all together are no larger; those that are being written
-    stay. Raises OSError."""
+    """Delete the oldest recordings until their total size is within the limit; may raise OSError.
+
+    Files that are being written stay.
+    """
     files = [(path, path.stat().st_size) for path in files_of(folder)]
     total = sum(size for _, size in files)
     for path, size in files:
@@ -191,7 +199,7 @@ def make_room(folder: Path, most_bytes: int) -> None:
         try:
             if is_written(path):
                 continue
-        except RecordingError:  # it is gone, or not ours
+        except RecordingError:  # deleted by another process, or no file
             continue
         os.unlink(path)
         total -= size

@@ -1,4 +1,4 @@
-"""A recorded run, whatever files it lies in: the journal page by page, with what was seen."""
+"""A recorded run over one or several files: the journal page by page, with its observations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from edge.types import Observation
 
 @dataclass(frozen=True)
 class Head:
-    """What a file says of itself: `part` is its number among the files of its session."""
+    """Metadata of a file; `part` is its number within its session."""
 
     path: Path
     session: str
@@ -33,12 +33,13 @@ class Head:
 
 
 class Moment(NamedTuple):
-    """One page of the journal.
+    """One page of the journal with its observation.
 
     Attributes:
-        observation: with what was recorded of its arrays; None: there was none.
-        picture: whether `rgb` is what the camera saw; else it is black, or None as it was.
-        lacks: what of the observation was not recorded though it was there.
+        page: the page.
+        observation: with the recorded arrays; None: there was none.
+        picture: True if `rgb` is a recorded image; otherwise it is black, or None without a camera.
+        lacks: arrays of the observation that were not recorded.
     """
 
     page: Page
@@ -48,9 +49,10 @@ class Moment(NamedTuple):
 
 
 def head_of(path: Path) -> Head:
-    """
+    """Read the metadata of a file.
+
     Raises:
-        RecordingError: no file, no MCAP file, not a recording of a run, or one of another version.
+        RecordingError: no file, no MCAP file, no recording of a run, or one of another version.
     """
     reading = McapReading(path)
     next(iter(reading), None)
@@ -63,29 +65,30 @@ def head_of(path: Path) -> Head:
     if said.get("version") != str(VERSION):
         raise RecordingError(
             f"{path}: recorded by edge {one_line(said.get('edge', '?'), 40)} in version "
-            f"{one_line(said.get('version', '?'), 20)} of the format, this one reads {VERSION}"
+            f"{one_line(said.get('version', '?'), 20)} of the format; this one reads {VERSION}"
         )
     try:
         config = dict(read_json(said["config"], journal.MAX_VALUES).items())
         edge = one_line(said["edge"], 40)
         return Head(path, said["session"], int(said["part"]), edge, config)
     except (KeyError, ValueError, AttributeError):
-        raise RecordingError(f"{path}: damaged: what it says of itself cannot be read") from None
+        raise RecordingError(f"{path}: damaged: its metadata cannot be read") from None
 
 
 class Session:
     """The files of one run from `path` on.
 
-    Attributes:
-        head: of the first.
-        files: of the session that follow it without a gap, itself included.
-        cut: what is missing where it ends, in one line; empty where nothing is.
-        gap: why it ends before its files do; likewise.
-        latency: as the run said last; None before it has.
-
     Args:
-        trust: allow the recorded configuration to name classes and files. Who made a recording
-            would else choose what runs on the computer that replays it.
+        path: the first file.
+        trust: allow the recorded configuration to name classes and files. Otherwise the author of
+            a recording could choose what runs on this computer.
+
+    Attributes:
+        head: metadata of the first file.
+        files: the files of the session from the first on, without gaps.
+        cut: what is missing at the end, in one line; empty if nothing is.
+        gap: why the run ends before its files do; empty if it does not.
+        latency: the last recorded latency report; None before the first.
 
     Raises:
         RecordingError: see `head_of`.
@@ -99,7 +102,7 @@ class Session:
         self.latency: dict[str, Any] | None = None
 
     def config(self) -> Config:
-        """The configuration that was recorded with; what was secret in it is not there.
+        """Return the recorded configuration, without secrets.
 
         Raises:
             RecordingError: this version of edge cannot use it, or see `check`.
@@ -116,10 +119,10 @@ class Session:
         return config
 
     def check(self, config: Config) -> None:
-        """Refuse a recorded configuration that names a class, unless the recording is trusted.
+        """Raise an error for a recorded configuration that names a class, unless it is trusted.
 
         Raises:
-            RecordingError: it names one; nothing of it was imported.
+            RecordingError: it names a class; nothing was imported.
         """
         for key, kind in () if self.trust else own_kinds(config):
             raise RecordingError(
@@ -129,7 +132,7 @@ class Session:
             )
 
     def messages(self) -> Iterator[Recorded]:
-        """Of all files, in the order in which they were written."""
+        """Yield the messages of all files in the order in which they were written."""
         for path in self.files:
             reading = McapReading(path)
             yield from reading
@@ -137,17 +140,17 @@ class Session:
                 self.cut = f"{path}: {reading.cut}"
 
     def moments(self) -> Iterator[Moment]:
-        """Every page of the journal, up to the first gap in it.
+        """Yield every page of the journal, up to the first gap.
 
         Raises:
-            RecordingError: it is malformed.
+            RecordingError: the journal is damaged.
         """
-        beside: dict[str, Recorded] = {}
+        array_messages: dict[str, Recorded] = {}
         rig: dict[str, Any] = {}
         n = 0
         for m in self.messages():
-            if m.topic in _BESIDE:
-                beside[m.topic] = m
+            if m.topic in _ARRAY_TOPICS:
+                array_messages[m.topic] = m
             if m.topic not in (channels.JOURNAL.topic, channels.LATENCY.topic):
                 continue
             try:
@@ -155,22 +158,22 @@ class Session:
                     self.latency = _latency(m.payload)
                     continue
                 page = journal.decode_page(m.payload)
-                moment = _moment(page, beside, rig)
-            except Exception as error:  # whatever comes of bytes that nobody wrote
+                moment = _moment(page, array_messages, rig)
+            except Exception as error:  # damaged data can raise anything
                 what = m.topic.lstrip("/")
                 raise RecordingError(
                     f"{self.head.path}: damaged {what}: {type(error).__name__}: "
                     f"{one_line(error, 120)}"
                 ) from None
-            beside.clear()
+            array_messages.clear()
             numbers = [entry.n for entry in page.entries]
             if numbers != list(range(n, n + len(numbers))):
-                self.gap = "what follows was dropped when it was recorded"
+                self.gap = "the messages that follow were dropped while recording"
                 return
             n += len(numbers)
             if moment.lacks:
                 lacks = " and ".join(moment.lacks)
-                self.gap = f"the next frame's {lacks} was dropped when it was recorded"
+                self.gap = f"the next frame's {lacks} was dropped while recording"
                 return
             yield moment
 
@@ -191,14 +194,14 @@ def _from(head: Head) -> list[Path]:
 
 
 _MOST_PIXELS = 1 << 26
-_BESIDE = {c.topic for c in (channels.PICTURE, channels.DEPTH, channels.CLOUD)}
+_ARRAY_TOPICS = {c.topic for c in (channels.PICTURE, channels.DEPTH, channels.CLOUD)}
 
 
-def _moment(page: Page, beside: dict[str, Recorded], rig: dict[str, Any]) -> Moment:
+def _moment(page: Page, array_messages: dict[str, Recorded], rig: dict[str, Any]) -> Moment:
     said = page.observation
     if said is None:
         return Moment(page, None, False, ())
-    depth_m, cloud_m, rgb = _depth(beside), _cloud(beside), _picture(beside)
+    depth_m, cloud_m, rgb = _depth(array_messages), _cloud(array_messages), _picture(array_messages)
     picture = rgb is not None
     if rgb is None and said["rgb_hw"] is not None:
         height, width = said["rgb_hw"]
@@ -223,26 +226,26 @@ def _latency(payload: bytes) -> dict[str, Any]:
     return said
 
 
-def _depth(beside: dict[str, Recorded]) -> np.ndarray | None:
-    if (m := beside.get(channels.DEPTH.topic)) is None:
+def _depth(array_messages: dict[str, Recorded]) -> np.ndarray | None:
+    if (m := array_messages.get(channels.DEPTH.topic)) is None:
         return None
     header = messages.decode_image_header(m.payload)
-    # Millimetres as the sink wrote them: all of them are depths.
+    # Exact millimetres from the sink: every value is valid, so do not decode as invalid depth.
     exact = header.encoding == "16UC1"
     out = np.empty((header.height, header.width), np.uint16 if exact else np.float32)
     messages.decode_image_into(m.payload, header, out)
     return out * np.float32(0.001) if exact else out
 
 
-def _cloud(beside: dict[str, Recorded]) -> np.ndarray | None:
-    if (m := beside.get(channels.CLOUD.topic)) is None:
+def _cloud(array_messages: dict[str, Recorded]) -> np.ndarray | None:
+    if (m := array_messages.get(channels.CLOUD.topic)) is None:
         return None
     out = np.empty((len(m.payload) // 12, 3), np.float32)
     return out[: messages.decode_point_cloud_into(m.payload, out, whole=True)].copy()
 
 
-def _picture(beside: dict[str, Recorded]) -> np.ndarray | None:
-    if (m := beside.get(channels.PICTURE.topic)) is None:
+def _picture(array_messages: dict[str, Recorded]) -> np.ndarray | None:
+    if (m := array_messages.get(channels.PICTURE.topic)) is None:
         return None
     header = compressed.decode_compressed_header(m.payload)
     _check_pixels(header.height, header.width)

@@ -1,6 +1,6 @@
-"""Spans of the latency ring in the trace event format, which Perfetto and Chrome open.
+"""Spans of the latency ring in the trace event format, for Perfetto and Chrome.
 
-https://docs.google.com/document/d/1CvAClvFfyA5R-PhYUmn5OOQtYMH4h6I0nSsKchNAySU is its definition.
+https://docs.google.com/document/d/1CvAClvFfyA5R-PhYUmn5OOQtYMH4h6I0nSsKchNAySU defines the format.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ _US = 1e-3
 
 
 def trace_of(spans: Iterable[Span]) -> dict[str, Any]:
-    """Complete events in microseconds since the first: the loop's thread with ticks and their
-    stages, and a thread for each stage beside it.
+    """Return complete events in microseconds since the first.
 
-    Of what ran beside the loop only the time at which it was taken up is known, so that one span
-    may seem to begin before the last one ended: it is then shown to begin there.
+    The loop's thread has the ticks and their stages; each background stage has a thread. Of a
+    background stage only the time is known at which its result was used. A span that seems to begin
+    before the previous one ended is cut to begin there.
     """
     ordered = sorted(spans, key=lambda s: (s.begin_ns, -s.took_ns))
     first_ns = min((span.begin_ns for span in ordered), default=0)
@@ -53,15 +53,15 @@ def _names(threads: dict[str, int]) -> Iterable[dict[str, Any]]:
 
 
 def trace_bytes(spans: Iterable[Span]) -> bytes:
-    """`trace_of` as JSON."""
+    """Return `trace_of` as JSON."""
     return json.dumps(trace_of(spans), separators=(",", ":"), allow_nan=False).encode()
 
 
 class TracePage:
-    """`/trace`: what the ring of the running service holds.
+    """The page `/trace`: the latency ring of the running service.
 
     Attributes:
-        spans: see `edge.loop.latency.LatencyRing.spans`; None: there is no service yet.
+        spans: see `edge.loop.latency.LatencyRing.spans`; None before the service starts.
     """
 
     def __init__(self) -> None:

@@ -1,3 +1,4 @@
-"""Beside any ROS 2: a small rclpy node in the robot's own Python that passes messages, and the
-action NavigateToPose, between DDS and Zenoh. `process` prepares and watches it, `node` is it.
+"""Adapter for any ROS 2 system: passes messages and NavigateToPose between DDS and Zenoh.
+
+A small rclpy node runs in the robot's own Python. `process` starts and supervises it, `node` is it.
 """

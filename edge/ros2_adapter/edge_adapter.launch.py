@@ -1,6 +1,6 @@
-"""Starts the adapter with the robot: `ros2 launch edge_adapter.launch.py config:=my-robot.yaml`.
+"""Start the adapter with the robot: `ros2 launch edge_adapter.launch.py config:=my-robot.yaml`.
 
-It needs nothing of `edge` in ROS's Python, only the command, by default the one on the path.
+It imports nothing of `edge`, and runs the command `edge`, by default the one on the path.
 """
 
 from launch import LaunchDescription
@@ -9,7 +9,7 @@ from launch.substitutions import LaunchConfiguration
 
 
 def generate_launch_description():
-    """What `ros2 launch` asks for."""
+    """Return the launch description; called by `ros2 launch`."""
     return LaunchDescription(
         [
             DeclareLaunchArgument("config", description="configuration of edge, a YAML file"),

@@ -1,7 +1,7 @@
-"""`edge ros2-adapter`: starts the node in ROS's Python with its plan, and again when it fails.
+"""`edge ros2-adapter`: starts the node in ROS's Python with a plan, and restarts it if it fails.
 
-The node is another process because it needs another Python: the one that ROS 2 was built for, which
-has none of our packages. It gets a plan, so that the configuration is read in one place only.
+The node is a separate process because it needs the Python that ROS 2 was built for, which lacks our
+packages. It gets a plan, so that only this process reads the configuration.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ NODE, LAUNCH_FILE = HERE / "node", HERE / "edge_adapter.launch.py"
 
 _DEPTHS, _DEPTH = {"tf": 100, "tf_static": 100, "odom": 100, "map": 1}, 5
 _STOP_S = 5.0
-_LOOK_S = 0.2
+_POLL_S = 0.2
 _PAUSE_S, _LONGEST_PAUSE_S = 1.0, 30.0
-_SOUND_S = 60.0  # a node that ran so long begins anew with the short pause
+_STABLE_S = 60.0  # after this run time a restart begins with the short pause again
 
 
 def run(args: argparse.Namespace) -> int:
-    """The command; returns the exit code."""
+    """Run the command and return its exit code."""
     if args.launch_file:
         print(LAUNCH_FILE)
         return os.EX_OK
@@ -48,15 +48,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def make_plan(config: Config) -> dict[str, Any]:
-    """What the node needs to know, as JSON has it (see `edge.ros2_adapter.node`).
+    """Return the node's plan as JSON types (see `edge.ros2_adapter.node`).
 
     Raises:
-        ConfigError: the service would not hear what is passed.
+        ConfigError: the service would not receive the messages.
     """
     settings = config.ros2
     if config.source.kind != "ros2":
         raise ConfigError(
-            f"{config.at('source.kind')}: {config.source.kind} hears no robot: set ros2"
+            f"{config.at('source.kind')}: {config.source.kind} does not use ROS 2: set ros2"
         )
     if settings.via != "adapter":
         raise ConfigError(f"{config.at('ros2.via')}: {settings.via} needs no adapter: set adapter")
@@ -88,10 +88,10 @@ def make_plan(config: Config) -> dict[str, Any]:
 
 
 def command_of(config: Config) -> list[str]:
-    """What starts the node.
+    """Return the command that starts the node.
 
     Raises:
-        UnavailableError: a file that the configuration names is not there.
+        UnavailableError: a file in the configuration cannot be read.
     """
     adapter = config.ros2.adapter
     for key, path in (("python", adapter.python), ("setup", adapter.setup)):
@@ -100,16 +100,17 @@ def command_of(config: Config) -> list[str]:
     start = [adapter.python, "-u", str(NODE)]
     if adapter.setup is None:
         return start
-    # Setup files may read their input, and end with whatever their last command did.
+    # A setup file may read its input, and may return the status of its last command.
     script = f"source {shlex.quote(adapter.setup)} </dev/null; exec {shlex.join(start)}"
     return ["bash", "-c", script]
 
 
 def supervise(config: Config, stop: threading.Event) -> int:
-    """Keep the node running until `stop` is set; returns the exit code.
+    """Keep the node running until `stop` is set; return the exit code.
 
     Raises:
-        ConfigError, UnavailableError: nothing that a restart would mend.
+        ConfigError: see `make_plan`.
+        UnavailableError: a restart would not help.
     """
     plan, command, pause_s = make_plan(config), command_of(config), _PAUSE_S
     while not stop.is_set():
@@ -118,27 +119,27 @@ def supervise(config: Config, stop: threading.Event) -> int:
         if stop.is_set():
             break
         if code == os.EX_UNAVAILABLE:
-            error = "ros2-adapter: the node cannot run here: see what it said above"
+            error = "ros2-adapter: the node cannot run here: see its error above"
             raise UnavailableError(error)
-        pause_s = _PAUSE_S if time.monotonic() - begun_s > _SOUND_S else pause_s
+        pause_s = _PAUSE_S if time.monotonic() - begun_s > _STABLE_S else pause_s
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        log.warning("the node ended (%s): started again in %g s", how, pause_s)
+        log.warning("the node ended (%s): starting it again in %g s", how, pause_s)
         stop.wait(pause_s)
         pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
     return os.EX_OK
 
 
 def _run_node(command: list[str], plan: dict[str, Any], stop: threading.Event) -> int:
-    """Its exit code, once it has ended or `stop` is set and it was ended."""
+    """Run the node until it ends or `stop` is set; return its exit code."""
     environ = {k: v for k, v in os.environ.items() if not k.startswith("EDGE__")}
-    # A session of its own keeps the terminal's Ctrl-C for this process. Its input stays open: where
-    # it closes, the node ends, so that it outlives nobody.
+    # With its own session, Ctrl-C in a terminal reaches only this process. The node ends when its
+    # input closes, so it never outlives this process.
     node = subprocess.Popen(command, stdin=subprocess.PIPE, env=environ, start_new_session=True)
     try:
         with suppress(BrokenPipeError):
             node.stdin.write(json.dumps(plan).encode() + b"\n")
             node.stdin.flush()
-        while node.poll() is None and not stop.wait(_LOOK_S):
+        while node.poll() is None and not stop.wait(_POLL_S):
             pass
         node.terminate()
         with suppress(subprocess.TimeoutExpired):

@@ -1,6 +1,6 @@
-"""Where results go: every sink takes `edge.loop.result.TickResult`, by its name in `sinks:`.
+"""Sinks, which receive every `edge.loop.result.TickResult`; configured by name in `sinks:`.
 
-A new sink is a file with a class and a line in `REGISTRY`; one's own needs neither, only
+To add one, write a class in a new file and add a line to `REGISTRY`. A plugin needs only
 `module:Class` in the configuration (docs/sinks.md).
 """
 
@@ -18,11 +18,11 @@ REGISTRY = {
     "mcap": "edge.sinks.mcap:McapSink",
     "foxglove": "edge.sinks.foxglove:FoxgloveSink",
 }
-"""Imported only where they are named: a sink may need packages of its own."""
+"""Imported only if configured, because a sink may need extra packages."""
 
 
 def find_sinks(config: Config) -> list[Callable[..., Sink]]:
-    """What makes each sink that the configuration names, as `make(config=, session=)`.
+    """Return a factory of each configured sink: `make(config=, session=)`.
 
     Raises:
         ConfigError: see `edge.config.named.find_named`.

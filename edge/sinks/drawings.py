@@ -1,4 +1,4 @@
-"""What is drawn into the map for people: the robot's way, what was found, where it goes."""
+"""Map drawings for people: the driven path, detected objects and the goal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _WORDS: markers.RGBA = (1.0, 1.0, 1.0, 1.0)
 
 
 class Way:
-    """Where the robot has been: the last poses, some way apart, in a preallocated ring."""
+    """The driven path: the last poses, `apart_m` apart, in a preallocated ring."""
 
     def __init__(self, capacity: int = 2000, apart_m: float = 0.1) -> None:
         self._poses = np.zeros((capacity, 3))
@@ -35,7 +35,7 @@ class Way:
         self._n += 1
 
     def poses(self) -> np.ndarray:
-        """(n, 3) x, y, yaw, oldest first: a copy."""
+        """Return a copy of the poses, (n, 3) x, y, yaw, oldest first."""
         first = self._n % len(self._poses)
         if self._n <= len(self._poses):
             return self._poses[: self._n].copy()
@@ -45,7 +45,7 @@ class Way:
 def markers_of(
     frontiers_m: np.ndarray, instances: list[Instance], goal: Goal | None
 ) -> list[Marker]:
-    """What there is to draw: frontiers as spheres, things as cubes with their names, the goal."""
+    """Return markers: frontiers as spheres, objects as cubes with names, the goal as an arrow."""
     drawn = []
     if len(frontiers_m):
         points = np.zeros((len(frontiers_m), 3))

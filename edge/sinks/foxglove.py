@@ -1,7 +1,7 @@
-"""What a recording would hold, live to Foxglove: a WebSocket server of `foxglove-sdk`.
+"""Live view for Foxglove: the channels of a recording over a WebSocket server of `foxglove-sdk`.
 
-Only what somebody has subscribed to is copied and encoded, on a thread of the sink's own. Nobody
-is asked who they are: whoever reaches the port sees what the robot sees.
+Only subscribed channels are copied and encoded, on the sink's thread. There is no authentication:
+everyone who reaches the port sees what the robot sees.
 """
 
 from __future__ import annotations
@@ -22,23 +22,24 @@ from edge.text import one_line
 log = logging.getLogger("edge.sinks.foxglove")
 
 _CLOSE_S = 1.0
-_BACKLOG = 256  # messages that wait for a client; the oldest give way
+_BACKLOG = 256  # messages queued for a client; the oldest are dropped
 
 
 class FoxgloveSink:
     """Serves the channels of `edge.recording.channels`; no method blocks.
 
     Args:
-        host: others than this machine can reach any but a loopback address.
-        port: 0 takes a free one.
-        rgb_hz: of pictures, as JPEG.
+        config: the configuration.
+        host: address to listen on; other computers can reach any but a loopback address.
+        port: 0 chooses a free one.
+        rgb_hz: rate of images, sent as JPEG.
 
     Attributes:
-        port: that is listened on.
+        port: the port in use.
 
     Raises:
-        ConfigError: `foxglove-sdk` is not there.
-        UnavailableError: it cannot be listened on.
+        ConfigError: `foxglove-sdk` is not installed.
+        UnavailableError: cannot listen on the port.
     """
 
     def __init__(
@@ -62,22 +63,21 @@ class FoxgloveSink:
             self._server = foxglove.start_server(
                 name="edge", host=host, port=port, context=context, message_backlog_size=_BACKLOG
             )
-        except Exception as error:  # the SDK has a class of its own for it
+        except Exception as error:  # a private class of the SDK
             raise UnavailableError(
                 f"sinks: foxglove: cannot listen on {one_line(host)} port {port}: "
                 f"{one_line(error)}; set another port in its options"
             ) from None
         self.port = self._server.port
         if not is_loopback(host):
-            log.warning("foxglove: whoever reaches %s port %d sees what the robot sees", host,
+            log.warning("foxglove: anyone who reaches %s port %d sees what the robot sees", host,
                         self.port)  # fmt: skip
-        self._teller = Teller(config, rgb_hz, self._wanted)
+        self._encoder = Teller(config, rgb_hz, self._wanted)
         self._worker: Worker[Moment, None] = Worker("foxglove-sink", self._send)
 
     @staticmethod
     def check_options(host: str = "127.0.0.1", port: int = 8765, rgb_hz: float = 10.0) -> None:
-        """Refuse a port that is none, and an installation without the SDK; see
-        `edge.config.named`."""
+        """Raise an error for an invalid port or a missing SDK; see `edge.config.named`."""
         if type(port) is not int or not 0 <= port <= MOST_PORT:
             raise ConfigError(
                 f"sinks: foxglove: port: expected a number from 0 to {MOST_PORT}, got {port!r:.40}"
@@ -85,17 +85,17 @@ class FoxgloveSink:
         _sdk()
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
-        moment = self._teller.take(result)
+        """Copy the subscribed data; see `edge.loop.result.Sink`."""
+        moment = self._encoder.take(result)
         if moment.messages:
             self._worker.queue(moment)
 
     def status(self) -> dict[str, Any]:
-        """See `edge.loop.result.Sink`."""
+        """Return port and worker statistics; see `edge.loop.result.Sink`."""
         return {"port": self.port, **self._worker.stats.status()}
 
     def close(self) -> None:
-        """Let all clients go."""
+        """Disconnect all clients."""
         self._worker.close(_CLOSE_S)
         self._server.stop()
 
@@ -103,10 +103,10 @@ class FoxgloveSink:
         return bool(self._channels[channel].has_sinks())
 
     def _send(self, moment: Moment) -> None:
-        for told in self._teller.tell(moment):
-            payload = b"".join(told.payload)
-            self._channels[told.channel].log(payload, log_time=max(0, moment.now_ns))
-        self._teller.let_go(moment)
+        for message in self._encoder.tell(moment):
+            payload = b"".join(message.payload)
+            self._channels[message.channel].log(payload, log_time=max(0, moment.now_ns))
+        self._encoder.let_go(moment)
 
 
 def _sdk() -> Any:

@@ -1,7 +1,7 @@
-"""Records a run: what the service saw and said, and all that is needed to replay it.
+"""Sink that records a run: inputs, decisions, and everything that a replay needs.
 
-The loop only copies; files are written on a thread of the sink's own, from a queue of bounded size.
-What does not fit is dropped, pictures, depth and clouds first, and counted.
+The loop only copies; the sink's thread writes files, from a queue of limited size. If the queue is
+full, images, depth and clouds are dropped first, and counted.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from edge.recording.rolling import Limits, Rolling
 from edge.sinks.telling import Moment, Teller, Told
 from edge.text import one_line
 
-PAGE_NS = 500_000_000  # a page is not held back for longer
+PAGE_NS = 500_000_000  # longest delay of a journal page
 BATCH = 8
-"""Moments that are written at once, after a tick: in one go that costs half as much as one by one,
-and the loop rests meanwhile."""
+"""Ticks that are written together, after a tick: half the cost of single writes, at a time when the
+loop is idle."""
 _CLOSE_S = 5.0
 
 
 class _Item(NamedTuple):
-    """What waits to be written; `bytes` of it are arrays."""
+    """One entry of the queue; `bytes` is the size of its arrays."""
 
     moment: Moment
     inputs: tuple[Input, ...]
@@ -49,14 +49,18 @@ class McapSink:
     """Writes MCAP files into a folder; no method blocks.
 
     Args:
-        folder: made if need be; `~` is the home directory.
-        max_mb, max_s, keep_mb, sync_s: see `edge.recording.rolling.Limits`.
-        rgb_hz: of pictures, as JPEG; 0: none.
+        config: the configuration.
+        folder: created if missing; `~` is the home directory.
+        max_mb: see `edge.recording.rolling.Limits`.
+        max_s: see `Limits`.
+        keep_mb: see `Limits`.
+        sync_s: see `Limits`.
+        rgb_hz: rate of images, stored as JPEG; 0: none.
         compression: `none`, `lz4` or `zstd`.
-        pending_mb: of arrays that wait to be written.
+        pending_mb: limit of arrays that wait to be written.
 
     Raises:
-        ConfigError: an option cannot be used.
+        ConfigError: an option is invalid, or the folder cannot be written.
     """
 
     def __init__(
@@ -76,7 +80,7 @@ class McapSink:
         try:
             make_writable(where)
         except OSError as error:
-            if error.errno not in (errno.ENOSPC, errno.EDQUOT):  # there may be room later
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):  # there may be space later
                 why = f"{one_line(folder)}: {error.strerror}"
                 raise ConfigError(f"sinks: mcap: folder: {why}") from None
         self._config = config
@@ -85,15 +89,15 @@ class McapSink:
             where, Limits(max_mb, max_s, keep_mb, sync_s), compression,
             self._metadata,
         )  # fmt: skip
-        self._teller = Teller(config, rgb_hz)
+        self._encoder = Teller(config, rgb_hz)
         self._inputs: list[Input] = []
-        self._page_ns: int | None = None  # when the page at hand was begun
-        self._held_back: TickResult | None = None  # the last of it
-        self._rig: dict[str, Any] = {}  # as it was written last
+        self._page_ns: int | None = None  # start of the current page
+        self._held_back: TickResult | None = None  # its last result
+        self._rig: dict[str, Any] = {}  # as last written
         self._most_bytes, self._pending_bytes = int(pending_mb * 1e6), 0
-        self._hand = threading.Lock()  # on what is pending
+        self._lock = threading.Lock()  # for pending bytes
         self._dropped = {"arrays": 0, "moments": 0}
-        # In lockstep time stands still until all is written, so that nothing is dropped.
+        # In lockstep the simulated time waits for writing, so nothing is dropped.
         self._lockstep = config.loop.lockstep
         self._failed, self._problem = 0, ""
         self._batch: list[_Item] = []
@@ -106,13 +110,13 @@ class McapSink:
 
     @classmethod
     def check_options(cls, **options: Any) -> None:
-        """Refuse numbers and names that cannot be; see `edge.config.named`."""
+        """Raise an error for invalid numbers or names; see `edge.config.named`."""
         bound = inspect.signature(cls).bind(config=None, **options)
         bound.apply_defaults()
         _check(**{k: v for k, v in bound.arguments.items() if k not in ("config", "folder")})
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
+        """Queue the result for writing; see `edge.loop.result.Sink`."""
         self._inputs += result.inputs
         if self._page_ns is None:
             self._page_ns = result.now_ns
@@ -124,10 +128,10 @@ class McapSink:
 
     def _queue(self, result: TickResult) -> None:
         room = self._pending_bytes < self._most_bytes
-        moment = self._teller.take(result, arrays=room)
+        moment = self._encoder.take(result, arrays=room)
         self._dropped["arrays"] += result.observation is not None and not room
         size = moment.bytes
-        with self._hand:
+        with self._lock:
             self._pending_bytes += size
         self._batch.append(_Item(moment, tuple(self._inputs), result, size))
         self._inputs, self._page_ns, self._held_back = [], None, None
@@ -139,8 +143,11 @@ class McapSink:
         self._worker.queue(batch)
 
     def status(self) -> dict[str, Any]:
-        """See `edge.loop.result.Sink`; `failed` and `messages` count those that were not written,
-        and that were; `dropped` the moments of which arrays were, or all was."""
+        """Return file and counters; see `edge.loop.result.Sink`.
+
+        `messages` were written, `failed` were not; `dropped` counts ticks without their arrays, or
+        dropped entirely.
+        """
         files = self._files
         return {
             "file": files.name,
@@ -152,7 +159,7 @@ class McapSink:
         }
 
     def close(self) -> None:
-        """Write what is left, and complete the file."""
+        """Write what is pending and complete the file."""
         if self._held_back is not None:
             self._queue(self._held_back)
         self._flush()
@@ -161,42 +168,44 @@ class McapSink:
 
     def _drop(self, batch: list[_Item]) -> None:
         self._dropped["moments"] += len(batch)
-        self._let_go(sum(item.bytes for item in batch))
+        self._release(sum(item.bytes for item in batch))
 
-    def _let_go(self, size: int) -> None:
-        with self._hand:
+    def _release(self, size: int) -> None:
+        with self._lock:
             self._pending_bytes -= size
 
     # -- on the worker's thread ------------------------------------------------------------------
 
     def _write(self, batch: list[_Item]) -> None:
-        """Make all before any is written: between images, which push all else out of the caches,
-        what is small would cost twice as much."""
+        """Encode all items, then write them.
+
+        Encoding between image writes, which flush the CPU caches, would be twice as slow.
+        """
         made = [list(self._made(item)) for item in batch]
         for item, messages in zip(batch, made, strict=True):
-            with self._outlived():
+            with self._contained():
                 self._files.ready()
-                for told in messages:
+                for message in messages:
                     self._files.add(
-                        told.channel, item.moment.now_ns, told.stamp_ns, *told.payload,
-                        sequence=told.sequence,
+                        message.channel, item.moment.now_ns, message.stamp_ns, *message.payload,
+                        sequence=message.sequence,
                     )  # fmt: skip
-            self._teller.let_go(item.moment)
-            self._let_go(item.bytes)
+            self._encoder.let_go(item.moment)
+            self._release(item.bytes)
         self._files.sync()
 
     def _made(self, item: _Item) -> Iterator[Told]:
-        """The messages of a moment, the journal's page last: by then its arrays are there."""
+        """Yield the messages of a tick, the journal's page last, since its arrays come first."""
         moment = item.moment
-        with self._outlived():  # what cannot be shown must not cost what is needed to replay it
-            yield from self._teller.tell(moment)
-        with self._outlived():
+        with self._contained():  # an error of the display must not lose data for the replay
+            yield from self._encoder.tell(moment)
+        with self._contained():
             page = journal.encode_page(item.inputs, item.result, moment.seen, self._rig)
             yield Told(channels.JOURNAL, moment.now_ns, (page,))
 
     @contextmanager
-    def _outlived(self) -> Iterator[None]:
-        """A failure costs what it was at, and not what follows."""
+    def _contained(self) -> Iterator[None]:
+        """Count an error and continue with what follows."""
         try:
             yield
         except Exception as error:

@@ -1,8 +1,8 @@
-"""A client of Nav2's action NavigateToPose: goals out, and what becomes of them back.
+"""Client of Nav2's action NavigateToPose: sends goals and reports their progress.
 
-Nav2 takes a new goal in the place of the old by itself; a server that does not, and drives on to
-the old one, is told to cancel that. A goal's end is its result, which says why as well; where that
-is lost, as when a router was started anew, the action's `status` has to do.
+Nav2 replaces an old goal by a new one itself. If a server still drives to the old one, that goal is
+cancelled. A goal ends with its result, which has the reason. If the result is lost, for example
+because a router restarted, the action's `status` topic is used.
 """
 
 from __future__ import annotations
@@ -27,27 +27,28 @@ log = logging.getLogger("edge.sinks.ros2")
 
 AGAIN_S = 0.5
 RESULT_LATE_S = 1.0
-GONE_S = 3.0  # a router that is started anew is back by then
-PATIENCE_S = 5.0  # before it is told that there is no action
-REPLACED_S = 0.5  # what drives to one goal at a time has let go of the one before by then
+GONE_S = 3.0  # a restarted router is back within this time
+PATIENCE_S = 5.0  # before a warning that the action is missing
+REPLACED_S = 0.5  # a server with one goal at a time has stopped the previous one by then
 _ACCEPT_S = 5.0
 _RESULT_S = 600.0
 _KEPT = 16
-_STATES = {navigation.CANCELED: "cancelled", navigation.ABORTED: "given up"}
+_STATES = {navigation.CANCELED: "cancelled", navigation.ABORTED: "aborted"}
 
 
 @dataclass(slots=True)
 class _Driven:
-    """The goal that Nav2 is to have.
+    """The goal that Nav2 should drive to.
 
     Attributes:
-        stage: `waiting`: to be sent; `sent`: not answered yet; `driving`: accepted.
-        answer: what is waited for: whether it is accepted, then its result.
-        due_s: when to ask again where no answer is on its way.
-        since_s: when it was given.
-        lost_s: since when the action is not there; 0: it is.
-        status: how it ended, as the action's `status` says, at `ended_s`; 0 before that.
-        unwanted: to be cancelled as soon as Nav2 has it.
+        stage: `waiting`: not sent; `sent`: not answered; `driving`: accepted.
+        answer: pending reply: first to the request, then the result.
+        due_s: when to request again if no reply is pending.
+        since_s: when the goal was given.
+        lost_s: since when the action has been gone; 0: it is there.
+        status: how the goal ended by the `status` topic, at `ended_s`; 0: not ended.
+        unwanted: True if it is to be cancelled as soon as Nav2 has accepted it.
+        recoveries: recoveries reported so far.
     """
 
     goal: Goal
@@ -64,18 +65,19 @@ class _Driven:
 
 
 class Navigator:
-    """See the module; for one thread, which calls `beat` again and again.
+    """Sends goals as the module's docstring says; for one thread, which calls `beat` repeatedly.
 
     Args:
+        node: the ROS 2 node.
         action: its ROS name.
-        frame_id: that goals are in.
-        tell: called with what is known of a goal, as the loop wants it.
+        frame_id: frame of the goals.
+        tell: called with each new status of a goal.
     """
 
     def __init__(
         self, node: Node, action: str, frame_id: str, tell: Callable[[GoalStatus], None]
     ) -> None:
-        self._action, self._frame_id, self._tell = action, frame_id, tell
+        self._action, self._frame_id, self._report = action, frame_id, tell
         below = f"{action}/_action"
         kind = NAVIGATE_TO_POSE
         self._send = node.client(f"{below}/send_goal", f"{kind}_SendGoal", _ACCEPT_S)
@@ -86,26 +88,26 @@ class Navigator:
             f"{below}/status", ("action_msgs/msg/GoalStatusArray",), _KEPT
         )
         self._driven: _Driven | None = None
-        self._replaced: deque[bytes] = deque(maxlen=_KEPT)  # by newer ones
-        self._let_go_s = math.inf  # when whichever of them is still driven to is cancelled
+        self._replaced: deque[bytes] = deque(maxlen=_KEPT)  # goals replaced by newer ones
+        self._cancel_replaced_s = math.inf  # when to cancel those that are still active
         self._malformed = 0
         self._waiting_told = False
 
     def served(self) -> bool:
-        """Whether somebody takes goals."""
+        """Return True if the action has a server."""
         return self._send.served()
 
     def send(self, goal: Goal) -> None:
-        """Drive there, and no more to where it was before."""
+        """Drive to this goal, and no longer to the previous one."""
         if self._driven is not None and self._driven.stage != "waiting":
             self._replaced.append(self._driven.goal_id)
-            self._let_go_s = math.inf
+            self._cancel_replaced_s = math.inf
         self._driven = _Driven(goal)
         self.beat()
 
     def cancel(self) -> None:
-        """Drive nowhere."""
-        self._let_go()
+        """Cancel the current goal."""
+        self._cancel_replaced()
         driven = self._driven
         if driven is None:
             return
@@ -113,24 +115,24 @@ class Navigator:
             self._take_back(driven)
         elif driven.stage == "sent":
             driven.unwanted = True
-            # At once as well, for a service that ends: Nav2 may have it without having said so.
+            # Also at once, in case this service ends: Nav2 may have accepted the goal unnoticed.
             self._call_off(driven.goal_id)
         else:
             self._driven = None
 
     def beat(self) -> None:
-        """Look what came; ask again where nothing is on its way."""
+        """Process what arrived; request again if no reply is pending."""
         for _, payload in self._feedback.take():
-            self._attempt(self._feed_back, payload.to_bytes())
+            self._guarded(self._feed_back, payload.to_bytes())
         for _, payload in self._status.take():
-            self._attempt(self._note_status, payload.to_bytes())
+            self._guarded(self._note_status, payload.to_bytes())
         if self._driven is not None:
-            self._attempt(_STEPS[self._driven.stage], self, self._driven)
-        if time.monotonic() >= self._let_go_s:
-            self._let_go()
+            self._guarded(_STEPS[self._driven.stage], self, self._driven)
+        if time.monotonic() >= self._cancel_replaced_s:
+            self._cancel_replaced()
 
-    def _attempt(self, step: Callable[..., None], *arguments: object) -> None:
-        """What is malformed is counted, and costs nothing else that came."""
+    def _guarded(self, step: Callable[..., None], *arguments: object) -> None:
+        """Run a step; count a malformed message, so that it affects no other."""
         try:
             step(*arguments)
         except DecodeError as error:
@@ -150,7 +152,7 @@ class Navigator:
         if now_s < driven.due_s:
             return
         driven.due_s, self._waiting_told = now_s + AGAIN_S, False
-        # A new name each time: who has seen one before refuses it.
+        # A new id for each attempt: a server refuses an id that it knows.
         driven.goal_id = uuid.uuid4().bytes
         request = navigation.encode_send_goal(
             driven.goal_id, driven.goal.stamp_ns, driven.goal.pose, self._frame_id
@@ -164,7 +166,7 @@ class Navigator:
                 driven.stage = "waiting"
                 self._driven = None if driven.unwanted else driven
             return
-        self._let_go_s = time.monotonic() + REPLACED_S
+        self._cancel_replaced_s = time.monotonic() + REPLACED_S
         if not navigation.decode_send_goal_answer(payload):
             self._settle(driven, "failed", "refused by navigate_to_pose")
             return
@@ -173,7 +175,7 @@ class Navigator:
         if driven.unwanted:
             self._take_back(driven)
             return
-        self._tell(GoalStatus(driven.goal.stamp_ns, "accepted"))
+        self._report(GoalStatus(driven.goal.stamp_ns, "accepted"))
         self._step_driving(driven)
 
     def _step_driving(self, driven: _Driven) -> None:
@@ -195,7 +197,7 @@ class Navigator:
         elif now_s - driven.lost_s > GONE_S:
             self._settle(driven, "failed", "navigate_to_pose is gone")
 
-    # -- what comes -------------------------------------------------------------------------------
+    # -- messages from Nav2 -----------------------------------------------------------------------
 
     def _feed_back(self, payload: bytes) -> None:
         said, driven = navigation.decode_feedback(payload), self._driven
@@ -204,7 +206,7 @@ class Navigator:
         if said.recoveries > driven.recoveries:
             driven.recoveries = said.recoveries
             reason = f"{said.recoveries} recoveries, {said.distance_m:.1f} m left"
-            self._tell(GoalStatus(driven.goal.stamp_ns, "accepted", reason))
+            self._report(GoalStatus(driven.goal.stamp_ns, "accepted", reason))
 
     def _note_status(self, payload: bytes) -> None:
         driven = self._driven
@@ -223,24 +225,24 @@ class Navigator:
             words = f": {one_line(result.error)}" if result.error else ""
             self._settle(driven, "failed", f"{_STATES[result.status]} by Nav2{code}{words}")
         else:
-            self._settle(driven, "failed", f"Nav2 knows nothing of it (status {result.status})")
+            self._settle(driven, "failed", f"unknown to Nav2 (status {result.status})")
 
     def _settle(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
         self._driven = None
         if not driven.unwanted:
-            self._tell(GoalStatus(driven.goal.stamp_ns, state, reason))
+            self._report(GoalStatus(driven.goal.stamp_ns, state, reason))
 
     def _take_back(self, driven: _Driven) -> None:
-        """Nobody waits for what Nav2 says to it: a robot that drives on is told of by its poses."""
+        """Cancel a goal without waiting for the answer: poses show if the robot drives on."""
         self._driven = None
         self._call_off(driven.goal_id)
 
-    def _let_go(self) -> None:
-        """Call off what newer goals took the place of, and is still driven to for all we know."""
+    def _cancel_replaced(self) -> None:
+        """Cancel replaced goals that may still be active."""
         for goal_id in self._replaced:
             self._call_off(goal_id)
         self._replaced.clear()
-        self._let_go_s = math.inf
+        self._cancel_replaced_s = math.inf
 
     def _call_off(self, goal_id: bytes) -> None:
         self._cancel.ask(navigation.encode_cancel(goal_id))

@@ -1,13 +1,18 @@
-"""How often a sink sends what."""
+"""Rate limits of a sink's messages."""
 
 from __future__ import annotations
 
 
 class Pace:
-    """Says when each of several things is due.
+    """Limits the rate of several kinds of messages.
 
     Args:
-        hz: by name, how often it is due at most.
+        hz: highest rate of each, by name.
+
+    Example:
+        >>> pace = Pace(map=2.0)
+        >>> pace.is_due("map", 0), pace.is_due("map", 100_000_000)
+        (True, False)
     """
 
     def __init__(self, **hz: float) -> None:
@@ -15,7 +20,7 @@ class Pace:
         self._last_ns: dict[str, int] = {}
 
     def is_due(self, name: str, now_ns: int) -> bool:
-        """Whether it is; from then on it was sent at `now_ns`."""
+        """Return True if a message is due, and record that it was sent at `now_ns`."""
         last_ns = self._last_ns.get(name)
         # A clock that was set back must not silence the sink.
         if last_ns is not None and 0 <= now_ns - last_ns < self._period_ns[name]:

@@ -1,8 +1,7 @@
-"""Goals, map, the robot's way, a task's trajectory and what was found, into a robot's ROS 2 graph
-(`ros2.via`).
+"""Sink for a robot's ROS 2 graph (`ros2.via`): goals, map, path, trajectory and markers.
 
-Answers of the action NavigateToPose go out as `goal_status`, as any controller's do: whatever the
-source, it hears them.
+Answers of the action NavigateToPose are published as `goal_status`, as any controller does, so
+every source receives them.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ _CLOSE_S = 1.0
 
 
 class Ros2Sink:
-    """Speaks to the graph of `ros2`; no method blocks."""
+    """Publishes to the graph of `ros2`; no method blocks."""
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
         settings = self._settings = config.ros2
@@ -51,8 +50,8 @@ class Ros2Sink:
         else:
             self._answers = declare_publisher(session, topics.GOAL_STATUS, config.zenoh)
             action = settings.topic("navigate_to_pose")
-            self._navigator = Navigator(self._node, action, self._frame, self._tell)
-        self._unheard: Goal | None = None
+            self._navigator = Navigator(self._node, action, self._frame, self._send_status)
+        self._pending_goal: Goal | None = None
         self._way = Way()
         self._driving = False
         self._trajectory: Refined | None = None
@@ -65,7 +64,7 @@ class Ros2Sink:
     # -- on the loop's thread -------------------------------------------------------------------
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
+        """Queue what changed; see `edge.loop.result.Sink`."""
         for goal in result.goals:
             self._driving = True
             self._worker.submit(("goal", goal), key="goal")
@@ -89,11 +88,11 @@ class Ros2Sink:
             self._worker.submit(("drawings", drawn), key="drawings")
 
     def status(self) -> dict[str, Any]:
-        """See `edge.loop.result.Sink`."""
+        """Return worker statistics; see `edge.loop.result.Sink`."""
         return self._worker.stats.status()
 
     def close(self) -> None:
-        """Take the goal back, and send what is left."""
+        """Cancel the goal, and send what is pending."""
         self._worker.submit(("goal", None), key="goal")
         if self._worker.close(_CLOSE_S):
             self._node.close()
@@ -120,7 +119,7 @@ class Ros2Sink:
 
     def _drive(self, goal: Goal | None) -> None:
         if self._navigator is None:
-            self._unheard = goal
+            self._pending_goal = goal
         elif goal is None:
             self._navigator.cancel()
         else:
@@ -131,12 +130,12 @@ class Ros2Sink:
         self._node.look()
         if self._navigator is not None:
             self._navigator.beat()
-        # To a planner each message is a new goal: it is sent once, when somebody hears it.
-        elif self._unheard is not None and self._goal is not None and self._goal.heard():
-            goal, self._unheard = self._unheard, None
+        # A planner treats each message as a new goal: send once, when there is a subscriber.
+        elif self._pending_goal is not None and self._goal is not None and self._goal.heard():
+            goal, self._pending_goal = self._pending_goal, None
             self._goal.put(messages.encode_pose_stamped(goal.stamp_ns, goal.pose, self._frame))
 
-    def _tell(self, answer: GoalStatus) -> None:
+    def _send_status(self, answer: GoalStatus) -> None:
         said = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
         self._answers.put(json.dumps(said).encode())
 

@@ -1,7 +1,7 @@
-"""What the service saw and said, as messages that Foxglove and ROS 2 know.
+"""Encoder of results as messages that Foxglove and ROS 2 can display.
 
-A `Teller` takes what is needed from a result on the loop's thread, and makes messages of it on
-another. A recording and a live view have the same channels.
+A `Teller` copies the needed data on the loop's thread and encodes them on another. A recording and
+a live view have the same channels.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from edge.types import Detections, Observation
 
 STATUS_HZ = LATENCY_HZ = DRAWN_HZ = INFO_HZ = 1.0
 MOST_MAP_HZ = 1.0
-"""A map is as large as some frames of depth."""
+"""Limit, because a map is as large as several depth images."""
 SHOWN_HZ = 10.0
-"""Of pose, transforms and boxes: as often as people can follow."""
+"""Rate of pose, transforms and boxes: enough for people."""
 TRAJECTORY_HZ = 0.2
-"""A trajectory may be long; it is told as well when it changes."""
+"""A trajectory may be long; it is also sent when it changes."""
 QUALITY = 85
 CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
 _SPARE = 16
@@ -52,9 +52,9 @@ _NOTHING = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
 
 
 class Told(NamedTuple):
-    """One message; `stamp_ns` is what it is about, `sequence` the observation's number.
+    """One encoded message; `stamp_ns` is the time of its data, `sequence` the observation's number.
 
-    Its payload comes in parts, since pixels and points are copied by whoever keeps them.
+    The payload has several parts, so that the writer copies pixels and points only once.
     """
 
     channel: Channel
@@ -64,7 +64,7 @@ class Told(NamedTuple):
 
 
 class _Later(NamedTuple):
-    """A message that is yet to be made, by any thread."""
+    """A message that is not encoded yet; any thread may do it."""
 
     channel: Channel
     stamp_ns: int
@@ -74,12 +74,14 @@ class _Later(NamedTuple):
 
 @dataclass(frozen=True)
 class Moment:
-    """What is to be told of a result.
+    """The data of one result to encode.
 
     Attributes:
+        now_ns: loop time of the result.
         seen: the observation without its arrays; None: there was none.
-        arrays: copies of those that are wanted, by the observation's fields; depth as uint16
-            millimetres where these say exactly the same.
+        arrays: copies of the wanted arrays, by the observation's fields; depth as uint16
+            millimetres if these are exact.
+        messages: the messages to encode.
     """
 
     now_ns: int
@@ -89,16 +91,17 @@ class Moment:
 
     @property
     def bytes(self) -> int:
-        """Of the arrays."""
+        """Size of the arrays."""
         return sum(array.nbytes for array in self.arrays.values())
 
 
 class Teller:
-    """See the module; `take` is for the loop's thread, `tell` for another.
+    """Encodes results: `take` is for the loop's thread, `tell` for another.
 
     Args:
-        rgb_hz: of pictures, as JPEG; depth and clouds are told of every observation.
-        wanted: whether anybody wants what comes over a channel; may be called by any thread.
+        config: the configuration.
+        rgb_hz: rate of images, as JPEG; depth and clouds are encoded for every observation.
+        wanted: returns True if a channel has a receiver; called by any thread.
     """
 
     def __init__(
@@ -116,34 +119,35 @@ class Teller:
         self._way = Way()
         self._mission: tuple[str, str, str] | None = None
         self._trajectory: Refined | None = None
-        self._spans_ns = 0  # told up to here
-        self._spare: deque[np.ndarray] = deque(maxlen=_SPARE)  # for depth, of both threads
+        self._spans_ns = 0  # spans are sent up to here
+        self._spare: deque[np.ndarray] = deque(maxlen=_SPARE)  # depth buffers, of both threads
 
     def take(self, result: TickResult, arrays: bool = True) -> Moment:
-        """What is to be told of a result; copies what the source will write over.
+        """Copy the data of a result that the source will overwrite.
 
         Args:
-            arrays: False: without pictures, depth and clouds.
+            result: the result.
+            arrays: False to leave out images, depth and clouds.
         """
         if result.pose is not None:
             self._way.add(result.pose)
-        told: list[_Later] = []
+        pending: list[_Later] = []
         seen, kept = result.observation, {}
         if seen is not None:
             kept = self._arrays(seen, result.now_ns) if arrays else {}
             seen = replace(seen, slot=None, **_NO_ARRAYS)
             if self._pace.is_due("pose", result.now_ns) or "rgb" in kept:
-                told += _of_pose(seen, "cloud_m" in kept)
+                pending += _of_pose(seen, "cloud_m" in kept)
             if seen.camera is not None and self._pace.is_due("info", result.now_ns):
-                told.append(_of_camera(seen.stamp_ns, seen.camera))
-            told += _of_arrays(seen, kept)
+                pending.append(_of_camera(seen.stamp_ns, seen.camera))
+            pending += _of_arrays(seen, kept)
         if result.detections is not None and self._pace.is_due("boxes", result.now_ns):
-            told.append(_of_detections(result.detections))
-        told += self._of_result(result, result.now_ns)
-        return Moment(result.now_ns, seen, kept, told)
+            pending.append(_of_detections(result.detections))
+        pending += self._of_result(result, result.now_ns)
+        return Moment(result.now_ns, seen, kept, pending)
 
     def _arrays(self, seen: Observation, now_ns: int) -> dict[str, np.ndarray]:
-        """See `Moment.arrays`."""
+        """Return copies of the wanted arrays; see `Moment.arrays`."""
         there = {
             "rgb": (seen.rgb, channels.PICTURE),
             "depth_m": (seen.depth_m, channels.DEPTH),
@@ -158,8 +162,11 @@ class Teller:
         }
 
     def _depth(self, depth_m: np.ndarray) -> np.ndarray:
-        """A copy: as millimetres half the bytes, and they shrink more. It costs no more here, where
-        the map has just read it, than to copy it."""
+        """Copy depth, as exact millimetres if possible.
+
+        These take half the bytes and compress better. The conversion costs as much as a copy, since
+        the map has just read the array.
+        """
         mm = self._spare.pop() if self._spare else _NO_DEPTH
         if mm.shape != depth_m.shape:
             mm = np.empty(depth_m.shape, np.uint16)
@@ -203,8 +210,7 @@ class Teller:
         yield from self._of_task(result, now_ns)
 
     def _of_task(self, result: TickResult, now_ns: int) -> Iterator[_Later]:
-        """The trajectory when it changes, and for who comes later, now and then; an empty one when
-        there is none any more."""
+        """Yield the trajectory if it changed, and now and then; an empty one after its end."""
         task = result.task()
         refined = None if task is None else task.refined
         due = refined is not None and self._pace.is_due("trajectory", now_ns)
@@ -213,15 +219,14 @@ class Teller:
             yield _Later(channels.TRAJECTORY, now_ns, partial(path_message, refined, now_ns))
 
     def _spans(self, result: TickResult) -> bytes:
-        """Those that came since the last were told."""
+        """Encode the spans since the last call."""
         spans = result.spans(self._spans_ns)
         ends_ns = [s.begin_ns + (0 if s.in_tick else s.took_ns) for s in spans]
         self._spans_ns = max(ends_ns, default=self._spans_ns)
         return json_bytes({"spans": spans})
 
     def tell(self, moment: Moment) -> Iterator[Told]:
-        """The messages of a moment, in the order in which things happened; their payloads hold
-        until the moment is let go."""
+        """Yield the messages in the order of events; payloads are valid until `let_go`."""
         for channel, stamp_ns, encode, sequence in moment.messages:
             if self._wanted(channel):
                 made = encode()
@@ -229,14 +234,14 @@ class Teller:
                 yield Told(channel, stamp_ns, payload, sequence)
 
     def let_go(self, moment: Moment) -> None:
-        """Nobody reads its payloads any more: its arrays may be used again."""
+        """Release a moment: its arrays may be reused."""
         depth = moment.arrays.pop("depth_m", None)
         if depth is not None and depth.dtype == np.uint16:
             self._spare.append(depth)
 
 
 def _of_pose(seen: Observation, cloud: bool) -> Iterator[_Later]:
-    """Where the robot is, and all its sensors."""
+    """Yield the pose of the robot and of its sensors."""
     stamp_ns, T = seen.stamp_ns, seen.T_map_base
     yield _Later(
         channels.ODOMETRY, stamp_ns, partial(messages.encode_odometry, stamp_ns, T, 0.0, 0.0)
@@ -255,7 +260,7 @@ def _of_camera(stamp_ns: int, camera: CameraModel) -> _Later:
 
 
 def _of_arrays(seen: Observation, arrays: dict[str, np.ndarray]) -> Iterator[_Later]:
-    """What the sensors measured."""
+    """Yield the messages of the arrays."""
     stamp_ns, n = seen.stamp_ns, seen.seq & 0xFFFFFFFF
     for name, array in arrays.items():
         channel, frame, encode = _ENCODERS[name]
@@ -276,7 +281,7 @@ def _of_detections(found: Detections) -> _Later:
 
 
 def _boxes(stamp_ns: int, found: Detections) -> bytes:
-    """foxglove.ImageAnnotations."""
+    """Encode foxglove.ImageAnnotations."""
     at = _time(stamp_ns)
     outlines, words = [], []
     for (x0, y0, x1, y1), score, k in zip(
@@ -295,7 +300,7 @@ def _boxes(stamp_ns: int, found: Detections) -> bytes:
 
 
 def _log(now_ns: int, text: str) -> bytes:
-    """foxglove.Log."""
+    """Encode foxglove.Log."""
     return json_bytes({
         "timestamp": _time(now_ns), "level": _INFO, "message": one_line(text, 1000),
         "name": "edge", "file": "", "line": 0,

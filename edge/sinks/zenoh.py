@@ -1,11 +1,10 @@
-"""Goals, map, mission, trajectory, status and latency over Zenoh.
+"""Sink for Zenoh: goals, map, mission, trajectory, status and latency.
 
-The loop only hands things to a worker; encoding and sending happen on the worker's thread.
-A goal goes out every 0.5 s until it is answered, then every second until it is settled, so that a
-controller that was behind or starts anew finds it. The mission goes out when it changes and every
-second, so that whoever joins late learns of it within a second; nothing needs to be asked for. A
-task's trajectory, which may be long, goes out when it changes and every five seconds, an empty one
-where there is none any more.
+The loop only queues data; a worker thread encodes and sends them. A goal is repeated every 0.5 s
+until it is acknowledged, then every second until it is settled, so that a slow or restarted
+controller receives it. The mission is sent when it changes and every second, so a late subscriber
+has it within a second. A task's trajectory, which may be long, is sent when it changes and every
+five seconds; an empty one is sent after its end.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ WRITTEN = tuple(topic for topic in topics.ALL if topic.writer == "service")
 
 @dataclass(slots=True)
 class _Repeated:
-    """Something that is sent again; touched by the worker's thread only."""
+    """A message that is repeated; used by the worker's thread only."""
 
     payload: bytes
     period_s: float
@@ -51,10 +50,10 @@ class _Repeated:
 
 
 class ZenohSink:
-    """Publishes what the service writes; no method blocks.
+    """Publishes the topics of the service; no method blocks.
 
-    In lockstep everything leaves in order and nothing is dropped, so that whoever sees a tick has
-    the goal and the map that came with it.
+    In lockstep all messages are sent in order and none is dropped, so that the receiver of a tick
+    has the goal and the map of that tick.
     """
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
@@ -71,8 +70,8 @@ class ZenohSink:
             "goal": UNANSWERED_S, "mission": MISSION_S, "trajectory": TRAJECTORY_S,
         }  # fmt: skip
         if lockstep:
-            # The simulated clock stands still until the controller, which may come late, has the
-            # tick, and before it the map.
+            # Simulated time waits until the controller, which may start late, has received the tick
+            # and, before it, the map.
             self._repeat_s["tick"] = UNANSWERED_S
         self._last_map = b""
         self._pace = Pace(
@@ -85,7 +84,7 @@ class ZenohSink:
     # -- on the loop's thread -------------------------------------------------------------------
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
+        """Queue what changed; see `edge.loop.result.Sink`."""
         for answer in result.answers:
             self._worker.queue(("answered", (answer.stamp_ns, answer.state != "accepted")))
         for goal in result.goals:
@@ -109,25 +108,27 @@ class ZenohSink:
             self._put("tick", result.observation.stamp_ns)
 
     def _map_of(self, result: TickResult) -> Callable[[], Grid]:
-        """Copying a large map takes too long for a tick: the worker's thread does it. In lockstep
-        it is done at once, since the map must be the one of this tick."""
+        """Return a function that copies the map on the worker's thread, as it is slow.
+
+        In lockstep the map is copied now, since it must be the one of this tick.
+        """
         if not self._lockstep:
             return result.snapshot
         taken = result.snapshot()
         return lambda: taken
 
     def status(self) -> dict[str, Any]:
-        """See `edge.loop.result.Sink`."""
+        """Return worker statistics; see `edge.loop.result.Sink`."""
         return self._worker.stats.status()
 
     def close(self) -> None:
-        """Send what is left; gives up after a second, for a stopped peer may block lockstep."""
+        """Send what is pending, for at most a second: a stopped peer may block lockstep."""
         if self._worker.close(_CLOSE_S):
             for publisher in self._publishers.values():
                 publisher.undeclare()
 
     def _put(self, name: str, item: Any) -> None:
-        """Ticks, and in lockstep all, leave in order; else the newest of a name wins."""
+        """Queue a tick, and in lockstep everything, in order; otherwise only the newest counts."""
         if self._lockstep or name == "tick":
             self._worker.queue((name, item))
         else:

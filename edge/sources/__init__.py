@@ -1,10 +1,10 @@
-"""What yields observations: sensor messages joined by stamp, live or recorded.
+"""Sources of observations: sensor messages joined by stamp, live or recorded.
 
-A source brings messages from somewhere as `edge.sources.messages` has them, and hands them to a
-`TimeSynchronizer`; nothing behind it knows what they came on. A new one is a file with a class and
-a line in `REGISTRY`; one's own needs neither, only `source.kind: module:Class`. The class is called
-with `source.options`, and where it has parameters of these names with `config` and `session`; what
-it must offer stands in `edge/loop/source.py`.
+A source receives messages, converts them to `edge.sources.messages`, and passes them to a
+`TimeSynchronizer`; later stages do not know the transport. To add one, write a class in a new file
+and add a line to `REGISTRY`. A plugin needs only `source.kind: module:Class`. The class is called
+with `source.options`, and with `config` and `session` if it has such parameters. Its interface is
+`edge.loop.source.Source`.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ REGISTRY = {
     "ros2": "edge.sources.ros2:Ros2Source",
     "zmq": "edge.sources.zmq:ZmqSource",
 }
-"""Imported only where they are named: a source may need packages of its own."""
+"""Imported only if configured, because a source may need extra packages."""
 
 NEEDS = (
     "poll()", "wait()", "close()", "counters", "epoch", "pose", "inbox.poll()", "inbox.overruns",
 )  # fmt: skip
-"""What `edge.loop.source.Source` says."""
+"""The interface of `edge.loop.source.Source`, for error messages."""
 
 
 def find_source(config: Config) -> Callable[..., Source]:
-    """What makes the source that the configuration names, as `make(config=, session=)`.
+    """Return a factory of the configured source: `make(config=, session=)`.
 
     Raises:
         ConfigError: see `edge.config.named.find_named`.

@@ -1,7 +1,7 @@
-"""The contents of a recording: its topics, its frames, and which topic is which sensor.
+"""Contents of a recording: its topics and tf frames, and the matching of topics to sensors.
 
-Names come from `ros2.topics`; a topic that is not in the recording under its name is guessed by
-type, content and words of its name. Every choice is a line for the user.
+Names come from `ros2.topics`. If a recording lacks a topic of that name, the topic is guessed by
+type, content and words in its name. Every choice is reported to the user in a line.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ _MOST_FRAMES = 4096
 _SHOWN = 12
 
 _TYPES = {kind for name in HEARD for kind in heard_types(name, "")}
-"""The types of messages that can be read."""
+"""Message types that can be read."""
 _WORST = -5.0
-"""A name with so bad a score is no guess."""
+"""A topic with this score or less is not guessed."""
 
 Words = dict[str, float]
 _GOOD: dict[str, Words] = {
@@ -78,8 +78,10 @@ class TopicFacts:
     Attributes:
         type: such as `sensor_msgs/msg/Image`.
         encoding: of its messages; only `cdr` can be read.
-        frame_id, child: of its first message, `child` of odometry; "" if it has none.
-        is_depth: whether its first picture holds distances.
+        count: number of messages.
+        frame_id: of its first message; "" if it has none.
+        child: `child_frame_id` of the first odometry message; "" for other types.
+        is_depth: True if its first image is depth.
     """
 
     type: str
@@ -92,16 +94,17 @@ class TopicFacts:
 
 @dataclass
 class Contents:
-    """A recording that was read once, to its end.
+    """The contents of a recording, from one pass over all its messages.
 
     Attributes:
         topics: those with messages, by name.
-        first_ns, last_ns: when the first and the last message were heard.
+        first_ns: log time of the first message.
+        last_ns: log time of the last message.
         sorted_nearly: see `Bag.by_time`.
-        static: the payloads of each `tf_static`, by topic: a subscriber gets them at once;
-            `static_bytes`: of all that came.
-        parents: of each frame in tf, its parent.
-        moving: frames whose transform is published again and again, on `tf`.
+        static: payloads of each `tf_static`, by topic, since a subscriber gets them all at once.
+        static_bytes: size of all of these, also of those that were not kept.
+        parents: parent of each tf frame.
+        moving: frames with a transform on `tf`, which is published repeatedly.
     """
 
     topics: dict[str, TopicFacts] = field(default_factory=dict)
@@ -118,20 +121,22 @@ class Contents:
         return (self.last_ns - self.first_ns) * 1e-9
 
     def root(self, frame: str) -> str:
-        """Return the topmost frame above this one."""
-        for _ in range(len(self.parents)):  # it ends, also if they form a loop
+        """Return the topmost ancestor of a frame."""
+        for _ in range(len(self.parents)):  # a limit, since a damaged tree may have a cycle
             if frame not in self.parents:
                 break
             frame = self.parents[frame]
         return frame
 
     def connected(self, frame: str, other: str) -> bool:
-        """Return whether tf leads from one frame to the other."""
+        """Return True if tf connects two frames."""
         return self.root(frame) == self.root(other)
 
     def mover(self, base: str) -> str:
-        """Return the frame whose transform moves the robot: `base`, or the next above it that is
-        not fixed; "" if there is none."""
+        """Return the frame whose transform moves the robot; "" if there is none.
+
+        This is `base` or its nearest ancestor that is not fixed.
+        """
         for _ in range(len(self.parents)):
             if base in self.moving or base not in self.parents:
                 break
@@ -140,12 +145,12 @@ class Contents:
 
     def there(self) -> str:
         """List the topics in one line."""
-        told = [
+        shown = [
             f"{one_line(name, 80)} ({_of_type(facts)}, {facts.count})"
             for name, facts in sorted(self.topics.items())
         ]
-        left = len(told) - _SHOWN
-        return ", ".join(told[:_SHOWN] + [f"{left} more"] * (left > 0)) or "no topics"
+        left = len(shown) - _SHOWN
+        return ", ".join(shown[:_SHOWN] + [f"{left} more"] * (left > 0)) or "no topics"
 
 
 def _of_type(facts: TopicFacts) -> str:
@@ -184,12 +189,12 @@ def read_contents(bag: Bag, stop: threading.Event) -> Contents:
 
 
 def _type_name(schema: str) -> str:
-    """`sensor_msgs/Image` as ROS 2 writes it."""
+    """Return the ROS 2 name of `sensor_msgs/Image`: `sensor_msgs/msg/Image`."""
     return re.sub(r"^(\w+)/(\w+)$", r"\1/msg/\2", schema)
 
 
 def _describe(facts: TopicFacts, message: Recorded) -> None:
-    """Note what the first message says of itself; one that is damaged is counted when it plays."""
+    """Set facts from the first message. If that is damaged, it is counted during playback."""
     if facts.encoding != "cdr" or facts.type not in _TYPES or facts.type == HEARD[TF]:
         return
     facts.is_depth = "depth" in message.topic.lower()
@@ -231,7 +236,7 @@ def _is_static(topic: str) -> bool:
 
 
 def lacking_inputs(config: Config, there: Collection[str]) -> Iterator[str]:
-    """Yield the inputs without which there is no observation, of those that are not `there`."""
+    """Yield the inputs that an observation needs and that are not in `there`."""
     required = {field for field, stream in streams_of(config).items() if stream.required}
     groups = [
         [topic.key for topic, kind in KINDS.items() if kind.field == field]
@@ -243,19 +248,19 @@ def lacking_inputs(config: Config, there: Collection[str]) -> Iterator[str]:
     yield from (" or ".join(names) for names in groups if not set(there).intersection(names))
 
 
-# -- which topic is which -----------------------------------------------------------------------
+# -- matching -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Matched:
-    """Which topics of a recording are played as what.
+    """The topics of a recording and the sensors they are played as.
 
     Attributes:
-        topics: the recording's topic, by our name (`camera/rgb`); of those that are there.
-        config: with the frames of this recording in `ros2`.
-        by_tf: whether tf says where the sensors are and where odometry's frame lies.
-        mover: the frame whose tf gives the poses; "": odometry does.
-        lines: every choice, for the user.
+        topics: topic of the recording by our name (`camera/rgb`), for those that were found.
+        config: the configuration with the frames of this recording in `ros2`.
+        by_tf: True if mounts, and the pose of the odometry frame, come from tf.
+        mover: the tf frame whose transforms are the poses; "": odometry has them.
+        lines: one line per choice, for the user.
     """
 
     topics: dict[str, str]
@@ -269,7 +274,9 @@ def match(config: Config, contents: Contents, wanted: Collection[str]) -> Matche
     """Find the topics of a recording that a configuration needs.
 
     Args:
-        wanted: our names of the sensors' topics; tf is always looked for.
+        config: the configuration.
+        contents: of the recording.
+        wanted: our names of the sensors' topics; tf is always searched.
     """
     choose = _Choice(config, contents)
     for name in (DEPTH, RGB, INFO, CLOUD, SCAN, ODOMETRY):
@@ -288,7 +295,7 @@ def match(config: Config, contents: Contents, wanted: Collection[str]) -> Matche
 
 
 class _Choice:
-    """Chooses a topic for each name; `how` says why, in a few words."""
+    """Chooses a topic for each name; `how` describes each choice in a few words."""
 
     def __init__(self, config: Config, contents: Contents) -> None:
         self._config, self._contents = config, contents
@@ -314,13 +321,13 @@ class _Choice:
         self.how[name] = how
 
     def _by_name(self, name: str, there: dict[str, TopicFacts]) -> tuple[str, str]:
-        """Return the topic with the configured, our own or the usual name, and how it was found."""
+        """Return the topic with the configured, our own or the usual name, and a description."""
         said = self._config.ros2.topics.get(name)
         if said is not None:
             if topic := next((t for t in _transported(said) if t in there), ""):
                 return topic, "ros2.topics"
             other = self._contents.topics.get(said)
-            brings = "" if other is None else f", which brings {other.encoding} {other.type}"
+            brings = "" if other is None else f", which has {other.encoding} {other.type}"
             return "", f": ros2.topics has {said}{brings}"
         for usual in (f"/{name}", DEFAULT_TOPICS[name]):
             for topic in _transported(usual):
@@ -333,11 +340,11 @@ class _Choice:
             return facts.is_depth == (name == DEPTH)
         if name in (TF, TF_STATIC):
             return _is_static(topic) == (name == TF_STATIC)
-        # One LiDAR maps: a cloud shows more than a scan.
+        # Only one LiDAR is mapped, and a cloud has more information than a scan.
         return name != SCAN or CLOUD not in self.found
 
     def _points(self, name: str, topic: str, facts: TopicFacts) -> tuple:
-        """Compare topics that may be what is looked for: the most points win."""
+        """Return a sort key of a candidate topic: the most points win."""
         words = set(re.split(r"[^a-z0-9]+", topic.lower()))
         points = sum(_GOOD.get(name, {}).get(word, 0.0) for word in words)
         points -= sum(_BAD.get(name, {}).get(word, 0.0) for word in words)
@@ -346,7 +353,7 @@ class _Choice:
             points += 2 * _shared(topic, self.found.get(DEPTH, ""))
         elif name == INFO:
             points += self._info_points(topic)
-        elif name == CLOUD:  # a map, not a sweep
+        elif name == CLOUD:  # a cloud in a world frame is a map, not a sweep
             points -= 6 * (facts.frame_id in (ros2.map_frame, *_WORLDS))
         elif name == ODOMETRY:
             points += 2 * (facts.child == ros2.base_frame) + (facts.child in _BASES)
@@ -355,7 +362,7 @@ class _Choice:
         return points, is_raw, facts.count, topic
 
     def _info_points(self, topic: str) -> float:
-        """A camera describes itself next to its picture."""
+        """Return points for a camera info topic: it usually is next to its image topic."""
         points = 0.0
         for weight, image in ((4, RGB), (2, DEPTH)):
             of = self.found.get(image, "")
@@ -367,12 +374,12 @@ class _Choice:
 
 
 def _transported(topic: str) -> list[str]:
-    """A topic of pictures, and what image_transport calls it where they are compressed."""
+    """Return an image topic and its names when image_transport compresses it."""
     return [topic, *(f"{topic}{end}" for end in COMPRESSED_ENDINGS)]
 
 
 def _shared(topic: str, other: str) -> int:
-    """Count the parts that two names begin with alike."""
+    """Return the number of name parts that two topics have in common at the start."""
     n = 0
     for a, b in zip(topic.split("/")[1:], other.split("/")[1:], strict=False):
         if a != b:
@@ -382,7 +389,7 @@ def _shared(topic: str, other: str) -> int:
 
 
 class _Frames:
-    """Finds the frames of a recording that stand for `ros2.map_frame` and `ros2.base_frame`."""
+    """Finds the frames of a recording for `ros2.map_frame` and `ros2.base_frame`."""
 
     def __init__(self, config: Config, contents: Contents, found: dict[str, str]) -> None:
         self._contents = contents
@@ -391,7 +398,7 @@ class _Frames:
         self.config = config
         if not self.by_tf:
             self.lines.append(
-                "frames: no tf in it: sensors sit where `sensors` says, odometry is in the map"
+                "frames: no tf in the recording: mounts come from `sensors`, odometry is in map"
             )
             return
         ros2, odom = config.ros2, contents.topics.get(found.get(ODOMETRY, ""))
@@ -399,8 +406,8 @@ class _Frames:
         base = self._base(ros2.base_frame, odom, sensors)
         if odom is not None and self._is_elsewhere(odom, base):
             self.lines.append(
-                f"odom: tf does not lead from {one_line(odom.frame_id)} to {ros2.map_frame}, but "
-                f"from {base}: tf gives the poses"
+                f"odom: tf does not connect {one_line(odom.frame_id)} with {ros2.map_frame}, but "
+                f"{base}: poses come from tf"
             )
             del found[ODOMETRY]
             odom = None
@@ -412,19 +419,19 @@ class _Frames:
             frames["mounts"] = "config"
             named = one_line(" or ".join(dict.fromkeys(sensors)), 200)
             self.lines.append(
-                f"mounts: tf does not lead from {base} to {named}: sensors sit where `sensors` says"
+                f"mounts: tf does not connect {base} with {named}: mounts come from `sensors`"
             )
         self.config = config.model_copy(update={"ros2": ros2.model_copy(update=frames)})
         self.lines.append(f"frames: {base} in {world}, by tf")
 
     def _is_elsewhere(self, odom: TopicFacts, base: str) -> bool:
-        """Return whether tf knows where the base is in the map, but not where odometry begins."""
+        """Return True if tf connects the base with the map, but not the odometry frame."""
         connected, world = self._contents.connected, self.config.ros2.map_frame
         localised = connected(base, world) and bool(self._contents.mover(base))
         return localised and bool(odom.frame_id) and not connected(odom.frame_id, world)
 
     def _base(self, said: str, odom: TopicFacts | None, sensors: list[str]) -> str:
-        """The frame of the base: as configured, or what moves."""
+        """Return the base frame: the configured one, or a frame that moves."""
         base = said
         if odom is not None:
             if odom.child and not self._contents.connected(said, odom.child):
@@ -438,11 +445,11 @@ class _Frames:
         return base
 
     def _map(self, said: str, base: str, odom: TopicFacts | None) -> str:
-        """The frame of the map: as configured, or what the poses are in."""
+        """Return the map frame: the configured one, or the frame of the poses."""
         frame = self._contents.root(base) if odom is None else odom.frame_id
         if self._contents.connected(said, frame) or not frame:
             return said
         self.lines.append(
-            f"map: {one_line(frame)} instead of ros2.map_frame ({said}), which tf does not have"
+            f"map: {one_line(frame)} instead of ros2.map_frame ({said}), which is not in tf"
         )
         return frame

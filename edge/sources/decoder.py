@@ -1,4 +1,4 @@
-"""CDR payloads, opened and handed to a synchronizer as what they say."""
+"""Decoder of CDR payloads into typed messages for a synchronizer."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from edge.sources.messages import (
 from edge.sources.synchronizer import TimeSynchronizer
 from edge.sources.tf import Frames
 
-_SHARE = 0.8  # of a frame's wait for its pose, in which that waits for its transforms
-_INFO_BODY = 12  # behind CDR header and stamp: a camera says the same again and again
+_SHARE = 0.8  # part of a frame's waiting time in which its pose may wait for transforms
+_INFO_BODY = 12  # offset behind CDR header and stamp: the rest is the same in most messages
 
 
 def _check_size(header: messages.ImageHeader | compressed.CompressedHeader, out: np.ndarray) -> int:
-    """The height, 0 for an empty picture; raises WrongSizeError."""
+    """Return the height, 0 for an empty image; raise WrongSizeError."""
     if header.height * header.width == 0:
         return 0
     if (header.height, header.width) != out.shape[:2]:
@@ -70,7 +70,7 @@ KINDS: dict[Topic, type[Frame]] = {
     topics.DEPTH: DepthImage,
     topics.RGB: Image,
 }
-"""What the messages of each topic are."""
+"""Message class of each topic."""
 
 _INTO: dict[str, Callable[[Source, bytes, np.ndarray], int]] = {
     "sensor_msgs/PointCloud2": _cloud_into,
@@ -78,14 +78,16 @@ _INTO: dict[str, Callable[[Source, bytes, np.ndarray], int]] = {
     "sensor_msgs/Image": _image_into,
     "sensor_msgs/CompressedImage": _compressed_into,
 }
-"""How each type is opened."""
+"""Decoder of each ROS 2 type."""
 
 
 class CdrDecoder:
-    """Hands payloads to a synchronizer as what they say, or as counted drops; for one thread.
+    """Passes payloads to a synchronizer as typed messages or as counted drops; for one thread.
 
     Args:
-        frames: takes poses into `map`. Without it odometry is in `map` already.
+        synchronizer: receives the messages.
+        clock: time of arrivals, in ns.
+        frames: converts poses into `map`. If None, odometry is in `map` already.
     """
 
     def __init__(
@@ -103,13 +105,15 @@ class CdrDecoder:
         wait_ns = _SHARE * 1e9 * config.source.wait_s
         self._wait_ns = math.inf if config.loop.lockstep else wait_ns
         self._most_waiting = config.source.odometry_ring
-        self._waiting: deque[tuple[int, messages.Odometry]] = deque()  # for transforms, and since
+        self._waiting: deque[tuple[int, messages.Odometry]] = deque()  # (arrival, pose without tf)
 
     def offer(self, topic: Topic, payload: bytes, type_name: str = "") -> None:
-        """Take one message of any topic in `edge.bus.topics` that sensors write.
+        """Decode one message of a sensor topic in `edge.bus.topics`.
 
         Args:
-            type_name: what it is, where that is not the topic's own type.
+            topic: the topic.
+            payload: CDR.
+            type_name: its type, if it is not the topic's own type.
         """
         self._synchronizer.received(topic.key)
         if not payload:
@@ -126,7 +130,7 @@ class CdrDecoder:
             self._synchronizer.count(topic.key, "malformed", str(error))
 
     def move(self, sample: messages.Odometry) -> None:
-        """Take a pose, from an odometry message or from tf."""
+        """Process a pose from an odometry message or from tf."""
         if self._frames is None:
             self._synchronizer.offer(Odometry(sample.stamp_ns, sample.T_map_base))
             return
@@ -134,7 +138,7 @@ class CdrDecoder:
         self.settle()
 
     def settle(self) -> None:
-        """Take the poses into `map` whose transforms have come, or for which too much waits."""
+        """Convert waiting poses into `map` if their transforms have come or waiting is over."""
         while self._waiting:
             came_ns, sample = self._waiting[0]
             placed = self._frames.base_in_map(sample)
@@ -150,7 +154,7 @@ class CdrDecoder:
     def _show(self, topic: Topic, payload: bytes, type_name: str) -> None:
         kind, into = KINDS[topic], _INTO[type_name]
         stamp_ns, frame_id = messages.peek_header(payload)
-        # Depth is registered to the colours: it sits where these do, whatever it says.
+        # Depth is registered to the colour image: it uses that mount, whatever its frame_id is.
         by_tf = self._frames is not None and self._frames.by_tf and kind is not DepthImage
         if by_tf and (why := self._frames.why_unplaced(frame_id)):
             self._synchronizer.count(topic.key, "no_transform", why)
@@ -159,7 +163,7 @@ class CdrDecoder:
         self._synchronizer.offer(kind(stamp_ns, self._clock(), opened, frame_id, len(payload)))
 
     def _describe(self, payload: bytes) -> None:
-        """Cameras describe themselves with every frame, and hardly ever anew."""
+        """Process camera info; drivers repeat it with every frame, but it hardly ever changes."""
         if payload[_INFO_BODY:] != self._info:
             info = messages.decode_camera_info(payload)
             self._synchronizer.offer(CameraInfo(info.camera, info.lens, info.cut))

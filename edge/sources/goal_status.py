@@ -1,4 +1,4 @@
-"""What the motion controller says of the goals it was given."""
+"""Goal statuses from the motion controller."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _KEPT = 64
 
 
 def parse_goal_status(payload: bytes) -> GoalStatus:
-    """`{"stamp": <the goal's, ns>, "state": accepted | reached | failed, "reason": …}`.
+    """Parse `{"stamp": <the goal's, ns>, "state": accepted | reached | failed, "reason": …}`.
 
-    With `"blocked": [x, y]` (metres in `map`) where the robot was told to drive and was held up.
+    An optional `"blocked": [x, y]` (metres in `map`) is the place where the robot was blocked.
 
     Raises:
-        ValueError: with one line that says what is wrong.
+        ValueError: with one line that names the fault.
     """
     data = read_json_object(payload, _MAX_BYTES)
     stamp, state, reason = data.get("stamp"), data.get("state"), data.get("reason", "")
-    if type(stamp) is float and stamp.is_integer():  # as some write large numbers: 1.8e18
+    if type(stamp) is float and stamp.is_integer():  # some encoders write 1.8e18
         stamp = int(stamp)
     if type(stamp) is not int:
         raise ValueError(f"stamp: expected nanoseconds, got {bounded_repr(stamp, 40)}")
@@ -42,7 +42,7 @@ def parse_goal_status(payload: bytes) -> GoalStatus:
 
 
 def _place(blocked: object) -> tuple[float, float] | None:
-    """Raises ValueError where it is neither None nor a point."""
+    """Parse a point; raise ValueError if it is neither None nor a point."""
     if blocked is None:
         return None
     is_pair = isinstance(blocked, list) and len(blocked) == 2
@@ -52,10 +52,10 @@ def _place(blocked: object) -> tuple[float, float] | None:
 
 
 class GoalStatusInbox:
-    """Answers since the last poll, oldest first, at most a ring's worth.
+    """Goal statuses since the last poll, oldest first, at most a ring.
 
     Attributes:
-        malformed: how many messages were no answer.
+        malformed: number of malformed messages.
     """
 
     def __init__(self, session: zenoh.Session, settings: Zenoh) -> None:
@@ -64,7 +64,7 @@ class GoalStatusInbox:
 
     @property
     def overruns(self) -> int:
-        """See `edge.bus.session.Ring`."""
+        """Number of overruns; see `edge.bus.session.Ring`."""
         return self._ring.overruns
 
     def poll(self) -> list[GoalStatus]:

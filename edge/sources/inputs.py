@@ -1,6 +1,6 @@
-"""The table of inputs: for each topic that a source listens to, how often, how old, why dropped.
+"""Table of inputs: rate, age and reasons of drops for each topic that a source receives.
 
-The time synchronizer owns it, since every message and every drop passes there, whatever it came on.
+The time synchronizer owns it, because every message and every drop passes there.
 """
 
 from __future__ import annotations
@@ -14,26 +14,29 @@ from edge.sources.messages import CameraInfo, Cloud, DepthImage, Image, Odometry
 from edge.sources.streams import Stream
 
 SILENT_S = 1.0
-"""An input is silent after so long, or after three of its periods if these take longer."""
-_WINDOW_NS = 2_000_000_000  # that rates are measured over
+"""An input is silent after this time, or after three periods if that is longer."""
+_WINDOW_NS = 2_000_000_000  # for measuring rates
 _NORMAL = ("superseded", "pose_jump", "clock_reset")
-"""Reasons that say nothing against the message itself: a newer one was used, or it was used."""
+"""Reasons that are no fault of the message: a newer one was used, or it was used."""
 
 
 class _Input:
-    """One row, as it is counted.
+    """Counters of one input.
 
     Attributes:
-        name: the topic as `edge/bus/topics.py` calls it.
-        where: the key, the ROS topic or the address where it is listened to.
-        group: inputs of one group stand in for each other.
-        needed: whether the robot cannot do its work without the group.
-        expected_hz: as configured; 0 where it comes on events, and is never silent.
-        silent_ns: without a message for so long it is.
-        came_ns, used_ns: when the newest message came, and when one was used; None: never.
-        doubt: what is wrong with messages that are used; since `doubted_ns`.
-        dropped: messages by reason; `reason` and `detail` of the drops since one was used.
-        hz: measured over the last window, which began at `since_ns` and has `in_window` messages.
+        name: the topic in `edge/bus/topics.py`.
+        where: its key, ROS topic or address.
+        group: inputs of one group can replace each other.
+        needed: True if the robot cannot work without the group.
+        expected_hz: configured rate; 0 for topics on events, which are never silent.
+        silent_ns: an input without messages for this time is silent.
+        came_ns: arrival of the newest message; None: never.
+        used_ns: when a message was last used; None: never.
+        doubt: warning about messages that are used; `doubted_ns`: when it was last set.
+        dropped: number of dropped messages by reason.
+        reason: of the drops since a message was used; `detail` likewise.
+        hz: rate over the last window. The current window began at `since_ns` and has `in_window`
+            messages.
     """
 
     __slots__ = (
@@ -77,11 +80,12 @@ class _Input:
 
 
 class InputTable:
-    """What each input brings. One thread writes; any thread may read `rows`.
+    """State of all inputs. One thread writes; any thread may read `rows`.
 
     Args:
-        streams: the sensors that are listened to, by field (`edge.sources.synchronizer`).
-        clock: of arrivals, in ns.
+        config: the configuration.
+        streams: the sensors in use, by field (`edge.sources.synchronizer`).
+        clock: time of arrivals, in ns.
     """
 
     def __init__(
@@ -92,7 +96,7 @@ class InputTable:
         self._called: dict[str, list[_Input]] = {}
         sensors = config.sensors
         lidar_hz = 0.0 if sensors.lidar is None else sensors.lidar.rate_hz
-        # Whatever maps, things are found in pictures.
+        # Objects are detected in images, whatever the map is made of.
         needed = {field for field, stream in streams.items() if stream.required} | {"rgb"}
         for kind, hz in (
             (Image, sensors.camera.rate_hz), (DepthImage, sensors.camera.rate_hz),
@@ -104,22 +108,22 @@ class InputTable:
         self.add(Odometry.topic, "pose", needed=True, expected_hz=sensors.odometry_hz)
 
     def add(self, name: str, group: str, needed: bool, expected_hz: float = 0.0) -> None:
-        """Another input that is listened to."""
+        """Add an input."""
         row = _Input(name, group, needed, expected_hz)
         self._inputs.append(row)
         self._called.setdefault(name, []).append(row)
 
     def listen(self, name: str, where: str) -> None:
-        """Set where an input comes from. Drops that name only that place are then its own, too."""
+        """Set the place an input comes from. Drops named by that place then count for it too."""
         for row in self._called.get(name, ()):
             row.where = where
             self._called.setdefault(where, []).append(row)
 
     def where(self, name: str) -> str:
-        """Return where an input comes from; its name if that is not known."""
+        """Return the place an input comes from; its name if unknown."""
         return next((row.where for row in self._called.get(name, ())), name)
 
-    # -- what happens, by name or by place; what is not listened to is left out ------------------
+    # -- events, by name or place; those of unknown inputs are ignored ---------------------------
 
     def came(self, name: str) -> None:
         """Count a message."""
@@ -128,15 +132,15 @@ class InputTable:
             row.came(now_ns)
 
     def used(self, name: str) -> None:
-        """Note that a message became part of what the robot knows."""
+        """Record that a message was used."""
         for row in self._called.get(name, ()):
             row.used_ns, row.reason = self._clock(), ""
 
     def dropped(self, name: str, reason: str, detail: str = "") -> None:
         """Count a drop.
 
-        Of drops for one reason the first detail is kept, so that delays do not flicker. Which
-        transforms are missing changes only as tf comes in, and is kept up to date.
+        For repeated drops with one reason the first detail is kept, so that the text does not
+        flicker. The detail of missing transforms is updated, because it changes only with tf.
         """
         for row in self._called.get(name, ()):
             row.dropped[reason] = row.dropped.get(reason, 0) + 1
@@ -144,7 +148,7 @@ class InputTable:
                 row.reason, row.detail = reason, detail
 
     def doubted(self, name: str, doubt: str) -> None:
-        """Note what is wrong with messages that are used. The first of a row of doubts is kept."""
+        """Record a warning about messages that are used. The first of a series is kept."""
         now_ns = self._clock()
         for row in self._called.get(name, ()):
             if not row.doubts(now_ns):
@@ -152,7 +156,7 @@ class InputTable:
             row.doubted_ns = now_ns
 
     def unpaired(self, group: str, detail: str) -> None:
-        """Note that an observation goes without these inputs, which it may."""
+        """Record that an observation was made without these optional inputs."""
         for row in self._inputs:
             if row.group == group and not row.reason:
                 row.reason, row.detail = "unpaired", detail
@@ -160,7 +164,7 @@ class InputTable:
     # -- for any thread ---------------------------------------------------------------------------
 
     def rows(self) -> tuple[InputRow, ...]:
-        """Return the table as it stands now."""
+        """Return the current table."""
         now_ns = self._clock()
         states = [row.state(now_ns) for row in self._inputs]
         there = {
@@ -174,7 +178,7 @@ class InputTable:
 
 def _row(row: _Input, state: InputState, now_ns: int) -> InputRow:
     came_ns, hz = row.came_ns, row.hz
-    if not hz and came_ns is not None and came_ns > row.since_ns:  # the first window goes on
+    if not hz and came_ns is not None and came_ns > row.since_ns:  # still in the first window
         hz = (row.in_window - 1) * 1e9 / (came_ns - row.since_ns)
     why = row.doubts(now_ns) if state == "ok" else ""
     if state == "dropped":

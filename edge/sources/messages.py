@@ -1,7 +1,7 @@
-"""What sensors say, typed: how a source hands it to the time synchronizer, on whatever it came.
+"""Typed sensor messages, as sources pass them to the time synchronizer; independent of transport.
 
-The pixels and points of a frame stay as they came until the frame is used: only then does its
-`into` write them to their place in a slot of the pool. Most frames never are.
+The payload of a frame is decoded only when the frame is used: `into` then writes it into a slot of
+the pool. Most frames are never used.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ from edge.geometry import CameraModel, Lens
 
 
 class WrongSizeError(ValueError):
-    """An image that is not as large as the camera says."""
+    """An image has another size than the camera info."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
-    """Where the base is in `map`: (4, 4) float64.
+    """Pose of the base in `map`.
 
     Attributes:
-        age_ns: how much older than the stamp the transforms are that took it into `map`.
+        T_map_base: (4, 4) float64.
+        age_ns: age, at the stamp, of the transforms that converted the pose into `map`.
     """
 
     stamp_ns: int
@@ -38,8 +39,8 @@ class CameraInfo:
     """Intrinsics of the images that follow.
 
     Attributes:
-        camera: of the images once they are rectified.
-        lens: how they are distorted before that; None: not at all.
+        camera: of the rectified images.
+        lens: distortion of the raw images; None: no distortion.
         cut: see `edge.bus.wire.messages.Calibration`.
     """
 
@@ -51,16 +52,16 @@ class CameraInfo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One picture or sweep, not yet decoded.
+    """One image or sweep, not yet decoded.
 
     Attributes:
-        stamp_ns: when it was taken.
-        arrived_ns: when it came, on the synchronizer's clock.
-        into: writes it into an array of its field and returns how many rows or points that were;
-            raises ValueError, in one line, for what is malformed, `WrongSizeError` among them.
-        frame_id: the frame that it is in, for a robot whose mounts move.
-        size: bytes that it takes until it is used.
-        topic: what drops are told and counted under.
+        stamp_ns: time of measurement.
+        arrived_ns: time of arrival, on the synchronizer's clock.
+        into: decodes it into an array of its field and returns the number of rows or points;
+            raises ValueError (or `WrongSizeError`) with one line if it is malformed.
+        frame_id: the sensor's tf frame, for robots whose mounts move.
+        size: bytes in memory until it is used.
+        topic: name under which drops are logged and counted.
         field: the attribute of `Observation`, and of a pool's slot, that it becomes.
     """
 
@@ -74,38 +75,42 @@ class Frame:
 
 
 class Image(Frame):
-    """Into (h, w, 3) uint8 RGB."""
+    """A colour image; decodes into (h, w, 3) uint8 RGB."""
 
     topic, field = "camera/rgb", "rgb"
 
 
 class DepthImage(Frame):
-    """Into (h, w) float32 metres, registered to the colour image; NaN or 0 = no return. The
-    synchronizer drops returns beyond the camera's range."""
+    """A depth image registered to the colour image; decodes into (h, w) float32 metres.
+
+    NaN or 0 = no return. The synchronizer drops returns beyond the camera's range.
+    """
 
     topic, field = "camera/depth", "depth_m"
 
 
 class Cloud(Frame):
-    """Into (cap, 3) float32 metres in the LiDAR's frame."""
+    """A point cloud; decodes into (cap, 3) float32 metres in the LiDAR's frame."""
 
     topic, field = "lidar/points", "cloud_m"
 
 
 class Scan(Cloud):
-    """The hits of a 2D LiDAR in its own plane, as a cloud; a row (x, y, inf) is a beam that met
-    nothing up to (x, y, 0)."""
+    """A 2D LiDAR scan; decodes its hits as a cloud in the scan plane.
+
+    A row (x, y, inf) is a beam that hit nothing up to (x, y, 0).
+    """
 
     topic = "lidar/scan"
 
 
 class Placed(NamedTuple):
-    """One frame in another at an instant.
+    """The result of a tf lookup at an instant.
 
     Attributes:
         T: (4, 4); None: not known.
-        age_ns: how much older than the instant the transforms are; 0: they are of the instant.
-        why: why it is not known, in one line.
+        age_ns: age of the transforms at the instant; 0: they are exact.
+        why: why `T` is not known, in one line.
     """
 
     T: np.ndarray | None
@@ -114,7 +119,7 @@ class Placed(NamedTuple):
 
 
 MountAt = Callable[[str, int], Placed]
-"""Returns `T_base_sensor` of the sensor whose messages name a frame, at a stamp in ns: a camera's
-from its optical frame."""
+"""Returns `T_base_sensor` for a frame id and a stamp in ns. A camera's frame is its optical frame.
+"""
 
 Message = Union[Odometry, CameraInfo, Frame]

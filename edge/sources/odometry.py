@@ -1,4 +1,4 @@
-"""The last poses of the base, and the pose at any instant between them."""
+"""Recent poses of the base, and interpolation between them."""
 
 from __future__ import annotations
 
@@ -11,24 +11,29 @@ import numpy as np
 from edge.geometry import SE2, interpolate, se2_of, wrap_angle
 
 RESET_AFTER = 8
-_HASTE = 1.5  # robots are faster than they say, downhill and when pushed
+_HASTE = 1.5  # robots exceed their configured speed, downhill or when pushed
 _FEW = 4
 _SPEED_OVER_NS = 100_000_000
-_MAX_TURN_RAD = 1.0  # what yaw may change at once
+_MAX_TURN_RAD = 1.0  # largest jump of yaw
 
 Missing = Literal["", "empty", "too_old", "too_new", "gap"]
 
 
 class StampGuard:
-    """Lets stamps through that move forward.
+    """Accepts stamps that move forward.
 
-    A sender that starts again may begin with earlier stamps than its last life ended with, and
-    one wild stamp from the future would shut out all that follow. So `RESET_AFTER` stamps in a
-    row that are behind, but move forward among themselves, are a clock that was set anew.
+    A restarted sender may begin with earlier stamps, and one wrong stamp from the future would
+    block all that follow. So `RESET_AFTER` consecutive stamps that are behind, but move forward
+    among themselves, count as a clock reset.
 
     Attributes:
-        newest_ns: the last stamp that was let in.
-        behind_since_ns: the first stamp of the row that led to the last `clock_reset`.
+        newest_ns: the last accepted stamp.
+        behind_since_ns: the first stamp of the series that led to the last `clock_reset`.
+
+    Example:
+        >>> guard = StampGuard()
+        >>> [guard.judge(stamp_ns) for stamp_ns in (10, 20, 20, 5)]
+        ['ok', 'ok', 'repeated', 'backward']
     """
 
     def __init__(self) -> None:
@@ -38,7 +43,7 @@ class StampGuard:
         self._behind = 0
 
     def judge(self, stamp_ns: int) -> Literal["ok", "repeated", "backward", "clock_reset"]:
-        """What to do with a message of this stamp; only `ok` and `clock_reset` are let in."""
+        """Classify a stamp; messages with `ok` and `clock_reset` are to be used."""
         if self.newest_ns is None or stamp_ns > self.newest_ns:
             self._accept(stamp_ns)
             return "ok"
@@ -60,11 +65,12 @@ class StampGuard:
 
 
 class StampedPoses:
-    """(4, 4) transforms in the order of their stamps, in a preallocated ring; for one thread.
+    """(4, 4) transforms ordered by stamp, in a preallocated ring; for one thread.
 
     Args:
-        apart_ns: of transforms closer than this the newest is kept, so that a flood of them does
-            not push out those that frames still ask for.
+        capacity: size of the ring, 2 or more.
+        apart_ns: of transforms closer than this only the newest is kept, so that a flood does not
+            push out transforms that frames still need.
     """
 
     def __init__(self, capacity: int, apart_ns: int = 0) -> None:
@@ -83,7 +89,7 @@ class StampedPoses:
         self._kept = 0
 
     def push(self, stamp_ns: int, T: np.ndarray, age_ns: int = 0) -> None:
-        """Take the newest transform; `age_ns` is how old its own parts were."""
+        """Append the newest transform; `age_ns` is the age of its oldest part."""
         if self._kept > 1 and stamp_ns - self.stamp(1) < self._apart_ns:
             self._written -= 1
             self._kept -= 1
@@ -93,7 +99,7 @@ class StampedPoses:
         self._kept = min(self._kept + 1, len(self._stamps_ns))
 
     def replace(self, T: np.ndarray) -> None:
-        """Put another transform in the place of the newest."""
+        """Replace the newest transform."""
         self._poses[(self._written - 1) % len(self._stamps_ns)] = T
 
     def stamp(self, n: int) -> int:
@@ -101,7 +107,7 @@ class StampedPoses:
         return self._stamps_ns[(self._written - 1 - n) % len(self._stamps_ns)]
 
     def age(self, n: int) -> int:
-        """Return how old the parts of the `n`-th newest were, in ns."""
+        """Return the age of the `n`-th newest's oldest part, in ns."""
         return self._ages_ns[(self._written - 1 - n) % len(self._stamps_ns)]
 
     def pose(self, n: int) -> np.ndarray:
@@ -109,9 +115,9 @@ class StampedPoses:
         return self._poses[(self._written - 1 - n) % len(self._stamps_ns)]
 
     def newer_than(self, stamp_ns: int) -> int:
-        """Return how many are newer than an instant."""
+        """Return the number of transforms newer than an instant."""
         few = min(_FEW, self._kept)
-        for n in range(few):  # nearly always
+        for n in range(few):  # the usual case
             if self.stamp(n) <= stamp_ns:
                 return n
         return bisect_left(range(self._kept), -stamp_ns, few, key=lambda n: -self.stamp(n))
@@ -127,14 +133,16 @@ class OdometryRing:
     """Poses in a preallocated ring; for one thread.
 
     Args:
-        max_jump_m: what a pose may move at once, on top of what the robot can drive in the time.
-        max_speed_mps: of the robot; `max_turn_radps` likewise.
+        capacity: size of the ring.
+        max_gap_s: largest gap for interpolation and extrapolation.
+        max_jump_m: distance a pose may move beyond what the robot can drive.
+        max_speed_mps: top speed of the robot.
+        max_turn_radps: top turn rate of the robot.
         apart_ns: see `StampedPoses`.
 
     Attributes:
-        epoch: rises whenever poses before and after have nothing to do with each other, since
-            the pose jumped. The ring then begins anew, as it does when only the sender's clock
-            was set anew.
+        epoch: increases when the pose jumps, so poses before and after are unrelated. The ring is
+            then cleared, as it is after a clock reset.
     """
 
     def __init__(
@@ -153,7 +161,7 @@ class OdometryRing:
         self._max_turn_radps = max_turn_radps
         self._poses = StampedPoses(capacity, apart_ns)
         self._guard = StampGuard()
-        self._heard: np.ndarray | None = None  # the newest pose to arrive, whatever its stamp
+        self._latest: np.ndarray | None = None  # the pose that arrived last, with any stamp
 
     def __len__(self) -> int:
         return len(self._poses)
@@ -164,26 +172,26 @@ class OdometryRing:
 
     @property
     def newest_pose(self) -> SE2 | None:
-        """Return the pose that arrived last.
+        """The pose that arrived last.
 
-        A pose that is left out for its stamp still says where the robot is now: a robot that is
-        told to stand at an older one would drive back there.
+        A pose with a rejected stamp still is the robot's place now. A robot that must hold at an
+        older pose would drive back there.
         """
-        return None if self._heard is None else se2_of(self._heard)
+        return None if self._latest is None else se2_of(self._latest)
 
     def push(self, stamp_ns: int, T_map_base: np.ndarray, age_ns: int = 0) -> str:
-        """Take a pose; `age_ns` is how old the transforms were that took it into `map`.
+        """Append a pose; `age_ns` is the age of the transforms that converted it into `map`.
 
         Returns:
-            "", or what was odd: `repeated` and `backward` poses are left out; `clock_reset` goes
-            on with another clock, `pose_jump` begins a new epoch.
+            "" or what was unusual. `repeated` and `backward` poses are rejected; after
+            `clock_reset` the new clock is used; `pose_jump` begins a new epoch.
         """
-        self._heard = T_map_base
+        self._latest = T_map_base
         last_ns = self._guard.newest_ns
         verdict: str = self._guard.judge(stamp_ns)
         if verdict in ("repeated", "backward"):
             return verdict
-        # Across a clock that was set anew only the time since then is known.
+        # After a clock reset only the time since the reset is known.
         since_ns = self._guard.behind_since_ns if verdict == "clock_reset" else last_ns
         if len(self) and self._jumped(T_map_base, (stamp_ns - since_ns) * 1e-9):
             self.epoch += 1
@@ -194,7 +202,7 @@ class OdometryRing:
         return "" if verdict == "ok" else verdict
 
     def _jumped(self, T_map_base: np.ndarray, elapsed_s: float) -> bool:
-        """Whether no robot could have come from the newest pose to this one in that time."""
+        """Return True if no robot can move from the newest pose to this one in that time."""
         last = self._poses.pose(0)
         moved_m = math.dist(T_map_base[:3, 3], last[:3, 3])
         turned_rad = abs(wrap_angle(se2_of(T_map_base).yaw_rad - se2_of(last).yaw_rad))
@@ -206,9 +214,9 @@ class OdometryRing:
         """Return the pose at an instant, interpolated between its two neighbours.
 
         Returns:
-            (T_map_base, "", age of its transforms) or (None, why, 0): `too_new` may be answered
-            later, the rest never: `empty`, `too_old` (before the ring begins), `gap` (the
-            neighbours are further apart than the largest gap allowed).
+            (T_map_base, "", age of its transforms) or (None, reason, 0). `too_new` may succeed
+            later. The others never do: `empty`, `too_old` (before the ring begins), `gap` (the
+            neighbours are further apart than the largest gap).
         """
         poses = self._poses
         if not len(poses):
@@ -226,11 +234,11 @@ class OdometryRing:
         return poses.between(n, stamp_ns), "", max(poses.age(n), poses.age(n - 1))
 
     def extrapolated(self, stamp_ns: int) -> tuple[np.ndarray | None, int]:
-        """Move the newest pose on to an instant, as the poses before it moved.
+        """Extrapolate the newest pose to an instant, with the speed of the poses before it.
 
         Returns:
-            (T_map_base, age of its transforms); (None, 0) if the instant is not at most the largest
-            gap after it.
+            (T_map_base, age of its transforms); (None, 0) if the instant is before the newest pose,
+            or later than it by more than the largest gap.
         """
         poses, newest_ns = self._poses, self.newest_ns
         if newest_ns is None or not 0 <= stamp_ns - newest_ns <= self._max_gap_ns:
@@ -238,7 +246,7 @@ class OdometryRing:
         over_ns = max(stamp_ns - newest_ns, _SPEED_OVER_NS)
         n = min(poses.newer_than(newest_ns - over_ns), len(poses) - 1)
         since_ns = poses.stamp(n)
-        if newest_ns - since_ns < stamp_ns - newest_ns:  # never farther than it has been followed
+        if newest_ns - since_ns < stamp_ns - newest_ns:  # too few poses to extrapolate this far
             return poses.pose(0).copy(), poses.age(0)
         fraction = (stamp_ns - since_ns) / (newest_ns - since_ns)
         return interpolate(poses.pose(n), poses.pose(0), fraction), poses.age(0)

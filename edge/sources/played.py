@@ -1,7 +1,7 @@
-"""Observations from a recording of any robot: its messages, as if they came now.
+"""Source that plays a recording of any robot, as if its messages arrived now.
 
-Time is the recording's: frames wait for poses, and rates are measured, on the clock of the times
-at which messages were heard. So nothing depends on how fast it is played.
+The clock is the log time of the recording: it times waiting frames and rates. So results do not
+depend on the speed of playback.
 """
 
 from __future__ import annotations
@@ -45,21 +45,24 @@ log = logging.getLogger("edge.sources.played")
 
 _TOPICS = {topic.key: topic for topic in topics.ALL if topic.writer == "sensors"}
 _LONGEST_GAP_NS = 30_000_000_000
-_REST_NS = 1_000_000_000  # after the last message: frames wait for their poses
-_AHEAD_BYTES = 1 << 26  # that were read and wait for their time
-_MOST_AT_ONCE = 256  # messages, so that the loop hears of signals
+_REST_NS = 1_000_000_000  # time after the last message in which frames wait for their poses
+_AHEAD_BYTES = 1 << 26  # limit of messages that are read in advance
+_MOST_AT_ONCE = 256  # messages; between batches the loop handles signals
 _ABSENT = "not in the recording"
 
 
 class PlayedSource(PolledSource):
-    """The sensors of a recording as Observations.
+    """Source of the sensors in a recording.
 
     Args:
-        rate: how many times as fast as it was recorded; what is late is dropped, as on a robot.
-            None: as fast as observations are taken, and none is late.
+        config: the configuration.
+        session: an open session, for goal statuses.
+        playback: the recording.
+        rate: playback speed, 1.0 = real time; late frames are dropped, as on a robot. None: as fast
+            as the loop runs; no frame is late.
 
     Attributes:
-        over: whether all of it was played.
+        over: True once all was played.
     """
 
     def __init__(
@@ -83,20 +86,20 @@ class PlayedSource(PolledSource):
         if self._ahead is not None:
             self._messages = self._ahead
         self._next = next(self._messages, None)
-        if self._next is not None:  # topics that are not played may begin earlier
+        if self._next is not None:  # other topics may have begun earlier
             self._now_ns = self._last_ns = self._first_ns = self._next.log_ns
         self._began_ns: int | None = None
         self._skipped_ns = 0
 
     def _take_static(self, contents: Contents) -> None:
-        """Take all of tf_static at once, as a subscriber gets it."""
+        """Process all of tf_static at once, as a subscriber gets it."""
         if self._played_frames is not None:
             for payload in contents.static.get(self._matched.topics.get(TF_STATIC, ""), ()):
-                with suppress(DecodeError):  # it is counted when its turn comes
+                with suppress(DecodeError):  # it is counted when it is played
                     self._played_frames.take(payload, static=True)
 
     def clock(self) -> int:
-        """The recording's time now, in ns."""
+        """Return the current log time of the recording, in ns."""
         if self._rate is None:
             return self._now_ns
         if self._began_ns is None:
@@ -110,13 +113,13 @@ class PlayedSource(PolledSource):
             self._ahead.close()
 
     def wait(self, timeout_s: float) -> bool:
-        """See `edge.loop.source.Source`."""
+        """Wait until the recording may have messages; see `edge.loop.source.Source`."""
         if self.over:
             time.sleep(timeout_s)
         return not self.over
 
     def poll(self) -> Observation | None:
-        """See `edge.loop.source.Source`."""
+        """Return the newest observation; see `edge.loop.source.Source`."""
         if self._rate is not None:
             return super().poll()
         for _ in range(_MOST_AT_ONCE):
@@ -142,7 +145,7 @@ class PlayedSource(PolledSource):
         return n
 
     def _advance(self) -> None:
-        """Take the next message; at the end, let the rest of the frames wait no longer."""
+        """Process the next message; at the end, stop waiting for poses of the last frames."""
         message = self._next
         if message is None:
             self._now_ns += _REST_NS
@@ -157,7 +160,7 @@ class PlayedSource(PolledSource):
             if self._next is not None and self._next.log_ns - self._now_ns > _LONGEST_GAP_NS:
                 gap_ns = self._next.log_ns - self._now_ns
                 self._skipped_ns += gap_ns
-                log.info("%.0f s without a message in the recording are skipped", gap_ns * 1e-9)
+                log.info("skipping %.0f s without messages in the recording", gap_ns * 1e-9)
 
     def _take(self, message: Recorded) -> None:
         name = self._names[message.topic]
@@ -172,8 +175,8 @@ class PlayedSource(PolledSource):
                 self._take_poses(message.payload)
 
     def _take_poses(self, payload: bytes) -> None:
-        """Take the poses that tf gives, where the recording has no odometry."""
-        with suppress(DecodeError):  # it was counted
+        """Process poses from tf, for a recording without odometry."""
+        with suppress(DecodeError):  # it is counted already
             for t in decode_transforms(payload):
                 if t.child == self._matched.mover:
                     self._synchronizer.received(ODOMETRY)
@@ -182,7 +185,7 @@ class PlayedSource(PolledSource):
 
 
 class _ReadAhead:
-    """Reads messages on a thread of its own: decompressing a large chunk must hold no tick up."""
+    """Reads messages in advance on a thread, so that decompressing a large chunk blocks no tick."""
 
     def __init__(self, messages: Iterator[Recorded]) -> None:
         self._read: deque[Recorded] = deque()
@@ -210,7 +213,7 @@ class _ReadAhead:
             return message
 
     def close(self) -> None:
-        """Read no more."""
+        """Stop reading."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -235,19 +238,20 @@ class _ReadAhead:
 
 
 class Playback:
-    """A recording, and how a configuration plays it: a context manager.
+    """A recording with the configuration that plays it; a context manager.
 
     Args:
-        config: of the service that it is played into.
+        path: see `edge.recording.bag.Bag`.
+        config: of the service.
         rate: see `PlayedSource`.
-        stop: once set, reading is broken off.
+        stop: stops reading when it is set.
 
     Attributes:
-        contents: what is in it.
-        matched: which of its topics are used.
+        contents: contents of the recording.
+        matched: the topics that are played.
         wanted: our names of the topics that the configuration needs.
-        read_s: how long it took to read it once.
-        source: what plays it, once a service has opened it.
+        read_s: duration of the first pass over the file.
+        source: the source, once a service has opened it.
 
     Raises:
         RecordingError: it cannot be read; one line.
@@ -283,18 +287,20 @@ class Playback:
         self.bag.__exit__(*error)
 
     def open(self, config: Config, session: zenoh.Session) -> PlayedSource:
-        """See `edge.sources.find_source`."""
+        """Open the source; see `edge.sources.find_source`."""
         self.source = PlayedSource(config, session, self, self._rate)
         return self.source
 
     def clock(self) -> int:
-        """See `edge.loop.runner.Running`."""
+        """Return the log time in ns; see `edge.loop.runner.Running`."""
         return self.contents.first_ns if self.source is None else self.source.clock()
 
     @property
     def as_on_the_bus(self) -> bool:
-        """True if the file is whole and each topic is one of the source `zenoh`, which can be sent
-        as it is."""
+        """True if the messages can be sent on the bus unchanged, for the source `zenoh`.
+
+        The file must be undamaged, and each topic must have the name and type of a bus topic.
+        """
         found, matched = self.contents.topics, self.matched
         alike = (
             topic == f"/{name}" and found[topic].type == full_name(_TOPICS[name].type)
@@ -304,20 +310,20 @@ class Playback:
 
     @property
     def over(self) -> bool:
-        """True once all of it was played."""
+        """True once all was played."""
         return self.source is not None and self.source.over
 
     def check(self) -> None:
-        """Refuse a recording of which no observation can come.
+        """Raise an error for a recording that can give no observation.
 
         Raises:
-            RecordingError: one line: what was looked for, and what is there.
+            RecordingError: one line with what was searched for and what was found.
         """
         if self._lacking():
             raise self._nothing()
 
     def opening(self) -> Iterator[str]:
-        """Yield lines that tell what is in the recording and what of it is played."""
+        """Yield lines about the contents of the recording and what of it is played."""
         found = self.contents
         n = sum(facts.count for facts in found.topics.values())
         yield f"{self.bag.path}: {found.seconds:.1f} s, {n} messages, {len(found.topics)} topics"
@@ -329,23 +335,23 @@ class Playback:
             yield f"not used: {left.there()}"
 
     def outcome(self) -> Iterator[str]:
-        """Yield lines that tell what became of the messages.
+        """Yield lines about what happened to the messages.
 
         Raises:
-            RecordingError: see `check`.
+            RecordingError: there was no observation.
         """
         rows = () if self.source is None else self.source.input_table()
         n = 0 if self.source is None else self.source.counters["observations"]
         if n == 0:
             raise self._nothing(rows)
-        table = [("input", "topic", "messages", "left out")]
+        table = [("input", "topic", "messages", "dropped")]
         table += [(row.name, row.where, row.received, _dropped(row)) for row in rows]
         yield aligned(table)
         late = self.source.counters["superseded"]
-        yield f"{n} observations; {late} frames gave way to newer ones"
+        yield f"{n} observations; {late} frames were replaced by newer ones"
 
     def _lacking(self) -> list[str]:
-        """The inputs without which there is no observation and that the recording lacks."""
+        """Return the inputs that an observation needs and the recording lacks."""
         poses = [ODOMETRY] if self.matched.mover else []
         return list(lacking_inputs(self._config, [*self.matched.topics, *poses]))
 
@@ -353,23 +359,23 @@ class Playback:
         lacks = ", ".join(self._lacking())
         dropped = [f"{row.name} ({row.where}): {_dropped(row)}" for row in rows if row.dropped]
         parts = [
-            f"looked for {', '.join(self.wanted)}",
+            f"searched for {', '.join(self.wanted)}",
             f"found no {lacks}" if lacks else "",
-            f"left out {'; '.join(dropped)}" if dropped else "",
-            f"there are {self.contents.there()}",
+            f"dropped {'; '.join(dropped)}" if dropped else "",
+            f"the recording has {self.contents.there()}",
             *self.bag.notes,
-            "ros2.topics says which is which, mapping.input what the map is made of",
+            "set ros2.topics (names of topics) or mapping.input (what the map is made of)",
         ]
         said = "; ".join(filter(None, parts))
-        return RecordingError(f"{self.bag.path}: no observation comes of it: {said}")
+        return RecordingError(f"{self.bag.path}: it gives no observation: {said}")
 
 
 def _timed(config: Config) -> Config:
-    """The configuration of a source that waits for frames by time, and not for ever."""
+    """Return the configuration of a source that waits for a limited time, not forever."""
     return config.model_copy(update={"loop": config.loop.model_copy(update={"lockstep": False})})
 
 
 def _dropped(row: InputRow) -> str:
-    """Say why messages of an input became part of no observation, most frequent first."""
+    """Describe why messages of an input were not used, most frequent reason first."""
     reasons = sorted(row.dropped.items(), key=lambda item: -item[1])
     return ", ".join(f"{n} {reason}" for reason, n in reasons) or "-"

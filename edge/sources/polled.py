@@ -1,4 +1,4 @@
-"""What sources share that look for messages: the time synchronizer behind, and the looking."""
+"""Base class of sources that poll for messages: synchronizer, decoder and waiting."""
 
 from __future__ import annotations
 
@@ -27,14 +27,16 @@ PAUSE_S = 0.0003
 
 
 class PolledSource(ABC):
-    """An `edge.loop.source.Source`, but for `_drain`, which brings the messages, and `_where`.
+    """An `edge.loop.source.Source`; subclasses add `_drain` (receive messages) and `_where`.
 
     Args:
-        frames: see `CdrDecoder`; also where the sensors sit, if that is for tf to say.
-        clock: of arrivals, in ns.
+        config: the configuration.
+        session: an open session.
+        frames: see `CdrDecoder`; also gives the mounts of sensors if tf has them.
+        clock: time of arrivals, in ns.
 
     Raises:
-        ConfigError: a cloud is asked for and no LiDAR is described.
+        ConfigError: the configuration needs a cloud but has no `sensors.lidar`.
     """
 
     def __init__(
@@ -52,13 +54,13 @@ class PolledSource(ABC):
         heard = self._synchronizer.streams
         self._kept = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
         self._kept |= {topic: KEPT for topic, kind in KINDS.items() if kind.field in heard}
-        """How many messages of each topic to keep between polls; odometry is drained first."""
+        """Messages of each topic to buffer between polls; odometry is read first."""
         for topic in self._kept:
             self._synchronizer.inputs.listen(topic.key, self._where(topic))
 
     @staticmethod
     def check_options(config: Config, **options: Any) -> None:
-        """Refuse a configuration that no source could be made of; see `edge.config.named`."""
+        """Raise an error for an invalid configuration; see `edge.config.named`."""
         streams_of(config)
 
     @property
@@ -74,16 +76,16 @@ class PolledSource(ABC):
         return self._synchronizer.odometry.newest_pose
 
     def input_table(self) -> tuple[InputRow, ...]:
-        """See `edge.loop.source.Source`."""
+        """Return the table of inputs; see `edge.loop.source.Source`."""
         return self._synchronizer.inputs.rows()
 
     def poll(self) -> Observation | None:
-        """See `edge.loop.source.Source`."""
+        """Return the newest observation; see `edge.loop.source.Source`."""
         self._drain()
         return self._synchronizer.poll()
 
     def wait(self, timeout_s: float) -> bool:
-        """See `edge.loop.source.Source`; looks every 0.3 ms, since rings cannot be waited on."""
+        """Wait for messages; polls every 0.3 ms, since rings cannot be waited on."""
         deadline_s = time.monotonic() + timeout_s
         while not self._drain():
             if time.monotonic() >= deadline_s:
@@ -96,18 +98,16 @@ class PolledSource(ABC):
 
     @abstractmethod
     def _where(self, topic: Topic) -> str:
-        """Return the key, the ROS topic or the address where a topic is listened to. The
-        constructor calls it."""
+        """Return the key, ROS topic or address of a topic; called by the constructor."""
 
     @abstractmethod
     def _drain(self) -> int:
-        """Hand what came to the synchronizer, a ring's worth of each topic at most; how many
-        messages it was."""
+        """Pass new messages to the synchronizer, at most a ring per topic; return their number."""
 
     def _take_transforms(
         self, name: str, payload: zenoh.ZBytes | bytes, frames: Frames, static: bool
     ) -> None:
-        """Take a message of tf, that came under this name."""
+        """Process a tf message that was received under this name."""
         self._synchronizer.received(name)
         if self._is_too_large(name, payload):
             return
@@ -117,12 +117,12 @@ class PolledSource(ABC):
             self._synchronizer.count(name, "malformed", one_line(error))
             return
         if untaken:
-            self._synchronizer.count(name, "malformed", f"{untaken}, that fit nowhere")
+            self._synchronizer.count(name, "malformed", f"{untaken}, cannot be used")
         else:
             self._synchronizer.inputs.used(name)
 
     def _is_too_large(self, name: str, payload: zenoh.ZBytes | bytes) -> bool:
-        """Counts it too, under this name."""
+        """Return True for a message over the size limit, and count it under this name."""
         size = len(payload)
         if size > self._max_bytes:
             self._synchronizer.inputs.came(name)

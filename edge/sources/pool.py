@@ -1,4 +1,4 @@
-"""Preallocated frames that are used again only when every reader has let them go."""
+"""Preallocated frames that are reused when every reader has released them."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 
 
 class PoolSlot:
-    """One frame's arrays and the number of readers that hold them (an `edge.types.Slot`).
+    """The arrays of one frame, with a count of its readers (an `edge.types.Slot`).
 
     Attributes:
-        rgb: (h, w, 3) uint8, or None where the pool has no such shape; so the others.
-        depth_m: (h, w) float32.
-        cloud_m: (cap, 3) float32.
+        rgb: (h, w, 3) uint8; None if the pool has no images.
+        depth_m: (h, w) float32, or None.
+        cloud_m: (cap, 3) float32, or None.
     """
 
     __slots__ = ("_lock", "cloud_m", "depth_m", "holds", "rgb")
@@ -48,9 +48,17 @@ class FramePool:
     """`n_slots` frames, allocated once; thread-safe.
 
     Args:
+        n_slots: number of frames.
         image_hw: size of rgb and depth; None for a robot without a camera.
-        cloud_points: room for points, 0 for none.
-        depth: whether slots have `depth_m`.
+        cloud_points: capacity for points, 0 for none.
+        depth: True if slots have `depth_m`.
+
+    Example:
+        >>> pool = FramePool(1, image_hw=(480, 640))
+        >>> slot = pool.acquire()
+        >>> slot.rgb.shape, pool.acquire()
+        ((480, 640, 3), None)
+        >>> slot.release()
     """
 
     def __init__(
@@ -65,7 +73,7 @@ class FramePool:
         self._slots = [PoolSlot(self._lock, image_hw, cloud_points, depth) for _ in range(n_slots)]
 
     def acquire(self) -> PoolSlot | None:
-        """A free slot, held once for the caller; None when all are being read."""
+        """Return a free slot, held once for the caller; None if all are in use."""
         with self._lock:
             for i in range(len(self._slots)):
                 slot = self._slots[(self._next + i) % len(self._slots)]

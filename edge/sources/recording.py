@@ -1,8 +1,7 @@
-"""Recordings of what goes over the bus, as MCAP: made, and played as if it were live.
+"""Recordings of bus messages as MCAP: writing them, and playing them over Zenoh.
 
-The messages are stored as they were on the wire (CDR with `ros2msg` schemas, JSON), so that
-Foxglove and the ROS 2 tools open them. They have our own names (`/camera/rgb`), wherever the
-configured source gets them.
+Messages are stored as on the wire (CDR with `ros2msg` schemas, JSON), so Foxglove and the ROS 2
+tools can open them. They have our own names (`/camera/rgb`), from whichever source they come.
 """
 
 from __future__ import annotations
@@ -53,10 +52,19 @@ _TOPICS = {f"/{topic.key}": topic for topic in topics.ALL}
 def record_messages(
     path: str | os.PathLike[str], messages: Iterable[tuple[Topic, int, bytes]]
 ) -> int:
-    """Write (topic, stamp_ns, payload) as they come, without Zenoh or real time.
+    """Write (topic, stamp_ns, payload) messages without Zenoh or real time.
 
     Returns:
-        How many messages were written.
+        The number of messages written.
+
+    Example:
+        >>> from edge.bus.wire.messages import encode_pose_stamped
+        >>> from edge.geometry import SE2
+        >>> goal = encode_pose_stamped(0, SE2(1.0, 2.0, 0.0))
+        >>> record_messages("/tmp/edge-example.mcap", [(topics.GOAL, 0, goal)])
+        1
+        >>> [message.topic.key for message in read("/tmp/edge-example.mcap")]
+        ['goal']
     """
     with McapFile(path, "zstd") as file:
         for topic, stamp_ns, payload in messages:
@@ -71,15 +79,23 @@ def record(
     duration_s: float,
     stop: threading.Event | None = None,
 ) -> Counter[str]:
-    """Write everything that the configured source listens to, and all on Zenoh's topics, until
-    time is up or `stop` is set.
+    """Record all that the configured source receives and all Zenoh topics.
+
+    Ends after `duration_s`, or when `stop` is set.
+
+    Args:
+        session: an open session.
+        config: the configuration.
+        path: the MCAP file to write.
+        duration_s: how long to record.
+        stop: ends the recording when it is set.
 
     Returns:
-        How many messages were written, by channel.
+        The number of messages written, by channel.
 
     Raises:
-        RecordingError: the file cannot be written. What was heard before is in `NAME.partial`,
-            as it is where this process is killed.
+        RecordingError: the file cannot be written. The messages so far are in `NAME.partial`, as
+            they are if this process is killed.
     """
     stop = stop or threading.Event()
     taps = _taps(session, config)
@@ -109,16 +125,16 @@ def record(
 
 
 class _Tap(Protocol):
-    """Listens along with a source."""
+    """Receives the messages of a source for the recording."""
 
     def take(self) -> Iterator[tuple[Channel, bytes]]:
-        """Yield what came since the last look."""
+        """Yield the messages since the last poll."""
 
     def close(self) -> None: ...
 
 
 def _taps(session: zenoh.Session, config: Config) -> list[_Tap]:
-    """The taps of everything that the configured source listens to."""
+    """Return taps of everything that the configured source receives."""
     taps: list[_Tap] = [_ZenohTap(session, config)]
     if config.source.kind == "ros2":
         taps.append(_Ros2Tap(session, config))
@@ -130,7 +146,7 @@ def _taps(session: zenoh.Session, config: Config) -> list[_Tap]:
 
 
 class _ZenohTap:
-    """Listens to all of Zenoh's topics."""
+    """Receives all Zenoh topics."""
 
     def __init__(self, session: zenoh.Session, config: Config) -> None:
         self._rings = [
@@ -148,7 +164,7 @@ class _ZenohTap:
 
 
 class _Ros2Tap:
-    """The sensors and tf of a ROS 2 graph, as `ros2.topics` names them."""
+    """Receives the sensors and tf of a ROS 2 graph, named in `ros2.topics`."""
 
     def __init__(self, session: zenoh.Session, config: Config) -> None:
         self._node = open_node(config, session, "record")
@@ -159,7 +175,7 @@ class _Ros2Tap:
             )
             for name in HEARD
         }  # fmt: skip
-        self._told: set[str] = set()
+        self._warned: set[str] = set()
 
     def take(self) -> Iterator[tuple[Channel, bytes]]:
         self._node.look()
@@ -167,11 +183,11 @@ class _Ros2Tap:
             for type_name, payload in subscription.take():
                 if type_name in subscription.types:
                     yield _channel_of(name, subscription.topic, type_name), payload.to_bytes()
-                elif name not in self._told:
-                    self._told.add(name)
+                elif name not in self._warned:
+                    self._warned.add(name)
                     log.warning(
-                        "%s: not recorded: it brings %s, not %s", subscription.topic,
-                        type_name or "what has no type", " or ".join(subscription.types),
+                        "%s: not recorded: its type is %s, expected %s", subscription.topic,
+                        type_name or "unknown", " or ".join(subscription.types),
                     )  # fmt: skip
 
     def close(self) -> None:
@@ -180,7 +196,7 @@ class _Ros2Tap:
 
 @cache
 def _channel_of(name: str, ros_name: str, type_name: str) -> Channel:
-    """The channel of a ROS 2 topic: under our name, which says if pictures are compressed."""
+    """Return the channel of a ROS 2 topic: our name, with a suffix if images are compressed."""
     ending = ""
     if type_name == COMPRESSED:
         ending = next((end for end in COMPRESSED_ENDINGS if ros_name.endswith(end)), "/compressed")
@@ -203,13 +219,13 @@ class Recorded(NamedTuple):
 
 
 def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
-    """Yield the messages of a recording in the order in which they were heard.
+    """Yield the messages of a recording in the order of their log times.
 
     Raises:
         RecordingError: no such file, or not a complete MCAP file.
     """
     reading = McapReading(path)
-    if is_complete(path):  # else nothing of it is played
+    if is_complete(path):  # an incomplete file is not played at all
         for message in in_order(reading):
             topic = _TOPICS.get(message.topic)
             if topic is not None:
@@ -218,12 +234,12 @@ def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
             return
     why = reading.cut or "cut off"
     raise RecordingError(
-        f"{path}: not a complete MCAP file: {why}; `edge replay --recover` makes one of it"
+        f"{path}: not a complete MCAP file: {why}; repair it with `edge replay --recover`"
     )
 
 
 class Played(NamedTuple):
-    """How a recording was played: messages sent, and how late the latest of them left."""
+    """Result of a playback: messages sent, and the largest delay of one of them."""
 
     messages: int
     max_late_s: float
@@ -238,16 +254,20 @@ def play(
     restamp: bool = True,
     stop: threading.Event | None = None,
 ) -> Played:
-    """Send what the sensors sent, at the times at which they did.
+    """Publish the sensor messages of a recording at the times at which they were recorded.
 
-    Every deadline counts from the start, so that lateness never adds up. What the service and the
-    controller said is left out.
+    Deadlines count from the start, so delays do not add up. Messages of the service and the
+    controller are left out.
 
     Args:
+        session: an open session.
+        settings: `zenoh` of the configuration.
+        path: the recording.
         rate: 2.0 plays twice as fast.
-        loop: begin again at the end, until `stop` is set.
-        restamp: shift the stamps so that they are taken now; the differences are kept (but for
-            `rate`), so that what belongs together stays together.
+        loop: repeat until `stop` is set.
+        restamp: shift the stamps to the current time. Their differences are kept (divided by
+            `rate`), so that messages that belong together stay together.
+        stop: ends playing when it is set.
     """
     stop = stop or threading.Event()
     publishers: dict[str, zenoh.Publisher] = {}
@@ -271,24 +291,24 @@ def play(
         if not loop:
             break
         if first_ns is None:
-            raise RecordingError(f"{path}: nothing in it that a sensor sent")
+            raise RecordingError(f"{path}: no message of a sensor in it")
     for publisher in publishers.values():
         publisher.undeclare()
     return Played(sent, max_late_s)
 
 
 def _sleep_until(deadline_s: float, stop: threading.Event) -> float:
-    """Sleep until a time of the monotonic clock; how late it was then."""
+    """Sleep until a time of the monotonic clock; return the delay in seconds."""
     rest_s = deadline_s - time.monotonic()
     if rest_s > 0.2:
         stop.wait(rest_s)
     elif rest_s > 0:
-        time.sleep(rest_s)  # an Event's wait overshoots more
+        time.sleep(rest_s)  # more accurate than Event.wait
     return max(0.0, time.monotonic() - deadline_s)
 
 
 def _restamped(payload: bytes, first_ns: int, begin_ns: int, rate: float) -> bytes:
-    """The payload with its header's stamp moved from the recording's time to this one's."""
+    """Return the payload with its stamp shifted from the recording's time to the current time."""
     stamp_ns = begin_ns + int((peek_stamp_ns(payload) - first_ns) / rate)
     at = len(HEADER)
     stamp = STAMP.pack(*divmod(stamp_ns, 1_000_000_000))
@@ -298,7 +318,7 @@ def _restamped(payload: bytes, first_ns: int, begin_ns: int, rate: float) -> byt
 def wait_for_service(
     session: zenoh.Session, settings: Zenoh, timeout_s: float, stop: threading.Event
 ) -> bool:
-    """Whether somebody comes to listen to odometry (as every service does) within the time."""
+    """Return True if a service subscribes to odometry within the time (every service does)."""
     deadline_s = time.monotonic() + timeout_s
     publisher = declare_publisher(session, topics.ODOMETRY, settings)
     try:
@@ -314,18 +334,18 @@ def wait_for_service(
 def player(
     config: Config, path: str | os.PathLike[str], rate: float = 1.0, loop: bool = False
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Play a recording from another process, which waits for the service; it ends with the block.
+    """Play a recording in another process, which waits for the service and ends with the block.
 
     Raises:
-        RecordingError: no such file (what else goes wrong, the process says on stderr).
+        RecordingError: no such file (the process reports other errors on stderr).
     """
     if not Path(path).is_file():
         raise RecordingError(f"{path}: no such file")
     command = [*python_module("edge.sources.recording"), "play", str(path), f"--rate={rate}"]
     process = subprocess.Popen(command + ["--loop"] * loop, stdin=subprocess.PIPE)
     try:
-        # Not among its arguments, which every user of this machine may read.
-        with suppress(BrokenPipeError), process.stdin as settings:  # it says itself what failed
+        # Not as arguments, which every user of this computer can read.
+        with suppress(BrokenPipeError), process.stdin as settings:  # it reports why it failed
             settings.write(config.zenoh.model_dump_json().encode() + b"\n")
         yield process
     finally:
@@ -341,7 +361,7 @@ def player(
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge record`; 1 when a sensor that the map is made of was not heard."""
+    """Run `edge record`; return 1 if a sensor that the map needs sent nothing."""
     config = load(args.config)
     stop = stop_on_signals()
     with zenoh_session(config.zenoh, "connect", stop) as session:
@@ -350,15 +370,15 @@ def run(args: argparse.Namespace) -> int:
     for topic, n in sorted(written.items()):
         print(f"{n:8} {topic}")
     if not written:
-        print(f"nothing was heard at {config.zenoh.address}: is the service running?")
+        print(f"nothing received at {config.zenoh.address}: is the service running?")
         return FAILED
     there = {name for name in HEARD if any(f"/{name}{end}" in written for end in _ENDINGS)}
-    if TF in there:  # it has poses, too
+    if TF in there:  # tf can replace odometry
         there.add(ODOMETRY)
     lacks = list(lacking_inputs(config, there))
     if lacks:
-        print(f"nothing was heard of {', '.join(lacks)} (source.kind: {config.source.kind}): no "
-              "map can be made of this recording")  # fmt: skip
+        print(f"nothing received from {', '.join(lacks)} (source.kind: {config.source.kind}): no "
+              "map can be built from this recording")  # fmt: skip
     return FAILED if lacks else os.EX_OK
 
 
@@ -367,7 +387,7 @@ def _play_command(args: argparse.Namespace) -> int:
     stop = stop_on_signals()
     with open_session(settings, "connect", stop) as session:
         if not wait_for_service(session, settings, args.wait, stop):
-            raise UnavailableError(f"{settings.address}: no service came within {args.wait:g} s")
+            raise UnavailableError(f"{settings.address}: no service after {args.wait:g} s")
         played = play(session, settings, args.file, args.rate, args.loop, True, stop)
     print(f"{args.file}: {played.messages} messages, at most {played.max_late_s * 1e3:.1f} ms late")
     return 0

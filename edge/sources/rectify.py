@@ -1,4 +1,4 @@
-"""Images of a lens with distortion, rectified to those of a pinhole camera."""
+"""Rectification of distorted images to those of a pinhole camera."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from edge.sources.messages import DepthImage, Frame, Image
 
 FISHEYE = "equidistant"
 MODELS = ("plumb_bob", "rational_polynomial", FISHEYE)
-_COEFFICIENTS = (4, 5, 8, 12, 14)  # as many as OpenCV takes; those that lack are zero
+_COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers that OpenCV accepts; missing ones are zero
 _NAMES = {"rect", "rectified"}
 _SAMPLES = 1000
 _OUTSIDE_PX = -10.0
-_MOST_PX = 32_766  # OpenCV's maps are of 16 bits
-_OTHERWISE = "if they are already, set source.distortion: ignore"
+_MOST_PX = 32_766  # OpenCV's maps have 16 bits
+_OTHERWISE = "if they are rectified already, set source.distortion: ignore"
 _HOW = {Image.field: cv2.INTER_LINEAR, DepthImage.field: cv2.INTER_NEAREST}
 
 
 def is_rectified(topic: str) -> bool:
-    """Return whether a topic's name has the word `rect` or `rectified`, as image_proc's do.
+    """Return True if a topic's name has the word `rect` or `rectified`, as image_proc's do.
 
     >>> is_rectified("/camera/image_rect_color"), is_rectified("/director/image_raw")
     (True, False)
@@ -32,17 +32,17 @@ def is_rectified(topic: str) -> bool:
 
 
 class Rectifier:
-    """Rectifies the images of one camera, by a map that its first image makes; for one thread.
+    """Rectifies the images of one camera with maps made at its first image; for one thread.
 
-    Depth is rectified by the nearest pixel: between a near and a far one there is nothing. What the
-    raw image does not show is 0.
+    Depth uses the nearest pixel, since a mean of near and far is wrong. Pixels outside the raw
+    image are 0.
 
     Args:
         lens: of the raw images.
-        camera: of the rectified ones; of the same size.
+        camera: of the rectified images, of the same size.
 
     Raises:
-        ValueError: the model is not known, has other coefficients, or the image is too large.
+        ValueError: unknown model, wrong number of coefficients, or too large an image.
     """
 
     def __init__(self, lens: Lens, camera: CameraModel) -> None:
@@ -59,38 +59,38 @@ class Rectifier:
         }
 
     def into(self, frame: Frame, out: np.ndarray) -> int:
-        """Write a frame into `out`, rectified; see `Frame.into`."""
+        """Write a rectified frame into `out`; see `Frame.into`."""
         raw = self._raw[frame.field]
         rows = frame.into(raw)
         if rows:
-            if self._maps is None:  # not before: a description alone must cost no memory
+            if self._maps is None:  # only now: camera info alone must cost no memory
                 self._maps = self._make_maps()
             maps, how = self._maps[frame.field], _HOW[frame.field]
             cv2.remap(raw, *maps, how, dst=out, borderMode=cv2.BORDER_CONSTANT)
         return rows
 
     def _make_maps(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return the raw pixel of each rectified one, as OpenCV takes it fastest, by field."""
+        """Return the raw pixel of each rectified pixel, in OpenCV's fastest format, by field."""
         lens, camera = self._lens, self._camera
         fisheye = lens.model == FISHEYE
         make = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
         size = camera.width_px, camera.height_px
         maps = make(_matrix(lens.camera), self._d, np.eye(3), _matrix(camera), size, cv2.CV_32F)
-        with np.errstate(over="ignore", invalid="ignore"):  # coefficients may be absurd
+        with np.errstate(over="ignore", invalid="ignore"):  # coefficients may be nonsense
             outside = ~np.isfinite(maps[0] + maps[1]) | self._folded(camera)
         for axis in maps:
             axis[outside] = _OUTSIDE_PX
-        # For depth a map of its own: one for colours would be rounded down.
+        # Depth needs a separate map: the one for colour would be rounded down.
         return {
             Image.field: cv2.convertMaps(*maps, cv2.CV_16SC2),
             DepthImage.field: cv2.convertMaps(*maps, cv2.CV_16SC2, nninterpolation=True),
         }
 
     def _folded(self, camera: CameraModel) -> np.ndarray:
-        """Return (h, w) bool: pixels so far out that the model folds their rays back.
+        """Return (h, w) bool: pixels far outside, where the distortion model folds back.
 
-        Polynomials are fitted inside the image. Farther out they turn, and the image would appear
-        there a second time.
+        The polynomials are fitted inside the image. Farther out they turn, and the image would
+        appear a second time.
         """
         u, v = np.arange(camera.width_px), np.arange(camera.height_px)
         x = ((u - camera.cx_px) / camera.fx_px)[None, :]
@@ -105,13 +105,13 @@ class Rectifier:
 
 
 def _coefficients(lens: Lens) -> np.ndarray:
-    """The coefficients as OpenCV takes them; raises ValueError for those that it does not."""
+    """Return the coefficients padded for OpenCV; raise ValueError if OpenCV cannot use them."""
     if lens.model not in MODELS:
         raise ValueError(f"{lens}: the model is not known (known: {', '.join(MODELS)})")
     most = 4 if lens.model == FISHEYE else _COEFFICIENTS[-1]
     d = np.trim_zeros(np.array(lens.coefficients), "b")
     if len(d) > most:
-        raise ValueError(f"{lens}: {len(d)} coefficients, at most {most} are taken")
+        raise ValueError(f"{lens}: {len(d)} coefficients, at most {most} are allowed")
     n = next(n for n in _COEFFICIENTS if n >= len(d))
     return np.pad(d, (0, n - len(d)))
 
@@ -123,12 +123,12 @@ def _matrix(camera: CameraModel) -> np.ndarray:
 
 
 class LensPlan(NamedTuple):
-    """How the images of a camera are taken.
+    """The use of a camera's images: rectified or not.
 
     Attributes:
         distortion: see `edge.types.Observation`.
         rectifier: None: no field is rectified.
-        fields: those that are.
+        fields: fields to rectify.
         text: a line for the log; empty without distortion.
     """
 
@@ -138,7 +138,7 @@ class LensPlan(NamedTuple):
     text: str = ""
 
     def decode(self, frame: Frame, out: np.ndarray) -> int:
-        """Write a frame into `out` as it is to be seen; see `Frame.into`."""
+        """Write a frame into `out`, rectified if planned; see `Frame.into`."""
         if self.rectifier is None or frame.field not in self.fields:
             return frame.into(out)
         return self.rectifier.into(frame, out)
@@ -151,23 +151,30 @@ def plan_for(
     rgb_topic: str,
     depth_topic: str | None,
 ) -> LensPlan:
-    """Choose how the images of a camera are taken.
+    """Decide how the images of a camera are used.
 
-    Depth is registered to the colours, so it is distorted as they are, unless its own name says
-    that it is registered to rectified ones.
+    Depth is registered to the colour image and has the same distortion, unless its topic name says
+    that it is rectified.
 
     Args:
+        lens: distortion; None: none.
+        camera: of the rectified images.
         setting: `source.distortion`.
-        depth_topic: None: no depth is listened to.
+        rgb_topic: name of the colour topic.
+        depth_topic: name of the depth topic; None: no depth is used.
 
     Raises:
-        ValueError: its images are refused; one line.
+        ValueError: the images cannot be used; one line.
     """
     if lens is None:
         return LensPlan()
     if setting == "ignore" or is_rectified(rgb_topic):
-        why = "source.distortion is ignore" if setting == "ignore" else f"{rgb_topic} says so"
-        return LensPlan("ignored", text=f"{lens}: images are taken for rectified: {why}")
+        why = (
+            "source.distortion is ignore"
+            if setting == "ignore"
+            else f"{rgb_topic} has rect in its name"
+        )
+        return LensPlan("ignored", text=f"{lens}: images are used as rectified: {why}")
     if setting == "refuse":
         raise ValueError(f"{lens}: source.distortion is refuse: send rectified images")
     try:

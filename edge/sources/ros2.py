@@ -1,8 +1,7 @@
-"""Observations from a robot's ROS 2 graph, without ROS, however it is reached (`ros2.via`).
+"""Observations from a robot's ROS 2 graph, without ROS, over any transport of `ros2.via`.
 
-On rmw_zenoh a message's key says what it is, so a topic may bring pictures as they are or
-compressed, and of any distribution. Our subscriptions are announced, since drivers send nothing
-while nobody listens.
+With rmw_zenoh the key of a message has its type, so a topic may carry raw or compressed images, of
+any distribution. Subscriptions are announced, because drivers may send nothing without subscribers.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ _TF_KEPT = 256
 
 
 class Ros2Source(PolledSource):
-    """The sensors that `ros2.topics` names as Observations."""
+    """Source of the sensors in `ros2.topics`."""
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
         self._settings, self._frames = config.ros2, Frames(config)
         super().__init__(config, session, self._frames)
         self._node = open_node(config, session, "source")
-        # What was moored first: a frame whose sensor sits nowhere yet is dropped.
+        # Process tf first: frames of a sensor without a known mount are dropped.
         self._transforms = {n: self._subscribe(n, _TF_KEPT) for n in ("tf_static", "tf")}
         for name in ("tf", "tf_static"):
             self._synchronizer.inputs.add(name, "tf", needed=self._frames.by_tf)
@@ -73,7 +72,7 @@ class Ros2Source(PolledSource):
             expected = " or ".join(subscription.types)
             self._synchronizer.count(
                 topic.key, "malformed",
-                f"{subscription.topic} brings {type_name or 'what has no type'}, not {expected}",
+                f"{subscription.topic} has type {type_name or 'unknown'}, expected {expected}",
             )  # fmt: skip
         else:
             self._decoder.offer(topic, payload.to_bytes(), type_name.replace("/msg/", "/"))

@@ -1,4 +1,4 @@
-"""The newest frames of one sensor, waiting to be joined with those of the others."""
+"""Queue of one sensor's newest frames, which wait to be joined with those of other sensors."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from edge.sources.messages import Frame
 from edge.sources.odometry import StampGuard
 
 KEPT = 4
-"""Frames that are kept however old they are, and that wait between two looks at a topic."""
+"""Frames that are kept at any age, and that are buffered between two polls of a topic."""
 MOST = 64
-"""Frames that are kept however small they are."""
+"""Most frames that are kept, at any size."""
 
 
 class Stream:
-    """Frames in the order of their stamps.
+    """Frames ordered by stamp.
 
     Args:
-        tolerance_ns: how far a frame's stamp may be from the instant it is asked for.
-        required: whether there is no observation without it.
-        kept_ns: how much older than the newest frame a frame may be.
-        most_bytes: what all frames may take together.
+        tolerance_ns: largest difference between a frame's stamp and the requested instant.
+        required: True if an observation needs this sensor.
+        kept_ns: largest age of a frame relative to the newest.
+        most_bytes: limit of all frames together.
 
     Attributes:
-        delay_ns: when the newest frame came minus when it was taken, on two clocks; None before
-            the first. Only differences between streams mean anything.
+        delay_ns: arrival minus stamp of the newest frame, on two clocks; None before the first.
+            Only differences between streams are meaningful.
     """
 
     def __init__(self, tolerance_ns: int, required: bool, kept_ns: int, most_bytes: int) -> None:
@@ -36,7 +36,7 @@ class Stream:
         self._bytes = 0
 
     def offer(self, frame: Frame) -> str:
-        """Take a frame; why it was not taken, or why an older one was let go, or ""."""
+        """Append a frame; return why it was rejected, or why an older one was dropped, or ""."""
         verdict = self._guard.judge(frame.stamp_ns)
         if verdict in ("repeated", "backward"):
             return verdict
@@ -63,20 +63,20 @@ class Stream:
         return self._frames[::-1]
 
     def near(self, stamp_ns: int) -> Frame | None:
-        """The frame nearest to an instant, within the tolerance."""
+        """Return the frame nearest to an instant, within the tolerance, or None."""
         best = self.nearest(stamp_ns)
         if best is None or abs(best.stamp_ns - stamp_ns) > self._tolerance_ns:
             return None
         return best
 
     def nearest(self, stamp_ns: int) -> Frame | None:
-        """Return the frame nearest to an instant, however far; None: there is none."""
+        """Return the frame nearest to an instant at any distance; None if there is none."""
         i = bisect_left(self._frames, stamp_ns, key=lambda f: f.stamp_ns)
         around = self._frames[max(i - 1, 0) : i + 1]
         return min(around, key=lambda f: abs(f.stamp_ns - stamp_ns), default=None)
 
     def is_past(self, stamp_ns: int) -> bool:
-        """Whether every frame still to come is too late for this instant."""
+        """Return True if every future frame is too late for this instant."""
         newest_ns = self._guard.newest_ns
         return newest_ns is not None and newest_ns > stamp_ns + self._tolerance_ns
 
@@ -85,7 +85,7 @@ class Stream:
         self._bytes -= frame.size
 
     def drop_through(self, stamp_ns: int) -> int:
-        """Let go of everything up to an instant; how many they were."""
+        """Drop all frames up to an instant; return their number."""
         n = 0
         while self._frames and self._frames[0].stamp_ns <= stamp_ns:
             self.drop(self._frames[0])
@@ -93,6 +93,6 @@ class Stream:
         return n
 
     def drop_unneeded(self, stamp_ns: int) -> None:
-        """Let go of what no instant after this one can be joined with, but for the newest."""
+        """Drop frames that no later instant can be joined with, except the newest."""
         while len(self._frames) > 1 and self._frames[0].stamp_ns < stamp_ns - self._tolerance_ns:
             self.drop(self._frames[0])

@@ -1,11 +1,11 @@
-"""Joins camera, depth, cloud and odometry messages into Observations; knows no transport.
+"""Synchronizer of camera, depth, cloud and odometry messages into Observations.
 
-One sensor leads (`mapping.input`): every depth image or every cloud is one observation. The others
-are joined to it by stamp. It waits for them, and for a pose and mounts at or after its stamp, at
-most `source.wait_s`. Then older ones serve: a pose is extrapolated, but only within
-`source.max_pose_gap_s` and while odometry comes. A frame that still has no pose, or lacks a sensor
-it must have, is dropped and counted. In lockstep it waits for ever, so that a run replays the same.
-Of several complete observations the newest wins.
+One sensor leads (`mapping.input`): each of its depth images or clouds is one observation. Frames of
+the other sensors are joined to it by stamp. The leading frame waits for them, for a pose and for
+mounts, at most `source.wait_s`. After that older data are used: a pose is extrapolated, but only
+within `source.max_pose_gap_s` and while odometry arrives. A frame without a pose or a required
+sensor is dropped and counted. In lockstep it waits forever, so that a run can be replayed exactly.
+Of several complete observations the newest is used.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from edge.types import Observation
 
 log = logging.getLogger("edge.sources")
 
-# A sensor that an observation may lack is waited for as long as it is late, and so much longer.
+# Time to wait for an optional sensor, on top of its usual delay.
 _SLACK_NS = 50_000_000
 _POSES_APART_NS = 1_000_000
 _LARGEST = 4  # messages of the largest size that one stream may hold
@@ -55,20 +55,20 @@ REASONS = (
     "clock_reset", "overrun", "distorted",
 )  # fmt: skip
 
-_NO_BEAM = "no beam measured anything: NaN, 0 and -inf are no readings, +inf is one (REP 117)"
+_NO_BEAM = "no beam has a valid range: NaN, 0 and -inf are invalid, +inf is valid (REP 117)"
 _LIMITS = {
     "oversized": "source.max_message_mb",
     "pool_exhausted": "source.pool_slots",
     "pose_jump": "source.max_pose_jump_m",
 }
-"""The setting that a message was dropped by."""
+"""The setting behind each kind of drop."""
 
 
 def streams_of(config: Config) -> dict[str, Stream]:
-    """The sensors that this configuration listens to, by field, the leading one first.
+    """Return the sensors that a configuration uses, by field, the leading one first.
 
     Raises:
-        ConfigError: a cloud is asked for and no LiDAR is described.
+        ConfigError: it needs a cloud but has no `sensors.lidar`.
     """
     perception, lidar = config.perception, config.sensors.lidar
     cloud_leads = config.mapping.input == "cloud"
@@ -77,14 +77,14 @@ def streams_of(config: Config) -> dict[str, Stream]:
         raise ConfigError(f"{config.at(key)}: cloud needs sensors.lidar (where it is mounted)")
     must = config.loop.lockstep or not cloud_leads
     half_frame_ns = int(0.5e9 / config.sensors.camera.rate_hz)
-    # A frame may come so long before the leading one, which then waits as long for its pose.
+    # A frame may come this long before the leading frame, which then waits as long for its pose.
     kept_ns = int(2e9 * config.source.wait_s)
     most_bytes = int(_LARGEST * 1e6 * config.source.max_message_mb)
     streams = {}
     if cloud_leads or perception.lift == "cloud":
         required = cloud_leads or config.loop.lockstep
         streams["cloud_m"] = Stream(int(1e9 / lidar.rate_hz), required, kept_ns, most_bytes)
-    # The simulator's detector tells how far things are from the depth image.
+    # The simulator's detector takes distances from the depth image.
     if not cloud_leads or perception.lift == "depth" or perception.detector.kind == "sim":
         streams["depth_m"] = Stream(half_frame_ns, must, kept_ns, most_bytes)
     streams["rgb"] = Stream(half_frame_ns, must, kept_ns, most_bytes)
@@ -100,12 +100,14 @@ def _nearest(leader: Frame, name: str, nearest_ns: int | None) -> str:
 
 
 class _Joined(NamedTuple):
-    """What belongs to a leading frame.
+    """A leading frame with all that was joined to it.
 
     Attributes:
         frames: of all sensors, the leading one first.
+        T_map_base: pose at the leading frame's stamp.
         mounts: fields of `Observation`.
-        pose_age_ns, tf_age_ns: how much older than the frame's stamp odometry and transforms are.
+        pose_age_ns: age of the odometry at the frame's stamp; 0: interpolated.
+        tf_age_ns: age of the transforms at the frame's stamp.
     """
 
     frames: list[Frame]
@@ -116,23 +118,24 @@ class _Joined(NamedTuple):
 
 
 class _Dropped(NamedTuple):
-    """Why a leading frame becomes no observation."""
+    """The reason why a leading frame becomes no observation."""
 
     reason: str
     why: str
 
 
 class TimeSynchronizer:
-    """See the module. For one thread.
+    """Joins messages as the module's docstring says; for one thread.
 
     Args:
-        mount_at: where the sensors sit, for a robot whose mounts move; by default they sit where
-            the configuration says.
+        config: the configuration.
+        clock: time of arrivals, in ns.
+        mount_at: gives mounts that move; None: mounts come from the configuration.
 
     Attributes:
-        counters: `received` messages (counted by who hands them in), `observations` given out,
-            `old_pose` of them (see `Observation.pose_age_ns`), and drops by reason (`REASONS`).
-        inputs: the same for each input by itself, and how often and when it came.
+        counters: `received` messages, `observations` returned, `old_pose` of these (see
+            `Observation.pose_age_ns`), and drops by reason (`REASONS`).
+        inputs: the same for each input, with rates and ages.
     """
 
     def __init__(
@@ -167,8 +170,8 @@ class TimeSynchronizer:
         self._lens = LensPlan()
         self._pool: FramePool | None = None
         self._seq = 0
-        self._told: set[tuple[str, str]] = set()
-        # Drivers fill gaps with the far end itself.
+        self._logged: set[tuple[str, str]] = set()
+        # Some drivers send the end of the range in place of "no return".
         self._beyond_m = float(np.nextafter(np.float32(config.farthest_depth_m), np.float32(0)))
         camera, lidar = config.sensors.camera, config.sensors.lidar
         self._T_base_camera = camera.T_base_camera()
@@ -180,18 +183,18 @@ class TimeSynchronizer:
         self.inputs.came(topic)
 
     def count(self, topic: str, reason: str, detail: object = "") -> None:
-        """Count a drop; the first of its kind is also told."""
+        """Count a drop; log the first of its kind."""
         self.counters[reason] += 1
         limit = f"the limit is {_LIMITS[reason]}" if reason in _LIMITS else ""
         detail = ", ".join(filter(None, (one_line(detail), limit)))
         self.inputs.dropped(topic, reason, detail)
-        if reason != "superseded" and (topic, reason) not in self._told:
-            self._told.add((topic, reason))
+        if reason != "superseded" and (topic, reason) not in self._logged:
+            self._logged.add((topic, reason))
             said = f"({detail}) " if detail else ""
             log.warning("%s: dropped: %s %s(further ones are only counted)", topic, reason, said)
 
     def _count_old(self, leader: Frame, joined: _Joined) -> None:
-        """Count an observation with an old pose or mount; the first of its kind is also told."""
+        """Count an observation with an old pose or mount; log the first of its kind."""
         if max(joined.pose_age_ns, joined.tf_age_ns) == 0:
             return
         self.counters["old_pose"] += 1
@@ -204,14 +207,14 @@ class TimeSynchronizer:
             late = self._late(leader, topic, self._pose_delay_ns) if topic == "odom" else ""
             said = f"mapped with {what} {age_ns / 1e6:.0f} ms old{late}"
             self.inputs.doubted(topic, said)
-            if (topic, "old") not in self._told:
-                self._told.add((topic, "old"))
+            if (topic, "old") not in self._logged:
+                self._logged.add((topic, "old"))
                 log.warning("%s: %s (further ones are only counted)", topic, said)
 
     # -- messages in --------------------------------------------------------------------------
 
     def offer(self, message: Message) -> None:
-        """Take one message; frames of sensors that nobody asked for are left out."""
+        """Process one message; frames of unused sensors are ignored."""
         reason = ""
         if isinstance(message, Odometry):
             reason = self.odometry.push(message.stamp_ns, message.T_map_base, message.age_ns)
@@ -243,7 +246,9 @@ class TimeSynchronizer:
             return
         self._info, self._camera, self._pool = message, None, None
         if message.cut:
-            self._tell(message, f"{message.cut}: images of {camera.width_px}x{camera.height_px}")
+            self._log_once(
+                message, f"{message.cut}: images of {camera.width_px}x{camera.height_px}"
+            )
         where, listens = self.inputs.where, DepthImage.field in self.streams
         try:
             self._lens = plan_for(
@@ -255,27 +260,27 @@ class TimeSynchronizer:
             return
         if message.lens is not None:
             guess = self._lens.distortion == "rectified"
-            self._tell(message, self._lens.text, logging.WARNING if guess else logging.INFO)
+            self._log_once(message, self._lens.text, logging.WARNING if guess else logging.INFO)
         self._camera = camera
         self.inputs.used(message.topic)
 
-    def _tell(self, message: CameraInfo, text: str, level: int = logging.WARNING) -> None:
-        """Log how a camera's description is used, once."""
-        if (message.topic, text) not in self._told:
-            self._told.add((message.topic, text))
+    def _log_once(self, message: CameraInfo, text: str, level: int = logging.WARNING) -> None:
+        """Log once how camera info is used."""
+        if (message.topic, text) not in self._logged:
+            self._logged.add((message.topic, text))
             log.log(level, "%s: %s", message.topic, text)
 
     # -- observations out ---------------------------------------------------------------------
 
     def poll(self) -> Observation | None:
-        """The newest complete observation, held once for the caller; older ones are dropped."""
+        """Return the newest complete observation, held once for the caller; drop older ones."""
         leading = self.streams[self._leader]
         now_ns = self._clock()
         for frame in leading.newest_first():
             joined = self._join(frame, now_ns)
             if joined is None:
                 continue
-            leading.drop(frame)  # at once: one that cannot be decoded must not come up again
+            leading.drop(frame)  # now: a frame that cannot be decoded must not be tried again
             if isinstance(joined, _Dropped):
                 self.count(frame.topic, joined.reason, joined.why)
                 continue
@@ -290,7 +295,7 @@ class TimeSynchronizer:
         return None
 
     def _join(self, leader: Frame, now_ns: int) -> _Joined | _Dropped | None:
-        """Return what belongs to the leader, or why it is dropped; None: not yet."""
+        """Return the leading frame with what belongs to it, or why it is dropped; None: wait."""
         since_ns = now_ns - leader.arrived_ns
         waited = since_ns > self._wait_ns
         frames = [leader]
@@ -308,7 +313,7 @@ class TimeSynchronizer:
         if missing in ("empty", "too_new"):
             if not waited:
                 return None
-            # If no pose came since the frame did, odometry is not late: it is silent.
+            # If no pose came after the frame, odometry is not late but silent.
             if missing == "too_new" and self._pose_came_ns >= leader.arrived_ns:
                 T_map_base, tf_age_ns = self.odometry.extrapolated(leader.stamp_ns)
                 pose_age_ns = leader.stamp_ns - self.odometry.newest_ns
@@ -325,7 +330,7 @@ class TimeSynchronizer:
         return _Joined(frames, T_map_base, mounts, pose_age_ns, tf_age_ns)
 
     def _wait_for(self, stream: Stream) -> float:
-        """Return how long a frame waits for another sensor's, in ns."""
+        """Return how long a leading frame waits for another sensor, in ns."""
         if stream.required:
             return self._wait_ns
         late_ns = 0
@@ -334,14 +339,14 @@ class TimeSynchronizer:
         return min(self._wait_ns, late_ns + _SLACK_NS)
 
     def _moving(self, frames: list[Frame]) -> list[tuple[str, str, int]]:
-        """Return the mounts to ask for: field of `Observation`, frame of the sensor, stamp."""
+        """Return the moving mounts to look up: field of `Observation`, sensor frame, stamp."""
         if self._mount_at is None:
             return []
         by_field = {frame.field: frame for frame in frames}
         asked = []
         if (cloud := by_field.get(Cloud.field)) is not None:
             asked.append(("T_base_lidar", cloud.frame_id, cloud.stamp_ns))
-        # Depth is registered to the colours: it is in their frame, at a stamp of its own.
+        # Depth is registered to the colour image: same mount, at the depth's own stamp.
         image = by_field.get(DepthImage.field) or by_field.get(Image.field)
         if image is not None and self._camera_frame:
             asked.append(("T_base_camera", self._camera_frame, image.stamp_ns))
@@ -356,7 +361,7 @@ class TimeSynchronizer:
         return _Dropped("stale" if missing == "too_old" else "no_pose", why)
 
     def _apart(self, leader: Frame, field: str) -> str:
-        """Say how far the nearest frame of another sensor is, and which of the two is late."""
+        """Describe how far the nearest frame of another sensor is, and which of them is late."""
         stream = self.streams[field]
         nearest = stream.nearest(leader.stamp_ns)
         if nearest is None:
@@ -365,7 +370,7 @@ class TimeSynchronizer:
         return said + self._late(leader, nearest.topic, stream.delay_ns)
 
     def _late(self, leader: Frame, topic: str, delay_ns: int | None) -> str:
-        """Say which of two topics comes later than a frame waits, and by how much; or ""."""
+        """Describe which of two topics arrives too late, and by how much; "" if neither does."""
         leader_delay_ns = self.streams[self._leader].delay_ns
         if delay_ns is None or leader_delay_ns is None:
             return ""
@@ -377,7 +382,7 @@ class TimeSynchronizer:
         return f"; {said}, and source.wait_s is {wait_s:g}"
 
     def _observe(self, leader: Frame, joined: _Joined) -> Observation | None:
-        """Decode into a slot of the pool; None (and counted) where that fails."""
+        """Decode into a slot of the pool; None (and counted) if that fails."""
         frames = joined.frames
         if self._camera is None and not all(isinstance(frame, Cloud) for frame in frames):
             self.count(leader.topic, "no_camera_info")
@@ -401,7 +406,7 @@ class TimeSynchronizer:
             if frame.field in fields:
                 self.inputs.used(frame.topic)
         for field in self._others:
-            if field not in fields:  # an observation is one without it, too
+            if field not in fields:  # optional: an observation without it is complete, too
                 self.inputs.unpaired(field, self._apart(leader, field))
         self._count_old(leader, joined)
         return Observation(
@@ -418,16 +423,17 @@ class TimeSynchronizer:
         )
 
     def _lag_ns(self, leader: Frame) -> int:
-        """Return how much newer the newest pose is; 0 in lockstep, which has no real time."""
+        """Return how much newer the newest pose is than the frame; 0 in lockstep."""
         if self.config.loop.lockstep:
             return 0
         return max(self.odometry.newest_ns - leader.stamp_ns, 0)
 
     def _fields(self, frames: list[Frame], slot: PoolSlot) -> dict[str, np.ndarray] | None:
-        """The observation's arrays by name; None (and counted) where one is missing.
+        """Return the observation's arrays by name; None (and counted) if one is missing.
 
         Args:
             frames: the leading one first.
+            slot: the arrays to decode into.
         """
         fields: dict[str, np.ndarray] = {}
         for frame in frames:
@@ -452,7 +458,7 @@ class TimeSynchronizer:
         return self._pool.acquire()
 
     def _decode(self, frame: Frame, slot: PoolSlot) -> np.ndarray | None:
-        """A frame's array, in its place in the slot; None (and counted) where that fails."""
+        """Return a frame's array, decoded into the slot; None (and counted) if that fails."""
         out = getattr(slot, frame.field)
         try:
             n = self._lens.decode(frame, out)

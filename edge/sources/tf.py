@@ -1,4 +1,4 @@
-"""A time-stamped buffer of tf: where the robot's frames are to each other at an instant."""
+"""Time-stamped buffer of tf: transforms between the robot's frames at an instant."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from edge.sources.messages import Placed
 from edge.sources.odometry import StampedPoses, StampGuard
 
 _DEEPEST = 64
-_KEPT = 128  # transforms of each frame that moves
+_KEPT = 128  # transforms of each moving frame
 _RARELY_NS = 500_000_000
 _SAME = Placed(np.eye(4))
 _SAME.T.flags.writeable = False
@@ -21,8 +21,8 @@ _SAME.T.flags.writeable = False
 class _Edge:
     """The transforms of one frame to its parent.
 
-    A transform holds until the next if that comes more than `rarely_ns` later, and for all time if
-    it is alone: such a frame moves in steps, or never, and nobody waits for the next.
+    A transform holds until the next one if that comes more than `rarely_ns` later; a single
+    transform holds for all time. Such a frame moves in steps, or never, so no lookup waits.
     """
 
     __slots__ = ("T", "_guard", "_moves", "_rarely_ns", "parent")
@@ -51,9 +51,9 @@ class _Edge:
         self.T = transform.T
 
     def at(self, stamp_ns: int) -> tuple[np.ndarray, int]:
-        """Return the transform at an instant, and how much older than it the transform is.
+        """Return the transform at an instant, and its age then.
 
-        A negative age is how much older than all transforms the instant is.
+        If the instant is before all transforms, the age is negative: the time to the first one.
         """
         moves = self._moves
         if moves is None:
@@ -72,10 +72,19 @@ class _Edge:
 
 
 class TfBuffer:
-    """A tree of frames, each with its newest transforms to its parent; for one thread.
+    """A tree of frames with the recent transforms to their parents; for one thread.
 
     Args:
-        wait_ns: how long a frame waits for a transform. Four times as long is remembered.
+        wait_ns: how long a sensor frame waits for a transform. History covers four times as much.
+
+    Example:
+        >>> tf = TfBuffer(wait_ns=100_000_000)
+        >>> tf.offer(Transform(0, "map", "base_link", np.eye(4)), static=True)
+        True
+        >>> tf.lookup("map", "base_link", 1_000).T.shape
+        (4, 4)
+        >>> tf.lookup("map", "camera", 1_000).why
+        "no transform from 'camera' to 'map' in tf, which has no 'camera'"
     """
 
     def __init__(self, wait_ns: int) -> None:
@@ -83,10 +92,11 @@ class TfBuffer:
         self._edges: dict[str, _Edge] = {}
 
     def offer(self, transform: Transform, static: bool = False) -> bool:
-        """Take a transform; False if there are too many frames already, or it joins no two.
+        """Add a transform; return False if it is invalid or there are too many frames.
 
         Args:
-            static: it holds for all time, whatever its stamp is.
+            transform: from child to parent.
+            static: True if it holds for all time, at any stamp.
         """
         child, parent = transform.child, transform.parent
         edge = self._edges.get(child)
@@ -100,7 +110,7 @@ class TfBuffer:
         return True
 
     def why_apart(self, target: str, source: str) -> str:
-        """Say which transform is missing between two frames; "" if they are connected."""
+        """Return which transform between two frames is missing; "" if they are connected."""
         if not set(self._above(target)).isdisjoint(self._above(source)):
             return ""
         known = self._edges.keys() | {edge.parent for edge in self._edges.values()}
@@ -126,8 +136,7 @@ class TfBuffer:
         return Placed(T, max(age_ns, age_target_ns))
 
     def _climb(self, above: list[str], top: str, stamp_ns: int) -> tuple[np.ndarray, int, str]:
-        """Return `T_top_frame` of the first frame, the age of its oldest part, and why it is not
-        known."""
+        """Return (`T_top_frame` of the first frame, age of its oldest part, error or "")."""
         T, oldest_ns, why = _SAME.T, 0, ""
         for frame in above:
             if frame == top:
@@ -142,20 +151,20 @@ class TfBuffer:
         return T, oldest_ns, why
 
     def _above(self, frame: str) -> list[str]:
-        """Return the frame and all above it."""
+        """Return the frame and all its ancestors."""
         above = [frame]
         while len(above) < _DEEPEST and (edge := self._edges.get(above[-1])) is not None:
             if edge.parent in above:
-                break  # a loop
+                break  # a cycle
             above.append(edge.parent)
         return above
 
 
 class Frames:
-    """The robot's base, its sensors and `map` in tf.
+    """The frames of the robot's base, its sensors and `map` in tf.
 
     Attributes:
-        by_tf: whether tf, not the configuration, says where the sensors sit.
+        by_tf: True if mounts come from tf and not from the configuration.
     """
 
     def __init__(self, config: Config) -> None:
@@ -165,7 +174,7 @@ class Frames:
         self._tf = TfBuffer(int(config.source.wait_s * 1e9))
 
     def take(self, payload: bytes, static: bool) -> str:
-        """Take a tf2_msgs/TFMessage; name the first transform that could not be taken, or "".
+        """Process a tf2_msgs/TFMessage; describe transforms that could not be used, or return "".
 
         Raises:
             DecodeError: malformed.
@@ -177,25 +186,25 @@ class Frames:
         return f"{len(untaken)} transforms, the first from '{first.child}' to '{first.parent}'"
 
     def why_unplaced(self, frame_id: str) -> str:
-        """Say why the place of a sensor is not known, whose messages name this frame; or ""."""
+        """Return why a sensor's mount is unknown, given the frame id of its messages, or ""."""
         frame = frame_id.lstrip("/")
         if not frame:
             return f"header.frame_id is {_empty(frame_id)}: the driver must name the sensor's frame"
         return self._tf.why_apart(self._base, frame)
 
     def mount_at(self, frame_id: str, stamp_ns: int) -> Placed:
-        """Return `T_base_sensor` of the sensor whose messages name this frame, at an instant."""
+        """Return `T_base_sensor` at an instant, given the frame id of the sensor's messages."""
         return self._tf.lookup(self._base, frame_id.lstrip("/"), stamp_ns)
 
     def base_in_map(self, odometry: Odometry) -> Placed:
-        """Return `T_map_base` at the stamp of odometry, which has two frames of its own."""
+        """Return `T_map_base` at the stamp of odometry, from its own frames through tf."""
         parent, child = odometry.frame_id.lstrip("/"), odometry.child_frame_id.lstrip("/")
         if not parent:
             said = _empty(odometry.frame_id)
-            return Placed(None, why=f"header.frame_id is {said}: the driver must name it, as odom")
+            return Placed(None, why=f"header.frame_id is {said}: the driver must set it, as odom")
         if not child:
             said = _empty(odometry.child_frame_id)
-            fix = f"the driver must name the robot's frame, as {self._base}"
+            fix = f"the driver must set it to the robot's frame, as {self._base}"
             return Placed(None, why=f"child_frame_id is {said}: {fix}")
         T_map_odom = self._tf.lookup(self._map, parent, odometry.stamp_ns)
         T_child_base = self._tf.lookup(child, self._base, odometry.stamp_ns)

@@ -1,4 +1,4 @@
-"""What the simulator says is where in its pictures, for the detector `sim`."""
+"""Ground-truth segmentation from the simulator, for the detector `sim`."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _MAX_LABELS_BYTES = 1 << 20
 
 
 class TruthInbox:
-    """The newest segmentations, by stamp; for the thread that detects.
+    """The newest segmentations, by stamp; for the detector's thread.
 
-    It looks only when a picture is asked for, and a ring that is full then is no fault: not every
-    picture is searched.
+    It polls only when an image is requested. A full ring is then normal, because not every image is
+    searched.
     """
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
@@ -40,10 +40,10 @@ class TruthInbox:
         self._described = Ring(session, config.zenoh.key(topics.LABELS.key), 1)
 
     def at(self, stamp_ns: int) -> Segmentation | None:
-        """What is to be seen in the picture nearest to an instant, until the next call.
+        """Return the segmentation of the image nearest to an instant; valid until the next call.
 
         Raises:
-            ValueError: what came for it is no segmentation; one line.
+            ValueError: the message is malformed; one line.
         """
         self._take()
         nearest = min(self._newest, key=lambda kept: abs(kept[0] - stamp_ns), default=None)
@@ -74,18 +74,18 @@ class TruthInbox:
 
 
 def make_truth(config: Config, session: zenoh.Session) -> TruthAt | None:
-    """What the detector `sim` looks things up in; None for one that looks at pictures."""
+    """Return the ground truth for the detector `sim`; None for other detectors."""
     return TruthInbox(config, session).at if config.perception.detector.kind == "sim" else None
 
 
 def parse_labels(payload: bytes) -> tuple[str, ...]:
-    """A JSON list of names; the one of id i at index i - 1.
+    """Parse a JSON list of names; the label of id i is at index i - 1.
 
     Raises:
-        ValueError: with one line that says what is wrong.
+        ValueError: with one line that names the fault.
     """
     if len(payload) > _MAX_LABELS_BYTES:
-        raise ValueError(f"{len(payload)} bytes, at most {_MAX_LABELS_BYTES} are taken")
+        raise ValueError(f"{len(payload)} bytes, at most {_MAX_LABELS_BYTES} are allowed")
     labels = read_json(payload)
     if not isinstance(labels, list) or not all(isinstance(label, str) for label in labels):
         raise ValueError("not a JSON list of words")

@@ -1,8 +1,8 @@
-"""Observations from Zenoh: CDR on ring channels that the loop polls, never callbacks.
+"""Observations from Zenoh: CDR in ring channels that the loop polls, without callbacks.
 
-A ring keeps the newest messages and lets the rest go, so a loop that lags never lags more. A look
-takes a ring's worth of each at most, so that no flood keeps the loop from its next tick.
-Frames are decoded only when they are used.
+A ring keeps the newest messages, so a slow loop never falls further behind. One poll reads at most
+one ring of each topic, so a flood cannot block the loop. Frames are decoded only when they are
+used.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from edge.sources.polled import PolledSource
 
 
 class ZenohSource(PolledSource):
-    """The sensors under `zenoh.prefix` as Observations."""
+    """Source of the sensors under `zenoh.prefix`."""
 
     OTHERWISE: ClassVar[tuple[Topic, ...]] = ()
-    """What comes by other means."""
+    """Topics that a subclass receives in another way."""
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
         self._key = config.zenoh.key

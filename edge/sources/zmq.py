@@ -1,13 +1,13 @@
-"""A camera over ZeroMQ: JSON header and raw buffer; odometry, LiDAR and answers come over Zenoh.
+"""Camera over ZeroMQ: JSON header and raw pixels. Other topics come over Zenoh.
 
 Each message has two parts. The header, at most 4 KB of JSON:
 
     {"topic": "camera/rgb", "stamp": <ns>, "height": 480, "width": 640, "encoding": "bgr8",
      "intrinsics": [fx, fy, cx, cy]}
 
-and the pixels, row by row without padding. `topic` is `camera/rgb` or `camera/depth`; `encoding`
-one of sensor_msgs/Image's (rgb8, bgr8, rgba8, bgra8, mono8; 16UC1 in mm, 32FC1 in m, or both in
-`source.depth_unit_m`; little-endian); `intrinsics`, in pixels, are needed once, and again when they
+and the pixels, row by row without padding. `topic` is `camera/rgb` or `camera/depth`. `encoding` is
+one of sensor_msgs/Image (rgb8, bgr8, rgba8, bgra8, mono8; 16UC1 in mm, 32FC1 in m, or both in
+`source.depth_unit_m`; little-endian). `intrinsics`, in pixels, are needed once, and again when they
 change.
 """
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("edge.sources.zmq")
 
 MAX_HEADER = 4096
-_LOOK_S = 1.0
+_CHECK_S = 1.0
 _FRAME_ID = "camera"
 _MOST_PX = 1e7
 _BYTES_PX = {
@@ -56,10 +56,10 @@ _FIELDS = ("topic", "stamp", "height", "width", "encoding", "intrinsics")
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What a message says of its pixels.
+    """The parsed header of a message.
 
     Attributes:
-        camera: None where it says nothing of it.
+        camera: None if it has no intrinsics.
     """
 
     topic: str
@@ -68,15 +68,15 @@ class Header:
 
 
 def parse_header(data: bytes, n_bytes: int) -> Header:
-    """The header of a buffer of `n_bytes`.
+    """Parse the header of a buffer of `n_bytes`.
 
     Raises:
-        ValueError: with one line that says what is wrong.
+        ValueError: with one line that names the fault.
     """
     said = read_json_object(data, MAX_HEADER)
     if unknown := said.keys() - set(_FIELDS):
         names = ", ".join(_FIELDS)
-        raise ValueError(f"unknown {one_line(min(unknown), 40)!r} (there are {names})")
+        raise ValueError(f"unknown {one_line(min(unknown), 40)!r} (choices: {names})")
     topic, encoding = said.get("topic"), said.get("encoding")
     if not isinstance(topic, str) or topic not in _FRAMES:
         raise ValueError(
@@ -102,7 +102,7 @@ def _whole(said: dict[str, Any], name: str) -> int:
 
 
 def _camera(intrinsics: object, width: int, height: int) -> CameraModel | None:
-    """Raises ValueError where it is neither None nor a camera."""
+    """Parse intrinsics; raise ValueError if they are neither None nor a camera."""
     if intrinsics is None:
         return None
     is_four = isinstance(intrinsics, list) and len(intrinsics) == 4
@@ -125,14 +125,14 @@ def _into(
 
 
 class ZmqSource(ZenohSource):
-    """A camera that publishes at `address`, the rest under `zenoh.prefix`.
+    """Source of a camera that publishes at `address`, and of other sensors under `zenoh.prefix`.
 
-    This end connects, so nobody but who listens at that address is heard. What is larger than
-    `source.max_message_mb` is not taken in: ZeroMQ then ends the connection, and makes it anew.
+    This end connects, so only the process that listens at that address can send. A message over
+    `source.max_message_mb` is refused: ZeroMQ then closes the connection, and it is opened again.
 
     Raises:
-        ConfigError: pyzmq is not installed, the address is none, or a cloud is asked for and no
-            LiDAR is described.
+        ConfigError: pyzmq is not installed, the address is invalid, or the configuration needs a
+            cloud but has no `sensors.lidar`.
     """
 
     OTHERWISE = (topics.RGB, topics.DEPTH, topics.CAMERA_INFO)
@@ -148,18 +148,18 @@ class ZmqSource(ZenohSource):
         self._address = address
         self._depth_unit_m = config.source.depth_unit_m
         super().__init__(config, session)
-        self._look_s = 0.0
+        self._check_s = 0.0
         self.check_options(config, address)
         self._zmq, self._context, self._camera = _socket(config, self._max_bytes)
-        # At the first poll: what came before would wait in queues, the camera's among them.
+        # Connect at the first poll: earlier messages would wait in ZeroMQ's queues.
         self._connected = False
-        start_unjoined("camera-name", _tell_of_no_address, address)
-        self._hung_up = self._camera.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
-        self._hung_up_told = False
+        start_unjoined("camera-name", _warn_unresolved, address)
+        self._disconnects = self._camera.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
+        self._disconnect_warned = False
 
     @staticmethod
     def check_options(config: Config, address: str, **options: Any) -> None:
-        """See `PolledSource.check_options`."""
+        """Raise an error for invalid options; see `PolledSource.check_options`."""
         ZenohSource.check_options(config)
         _, context, camera = _socket(config, 0)
         try:
@@ -179,7 +179,7 @@ class ZmqSource(ZenohSource):
         return super()._drain() + self._drain_camera()
 
     def _drain_camera(self) -> int:
-        """At most as many messages as the queue holds: a flood must not keep the loop."""
+        """Read at most one queue of messages, so that a flood cannot block the loop."""
         if not self._connected:
             self._camera.connect(self._address)
             self._connected = True
@@ -187,7 +187,7 @@ class ZmqSource(ZenohSource):
             try:
                 parts = self._camera.recv_multipart(self._zmq.NOBLOCK, copy=False)
             except self._zmq.Again:
-                self._look_after()
+                self._reconnect_if_lost()
                 return n
             self._offer(parts)
         return KEPT
@@ -214,31 +214,33 @@ class ZmqSource(ZenohSource):
         )
         self._synchronizer.offer(frame)
 
-    def _look_after(self) -> None:
-        """Look for a camera that hung up, once a second; which is also what becomes of one that
-        sends too much: ZeroMQ itself would not come back to that."""
+    def _reconnect_if_lost(self) -> None:
+        """Check once a second for a lost connection, and connect again.
+
+        ZeroMQ does not connect again to a camera that sent too large a message.
+        """
         now_s = time.monotonic()
-        if now_s < self._look_s:
+        if now_s < self._check_s:
             return
-        self._look_s = now_s + _LOOK_S
-        if not self._hung_up.poll(0):
+        self._check_s = now_s + _CHECK_S
+        if not self._disconnects.poll(0):
             return
-        while self._hung_up.poll(0):
-            self._hung_up.recv_multipart()
-        with suppress(self._zmq.ZMQError):  # it has let go of the address already
+        while self._disconnects.poll(0):
+            self._disconnects.recv_multipart()
+        with suppress(self._zmq.ZMQError):  # it is disconnected already
             self._camera.disconnect(self._address)
         self._camera.connect(self._address)
-        if not self._hung_up_told:
-            self._hung_up_told = True
+        if not self._disconnect_warned:
+            self._disconnect_warned = True
             log.warning(
-                "%s: hung up, or sent more than %g MB (source.max_message_mb); it is looked for "
-                "again (further times are not told)",
+                "%s: the camera disconnected, or sent more than %g MB (source.max_message_mb); "
+                "connecting again (further times are not logged)",
                 one_line(self._address), self._max_bytes / 1e6,
             )  # fmt: skip
 
 
 class ZmqTap:
-    """The pictures of a camera over ZeroMQ as messages of the bus, for recordings.
+    """The images of a camera over ZeroMQ as messages of the bus, for recordings.
 
     Raises:
         ConfigError: see `ZmqSource`.
@@ -249,10 +251,10 @@ class ZmqTap:
         max_bytes = int(config.source.max_message_mb * 1e6)
         self._zmq, self._context, self._camera = _socket(config, max_bytes)
         _connect(config, self._camera, address)
-        self._told = False
+        self._warned = False
 
     def take(self) -> Iterator[tuple[Channel, bytes]]:
-        """Yield what came since the last look."""
+        """Yield the messages since the last poll."""
         for _ in range(KEPT):
             try:
                 parts = self._camera.recv_multipart(self._zmq.NOBLOCK)
@@ -261,16 +263,16 @@ class ZmqTap:
             try:
                 yield from _as_on_the_bus(*parts)
             except (ValueError, TypeError) as error:
-                if not self._told:
-                    self._told = True
-                    log.warning("not recorded: %s; further ones are not told", one_line(error))
+                if not self._warned:
+                    self._warned = True
+                    log.warning("not recorded: %s; further ones are not logged", one_line(error))
 
     def close(self) -> None:
         self._context.destroy(linger=0)
 
 
 def _as_on_the_bus(head: bytes, pixels: bytes) -> Iterator[tuple[Channel, bytes]]:
-    """Raises ValueError if it is no picture."""
+    """Convert a message for the bus; raise ValueError if it is malformed."""
     header = parse_header(head, len(pixels))
     image, topic = header.image, _FRAMES[header.topic].topic
     if header.camera is not None:
@@ -300,8 +302,8 @@ def _socket(config: Config, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socke
     return zmq, context, camera
 
 
-def _tell_of_no_address(address: str) -> None:
-    """Log it if no address is known for the camera's host: ZeroMQ says nothing and tries on."""
+def _warn_unresolved(address: str) -> None:
+    """Log if the camera's host name cannot be resolved: ZeroMQ retries without a message."""
     host = urlsplit(address).hostname
     if not address.startswith("tcp://") or host is None:
         return
@@ -309,14 +311,14 @@ def _tell_of_no_address(address: str) -> None:
         socket.getaddrinfo(host, None)
     except (OSError, UnicodeError) as error:
         why = getattr(error, "strerror", None) or error
-        log.warning("source.options.address: no address is known for %r (%s); it is tried again "
-                    "and again", one_line(host), one_line(why))  # fmt: skip
+        log.warning("source.options.address: no address is known for %r (%s); trying again",
+                    one_line(host), one_line(why))  # fmt: skip
 
 
 def _connect(config: Config, camera: zmq.Socket, address: str) -> None:
     try:
         camera.connect(address)
-    except Exception as error:  # ZMQError, or whatever an address that is no text raises
+    except Exception as error:  # ZMQError, or others for an address of the wrong type
         said = f"{one_line(address)}: {one_line(error)}"
         where = config.at("source.options.address")
         raise ConfigError(f"{where}: {said}; expected one like tcp://127.0.0.1:5555") from None

@@ -1,4 +1,4 @@
-"""What is said of a thing: colour, size, place (OpenNav III-B, where there is no captioner)."""
+"""Captions of objects without a captioning model: colour, size, place (OpenNav III-B)."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ COLOURS = (*_GREYS, "red", "orange", "yellow", "green", "blue", "purple", "pink"
            "brown")  # fmt: skip
 _HUES = ((8, "red"), (20, "orange"), (34, "yellow"), (85, "green"), (128, "blue"), (148, "purple"),
          (170, "pink"), (180, "red"))  # fmt: skip
-"""Hues of OpenCV, half degrees, up to which a colour goes."""
+"""Upper limit of each colour's hue in OpenCV's half degrees."""
 _DARK, _LIGHT = 55, 165
 _PALE = 55
-"""Saturation below which a colour is none; dark pixels are noisier, and need more."""
+"""Saturation below which a pixel is grey; dark pixels are noisier and need more."""
 _SHADED, _SHADED_SPREAD = 128, 20
-"""A dark pixel is black unless its saturation and the spread of its channels are as large: paint in
-the shade."""
+"""Paint in the shade: a dark pixel with this saturation and channel spread is not black."""
 _BROWN_BELOW = 150
 _INNER = 0.6
-"""Of a box without a mask, this share of its width and height shows the thing."""
+"""Share of a box's width and height that shows the object, if there is no mask."""
 _LEAST_SHARE = 0.35
-"""A thing has the colour that so many of its pixels have."""
+"""Smallest share of an object's pixels for its colour."""
 _PAINT_SHARE = 0.25
-"""A black thing, so many of whose pixels have one colour, has that: the rest are tyres, windows and
-shadow."""
+"""A black object has this colour if more than this share of its pixels have it.
+
+The black pixels are then tyres, windows and shadow.
+"""
 BESIDE_M = 1.0
-"""A thing less far to the side is straight ahead or behind."""
+"""An object less far to the side is straight ahead or behind."""
 
 
 def colour_names(rgb: np.ndarray) -> np.ndarray:
-    """The colour of each pixel: (…,) uint8, index into `COLOURS`.
+    """Return the colour of each pixel, (h, w) uint8 index into `COLOURS`.
 
-    Args:
-        rgb: (h, w, 3) uint8.
+    `rgb` is (h, w, 3) uint8.
     """
     hue, saturation, value = (
         plane for plane in np.moveaxis(cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV), 2, 0)
@@ -56,12 +56,12 @@ def colour_names(rgb: np.ndarray) -> np.ndarray:
 
 
 def colour_of(rgb: np.ndarray, box: np.ndarray, mask: np.ndarray | None = None) -> str:
-    """The name of the colour that most of a thing has; "" where none stands out, or too little of
-    it is in the picture.
+    """Return the name of an object's main colour; "" if none dominates or too little is visible.
 
     Args:
+        rgb: (h, w, 3) uint8.
         box: (4,) xyxy in pixels.
-        mask: (rows, columns) bool over the box; None or empty: the middle of the box.
+        mask: (rows, columns) bool over the box; None or empty: use the middle of the box.
     """
     h, w = rgb.shape[:2]
     masked = mask is not None and bool(mask.any())
@@ -88,7 +88,7 @@ def colour_of(rgb: np.ndarray, box: np.ndarray, mask: np.ndarray | None = None) 
 
 
 def composed(found: Detections) -> tuple[str, ...]:
-    """Colour and label of each box, such as "white car"; the captioner that needs no model."""
+    """Return colour and label of each box, such as "white car": a captioner without a model."""
     rgb, masks = found.observation.rgb, found.mask
     out = []
     for i, box in enumerate(found.xyxy_px):
@@ -98,7 +98,7 @@ def composed(found: Detections) -> tuple[str, ...]:
 
 
 def in_words(caption: str, position_m: np.ndarray, size_m: np.ndarray, pose: SE2) -> str:
-    """What was said of a thing, with its size and its place as the robot sees it.
+    """Return an object's caption with its size and its place as seen from the robot.
 
     >>> in_words("white car", np.array([9.0, 4.0, 0.7]), np.array([4.2, 1.8, 1.5]), SE2(0, 0, 0))
     'white car, 4.2 x 1.8 x 1.5 m, 9 m ahead, 4 m to the left'
@@ -108,7 +108,7 @@ def in_words(caption: str, position_m: np.ndarray, size_m: np.ndarray, pose: SE2
 
 
 def place_of(position_m: np.ndarray, pose: SE2) -> str:
-    """Where a point lies as the robot sees it, in whole metres."""
+    """Return the place of a point as seen from the robot, in whole metres."""
     c, s = np.cos(pose.yaw_rad), np.sin(pose.yaw_rad)
     dx, dy = position_m[0] - pose.x_m, position_m[1] - pose.y_m
     ahead, left = c * dx + s * dy, c * dy - s * dx

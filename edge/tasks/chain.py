@@ -1,8 +1,8 @@
-"""Open-vocabulary perception as a chain of parts that can each be replaced (OpenNav eq. 1).
+"""Open-vocabulary perception as a pipeline of replaceable parts (OpenNav eq. 1).
 
-Tags → boxes → masks → captions: the paper has RAM, Grounding DINO and TAP. Here a vocabulary's
-words are the tags, the configured detector and segmenter make boxes and masks, and captions are
-composed (`edge.tasks.captions`). A part is a function; a chain holds one of each.
+The parts are tags → boxes → masks → captions. The paper uses RAM, Grounding DINO and TAP. Here the
+words of a vocabulary are the tags, the configured detector and segmenter make boxes and masks, and
+`edge.tasks.captions` composes the captions. Each part is a function.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ class Chain(NamedTuple):
     """The parts of eq. 1.
 
     Attributes:
-        tags: what to look for in a picture (RAM).
-        boxes: where that is (GD).
-        masks: which pixels of the boxes are the things' (TAP); `boxes_alone`: the boxes.
-        captions: what is said of each box (TAP).
-        embeddings: (n, d) float32, one a box; None: there are none.
+        tags: words to look for in a picture (RAM).
+        boxes: boxes of these words (Grounding DINO).
+        masks: pixels of the objects in the boxes (TAP); `boxes_alone` uses the whole boxes.
+        captions: one caption per box (TAP).
+        embeddings: (n, d) float32, one per box; None: no embeddings.
     """
 
     tags: Tags
@@ -51,7 +51,7 @@ class Chain(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What a chain makes of a picture: `caption` and `embedding` are parallel to the boxes."""
+    """Result of a pipeline for one picture; `caption` and `embedding` are parallel to the boxes."""
 
     found: Detections
     caption: tuple[str, ...]
@@ -59,11 +59,11 @@ class Seen(NamedTuple):
 
 
 def see(chain: Chain, observation: Observation) -> Seen:
-    """Masks and captions of what a picture shows (OpenNav eq. 1).
+    """Run the pipeline on a picture (OpenNav eq. 1).
 
     Raises:
-        ValueError: the observation has no usable image, or a part answers for another number of
-            boxes than it was given.
+        ValueError: the observation has no usable image, or a part returned a wrong number of
+            results.
     """
     found = chain.masks(chain.boxes(observation, chain.tags(observation)))
     caption = tuple(chain.captions(found))
@@ -75,19 +75,21 @@ def see(chain: Chain, observation: Observation) -> Seen:
 
 
 def boxes_alone(found: Detections) -> Detections:
-    """No segmenter: each box is its own mask."""
+    """Use each box as its own mask, without a segmenter."""
     return found
 
 
 def in_tiles(boxes: Boxes, aspect: float = 4.0 / 3.0) -> Boxes:
-    """Look at a wide picture part by part as well as whole, so that a detector whose input is less
-    wide does not see all of it at a fraction of its size.
+    """Return a detector that also looks at the parts of a wide picture.
 
+    Otherwise a detector with a narrow input would see a wide picture at a fraction of its size.
     Parts are as high as the picture and overlap by `TILE_OVERLAP`. Boxes of one word that cover
-    each other by `TILE_SAME` of the smaller become one around both.
+    each other by `TILE_SAME` of the smaller box are merged into one around both.
 
     Args:
-        aspect: width over height of a part; a picture not `TILE_FROM` times as wide is not cut.
+        boxes: the detector.
+        aspect: width over height of a part. A picture less than `TILE_FROM` times as wide is not
+            cut.
     """
 
     def tiled(observation: Observation, tags: Sequence[str]) -> Detections:
@@ -110,7 +112,7 @@ def in_tiles(boxes: Boxes, aspect: float = 4.0 / 3.0) -> Boxes:
 
 
 def _united(whole: Detections, parts: Sequence[Detections]) -> Detections:
-    """Boxes of one picture that were found in several parts of it."""
+    """Merge boxes of one object that were found in several parts of a picture."""
     xyxy, score, class_id = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("xyxy_px", "score", "class_id")
@@ -132,14 +134,14 @@ def _united(whole: Detections, parts: Sequence[Detections]) -> Detections:
 
 
 def _covered(a: np.ndarray, b: np.ndarray) -> float:
-    """Which share of the smaller box the other covers."""
+    """Return the share of the smaller box that the other box covers."""
     both = np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])
     least = min(np.prod(a[2:] - a[:2]), np.prod(b[2:] - b[:2]))
     return float(np.prod(both) / least) if both.min() > 0.0 and least > 0.0 else 0.0
 
 
 def _with_context(found: Detections, around: Detections | None) -> Detections:
-    """What was asked for, and the boxes of what else was found, its words behind the prompts."""
+    """Add the boxes of the context, with its words after the prompts."""
     if around is None:
         return found
     score = np.concatenate((found.score, around.score))
@@ -155,14 +157,19 @@ def _with_context(found: Detections, around: Detections | None) -> Detections:
 def open_chain(
     perception: config.Perception, words: Sequence[str], truth: TruthAt | None = None
 ) -> Iterator[Chain]:
-    """The chain of what a configuration names, closed at the end.
+    """Open the pipeline that a configuration describes, and close its models at the end.
 
-    Boxes count from `perception.tau_det`, where no other word explains their place better. What
-    the detector's `background` names is seen as well, but for words that the model does not know.
+    A box counts from the score `perception.tau_det` on, if no other word explains its place better.
+    Words of the detector's `background` are detected too, except words that the model does not
+    know.
 
     Args:
+        perception: the settings of perception.
         words: the vocabulary; each picture is tagged with all of it.
         truth: see `edge.perception.factory.make_detector`.
+
+    Yields:
+        The pipeline.
 
     Raises:
         PromptError: a word cannot be looked for.

@@ -1,7 +1,7 @@
-"""The order in which the clauses of an instruction are driven.
+"""Order in which the clauses of an instruction are driven.
 
-"Go to the gate after passing the van" drives past the van first. The tokens of such clauses are put
-into the order in which they are driven; what is not clear is refused.
+"Go to the gate after passing the van" passes the van first. The tokens of such clauses are put into
+driving order. An instruction with an unclear order is refused.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ _SKIPPED = ("filler", "having", "while")
 
 @dataclass(slots=True)
 class _Clause:
-    """Tokens up to the next joint or the next clause that hangs on this one.
+    """Tokens up to the next joint, or up to the next clause that depends on this one.
 
     Attributes:
-        hangs: "after", "before" or "by" (how another is driven); "": a clause of its own.
-        joints: the tokens that join it to the clause before it; empty at the start, and where it
+        hangs: dependence on another clause: "after", "before", "by" (the manner of driving); "" =
+            none.
+        joints: tokens that join this clause to the one before; empty at the start, and if it
             follows directly.
+        tokens: the tokens of the clause itself.
     """
 
     hangs: str
@@ -38,13 +40,14 @@ def in_order(text: str, tokens: list[Token]) -> list[Token]:
     """Put the clauses of an instruction into the order in which they are driven.
 
     Args:
-        tokens: of `edge.tasks.phrases.tokenise`, with "end" at the end.
+        text: the instruction.
+        tokens: result of `edge.tasks.phrases.tokenise`, with "end" at the end.
 
     Returns:
-        The same tokens where no clause hangs on another. Participles become verbs.
+        The same tokens if no clause depends on another. Otherwise participles become verbs.
 
     Raises:
-        TranslationError: the order is not clear; it names the clause.
+        TranslationError: the order is not clear; the error names the clause.
     """
     clauses = _clauses(tokens)
     if not any(clause.hangs for clause in clauses):
@@ -57,7 +60,7 @@ def in_order(text: str, tokens: list[Token]) -> list[Token]:
         if not clause.hangs:
             ordered += [clause, *waiting]
             waiting = []
-        elif not ordered or (clause.joints and not _commas(clause.joints)):  # it leads
+        elif not ordered or (clause.joints and not _commas(clause.joints)):  # before its main one
             if not leads or waiting:
                 _refuse(text, tokens, clause)
             (waiting if clause.hangs == "before" else ordered).append(clause)
@@ -70,7 +73,7 @@ def in_order(text: str, tokens: list[Token]) -> list[Token]:
     in_text = dict(zip(map(id, clauses[1:]), clauses, strict=False))
     joined: list[Token] = []
     for last, clause in zip([None, *ordered], ordered, strict=False):
-        how = clause.hangs == "by" and last is not None and last.hangs  # of the clause before it
+        how = clause.hangs == "by" and last is not None and last.hangs  # may qualify either one
         if _refers(clause) and (how or in_text.get(id(clause)) is not last):
             _refuse(text, tokens, clause)
         first = clause.tokens[0]
@@ -81,10 +84,10 @@ def in_order(text: str, tokens: list[Token]) -> list[Token]:
 
 
 def _one_after(pair: list[_Clause]) -> bool:
-    """Whether it is clear when the second of two clauses is driven, that hangs on what was said.
+    """Return True if it is clear when the second clause of a pair, a dependent one, is driven.
 
-    "With the gate on your left" may say how either of two clauses before it is driven; and two
-    things that are passed at once are passed in either order.
+    "With the gate on your left" may describe either of two clauses before it. Two objects that are
+    passed at once are passed in either order.
     """
     last, clause = pair
     if last.hangs:
@@ -94,7 +97,7 @@ def _one_after(pair: list[_Clause]) -> bool:
 
 
 def _refers(clause: _Clause) -> bool:
-    """Whether a clause speaks of a thing of the clause before it, as `it`, or `its left`."""
+    """Return True if a clause refers to an object of the clause before it by `it` or `its`."""
     return any(
         token.kind == "pronoun"
         or (token.kind.startswith("its ") and not any(t.kind == "word" for t in clause.tokens[:n]))
@@ -103,7 +106,7 @@ def _refers(clause: _Clause) -> bool:
 
 
 def _clauses(tokens: list[Token]) -> list[_Clause]:
-    """Cut an instruction where one clause ends; none is empty."""
+    """Split an instruction into its clauses; none is empty."""
     found = [_Clause("", [])]
     at = 0
     while tokens[at].kind != "end":
@@ -136,28 +139,29 @@ def _clauses(tokens: list[Token]) -> list[_Clause]:
 
 
 def _hangs(tokens: list[Token], at: int) -> tuple[str, int]:
-    """How a clause that begins here hangs on another, and how many tokens say so.
+    """Return how a clause that begins here depends on another, and the number of marker tokens.
 
-    "Passing", "leaving", "with" and "going past" say how another clause is driven.
+    "Passing", "leaving", "with" and "going past" describe how another clause is driven.
     """
     token = tokens[at]
     if token.kind in ("after", "before"):
         verb = tokens[_clause_at(tokens, at + 1)].kind
         return (token.kind, 1) if verb in _VERBS or verb in _VERBS.values() else ("", 0)
     if token.kind == "while":
-        return ("by", 1) if _tells_how(tokens, at + 1) else ("", 0)
+        return ("by", 1) if _describes_manner(tokens, at + 1) else ("", 0)
     joined = at > 0 and tokens[at - 1].kind == "and"
-    return ("by", 0) if _tells_how(tokens, at) and not joined else ("", 0)
+    return ("by", 0) if _describes_manner(tokens, at) and not joined else ("", 0)
 
 
-def _tells_how(tokens: list[Token], at: int) -> bool:
+def _describes_manner(tokens: list[Token], at: int) -> bool:
+    """Return True if a clause that describes the manner of another begins here."""
     token, following = tokens[at], tokens[min(at + 1, len(tokens) - 1)]
     goes_past = token.kind == "going" and following.kind in ("past", "around")
     return goes_past or token.kind in ("passing", "leaving")
 
 
 def _clause_at(tokens: list[Token], at: int) -> int:
-    """The index of the verb of a clause that begins at an index."""
+    """Return the index of the verb of a clause that begins at an index."""
     while tokens[at].kind in _SKIPPED:
         at += 1
     return at
@@ -168,8 +172,8 @@ def _commas(joints: list[Token]) -> bool:
 
 
 def _refuse(text: str, tokens: list[Token], clause: _Clause) -> NoReturn:
-    hint = "it is not clear when this is to be driven; say the steps in their order, with 'then'"
+    hint = "it is not clear when to drive this; say the steps in their order, with 'then'"
     if _refers(clause):
-        hint = "it is not clear what this speaks of; name it"
+        hint = "it is not clear what this refers to; name the object"
     first = next(token for token in tokens if token.start == clause.tokens[0].start)
     Reader(text, tokens).refuse(hint, first)

@@ -1,4 +1,4 @@
-"""How a task stands, for those who show it."""
+"""Status of a task, for display and messages."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ StepState = Literal["driven", "under way", "looked for", "to come", "not driven"
 
 @dataclass(frozen=True, slots=True)
 class StepFacts:
-    """A step of a task: its part of the instruction, and how it stands.
+    """One step of a task: its part of the instruction, and its state.
 
     Attributes:
-        state: `looked for`: what it names was not seen yet; `not driven`: the task is over.
+        said: the part of the instruction.
+        state: `looked for`: its object was not seen yet; `not driven`: the task ended before it.
     """
 
     said: str
@@ -28,22 +29,24 @@ class StepFacts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaskFacts:
-    """A task as it stood at one moment.
+    """Status of a task at one moment.
 
     Attributes:
-        phase: `looking` for what it names, `writing` its trajectory (the robot stands), `driving`,
-            `verifying` that what it stopped at is what was named.
-        writer: who writes: "rules", or a model and its server.
-        missing: what its steps that were not driven name, and nobody has seen yet.
-        understood: what the rules read, in words; "" of a model.
-        prompt: all that a model was told, in words; "" of the rules.
-        rounds: of a model.
-        coarse_m: (n, 2) float64 in `map`, what was written; None before.
-        refined: what is driven; None before.
-        index: of the pose in `refined` that the robot has come to.
-        refinements: how often it was refined; each after the first since the map had changed.
-        notes: what became otherwise than it was asked for, a line each.
-        steps: in their order; with a model one.
+        instruction: the task in words.
+        phase: `looking` for its objects, `writing` its trajectory (the robot stands still),
+            `driving`, or `verifying` that the object at the stop is the named one; `reached` or
+            `failed` at the end.
+        writer: "rules", or the model and its server.
+        missing: objects that steps not driven yet name, and that nobody has seen.
+        understood: interpretation by the rules, in words; "" for a model.
+        prompt: the full text prompt of a model; "" for the rules.
+        rounds: answers of a model.
+        coarse_m: (n, 2) float64 in `map`, the coarse trajectory; None before it is written.
+        refined: the trajectory that is driven; None before it is refined.
+        index: pose in `refined` that the robot has reached.
+        refinements: number of refinements; each after the first because the map changed.
+        notes: differences from the request, a line each.
+        steps: steps in their order; one step for a model.
     """
 
     instruction: str
@@ -62,8 +65,10 @@ class TaskFacts:
 
 
 def same_words(one: TaskFacts | None, other: TaskFacts | None) -> bool:
-    """Whether two say the same, but for how far it is driven: what was told has not to be told
-    again."""
+    """Return True if two statuses have the same text and trajectory, apart from progress.
+
+    The publisher need not send a status again if only the progress differs.
+    """
     if one is None or other is None:
         return one is other
     same_line = (
@@ -78,11 +83,11 @@ _WORDS = tuple(name for name in TaskFacts.__slots__ if name not in ("coarse_m", 
 
 
 def thinned(refined: Refined, index: int, most: int) -> tuple[np.ndarray, int]:
-    """A trajectory to draw: of many poses some, the last among them.
+    """Return a trajectory with fewer poses for drawing; the last pose is always kept.
 
     Returns:
-        (k, 3) float64, x, y [m] and heading [rad], k <= most; and the index in it of the newest
-        that lies not ahead of pose `index` of `refined`, -1 where all do.
+        (k, 3) float64: x, y [m] and heading [rad], k <= most; and the index in it of the last pose
+        that is not after pose `index` of `refined`, -1 if there is none.
     """
     n = len(refined.poses)
     stride = -(-n // most)
@@ -91,6 +96,6 @@ def thinned(refined: Refined, index: int, most: int) -> tuple[np.ndarray, int]:
 
 
 def lengths_m(refined: Refined, index: int) -> tuple[float, float]:
-    """How long it is in all, and up to pose `index`."""
+    """Return the length of a trajectory, and its length up to pose `index`."""
     steps_m = np.hypot(*np.diff(refined.poses[:, :2], axis=0).T)
     return float(steps_m.sum()), float(steps_m[:index].sum())

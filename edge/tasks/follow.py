@@ -1,4 +1,4 @@
-"""A refined trajectory as it is driven: a goal that moves ahead of the robot, what blocks it."""
+"""Following of a refined trajectory: a goal that moves ahead of the robot, and blocked paths."""
 
 from __future__ import annotations
 
@@ -14,22 +14,28 @@ from edge.tasks.refine import Refined
 from edge.trajectory.pursuit import index_ahead, nearest_index
 
 LOST_M = 3.0
-"""The robot is looked for on so much of the path ahead, so that where a path crosses itself no part
-of it is left out."""
+"""Length of the path ahead in which the robot is searched.
+
+It is short, so that no part is skipped where a path crosses itself.
+"""
 LOOK_M = 10.0
-"""So much of the path ahead is looked at for what blocks it."""
+"""Length of the path ahead that is checked for obstacles."""
 
 
 CUT_M = 0.25
-"""A controller that drives straight to the goal leaves the path by so much at most, beyond what the
-robot is off it already: what was checked is the path."""
+"""Largest distance by which a controller that drives straight to the goal may leave the path.
+
+The robot's current distance from the path is added. Only the path itself was checked for obstacles.
+"""
 LEAST_M = 0.5
-"""A goal no nearer than this keeps a robot moving through a bend."""
+"""Smallest distance of the goal, so that the robot keeps moving through a bend."""
 PASSED_M = 0.14
-"""A leg is driven once the robot was so near to its last pose, which lies within half of
-`edge.tasks.refine.SPACING_M` of its end: 0.2 m."""
+"""A leg is driven when the robot was this near to its last pose.
+
+That pose lies within half of `edge.tasks.refine.SPACING_M` of the leg's end, so within 0.2 m.
+"""
 CUT_END_M = 0.1
-"""The straight way to a goal leads so near past the end of a leg: the robot is to come to it."""
+"""Largest distance between the straight line to a goal and the end of a leg that it passes."""
 
 
 def goal_ahead(
@@ -39,18 +45,22 @@ def goal_ahead(
     since: int = 0,
     until: int | None = None,
 ) -> tuple[SE2, int]:
-    """Return the goal ahead of the robot, and where the robot is on the path.
+    """Return the goal ahead of the robot, and the robot's index on the path.
 
-    The goal is the farthest pose within `look_ahead_m` along the path that can be driven to
-    straight without cutting a bend (`CUT_M`). The robot passes no leg's end before it was within
-    `PASSED_M` of it: where the path doubles back, the way back is as near as the way there.
+    The goal is the farthest pose within `look_ahead_m` along the path that the robot can drive to
+    straight without cutting a bend (`CUT_M`). The robot must come within `PASSED_M` of each leg's
+    end: where a path doubles back, the way back is as near as the way there.
 
     Args:
-        since: the index that the last call gave; the robot is not looked for before it.
+        trajectory: the trajectory.
+        pose: the robot's.
+        look_ahead_m: largest distance of the goal along the path.
+        since: index that the last call returned; the robot is searched from here on.
         until: index of the last pose that may be driven to; None: the end.
 
     Returns:
-        The goal, the last pose near the end, and the index of the robot's nearest pose.
+        The goal, which is the last pose near the end, and the index of the pose nearest to the
+        robot.
     """
     path_m = trajectory.poses[: None if until is None else until + 1, :2]
     robot_m = np.array([pose.x_m, pose.y_m])
@@ -77,23 +87,20 @@ def goal_ahead(
 
 
 def leg_end(trajectory: Refined, index: int) -> int:
-    """The index of the last pose of the leg that a pose is in."""
+    """Return the index of the last pose of the leg that contains a pose."""
     return end_of(trajectory, int(trajectory.leg[index]))
 
 
 def end_of(trajectory: Refined, leg: int) -> int:
-    """The index of the pose at which a leg ends: of a leg without any, where it begins."""
+    """Return the index of the pose at which a leg ends; without poses, where it begins."""
     return max(int(np.searchsorted(trajectory.leg, leg, side="right")) - 1, 0)
 
 
 def index_at_goal(trajectory: Refined, goal: SE2, since: int) -> int:
-    """Where the robot is on the path when the controller says that it reached a goal of it.
+    """Return the robot's index on the path after the controller reported a goal as reached.
 
-    Args:
-        since: where it was before.
-
-    Returns:
-        Behind the end of a leg where that was the goal; else at the goal, but behind no leg's end.
+    `since` is the index before. If the goal was the end of a leg, the index is after this end. Else
+    it is at the goal, but not after the end of the leg.
     """
     at = np.flatnonzero(
         (trajectory.poses[since:, [0, 1, 3]] == (goal.x_m, goal.y_m, goal.yaw_rad)).all(axis=1)
@@ -104,23 +111,24 @@ def index_at_goal(trajectory: Refined, goal: SE2, since: int) -> int:
 
 
 def _cut_m(path_m: np.ndarray, from_m: np.ndarray) -> np.ndarray:
-    """How far each point of a path (n, 2) lies from the straight line to its end: (n,)."""
+    """Return the distance (n,) of each point of a path (n, 2) from the straight line to its end."""
     way, off = path_m[-1] - from_m, path_m - from_m
     along = np.clip(off @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
     return np.hypot(*(off - along[:, None] * way).T)
 
 
 def blocked_ahead_m(trajectory: Refined, map: MapView, index: int = 0) -> float | None:
-    """How far along the path from `index` on the robot would touch something, at this instant.
+    """Return how far along the path, from `index` on, the robot would hit something now.
 
-    Costs with what is looked at of the path, `LOOK_M`, and not with the map.
+    The cost depends on the length `LOOK_M`, not on the size of the map.
 
     Args:
-        map: tells what is nearer to something occupied than it inflates that by. Where nobody has
-            looked, and outside its window, nothing is known, and nothing blocks.
+        trajectory: the trajectory.
+        map: its inflated cells block. Unknown cells and cells outside its window do not.
+        index: pose that the robot has reached.
 
     Returns:
-        Metres to the first such pose; None: free.
+        Metres to the first blocked pose; None if the path is free.
     """
     path_m = trajectory.poses[index:, :2]
     path_m = path_m[: index_ahead(path_m, 0, LOOK_M) + 1]
@@ -130,13 +138,13 @@ def blocked_ahead_m(trajectory: Refined, map: MapView, index: int = 0) -> float 
     blocked &= (x >= ox) & (x < ox + n) & (y >= oy) & (y < oy + n)
     along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(path_m, axis=0).T)))
     if blocked[0]:
-        # The robot is too near already, and the path leads out.
+        # The robot is too close to an obstacle already, and the path leads away from it.
         blocked &= along_m > ESCAPE_M
     return float(along_m[np.argmax(blocked)]) if blocked.any() else None
 
 
 def path_message(trajectory: Refined | None, stamp_ns: int, frame_id: str = "map") -> bytes:
-    """nav_msgs/Path; without a trajectory an empty one."""
+    """Encode a trajectory as nav_msgs/Path; None gives an empty path."""
     if trajectory is None:
         return encode_path(stamp_ns, frame_id, np.empty((0, 3)))
     x_m, y_m, z_m, heading_rad = trajectory.poses.T

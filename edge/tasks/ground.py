@@ -1,4 +1,4 @@
-"""Where the robot can get to in a scene."""
+"""Ground that the robot can reach in a scene."""
 
 from __future__ import annotations
 
@@ -17,29 +17,33 @@ from edge.trajectory.costmap import OCCUPIED, CostMap, from_occupancy, from_weig
 from edge.trajectory.smoothing import line_is_free, smooth
 
 ESCAPE_M = 0.6
-"""A robot that stands closer to something than it may drive begins at the nearest cell so near."""
+"""A robot closer to an obstacle than its clearance starts at the nearest open cell within this."""
 REACH_M = 5.0
-"""A thing that the robot gets no nearer to is not gone to."""
+"""The robot is not sent to an object that it cannot come this near to."""
 ABOUT_M = 0.35
-"""Points that are farther from a thing by less are about as near to it. A robot has reached what it
-stands within 1 m of: this leaves room for one that gets within 0.4 m, for what is seen of a thing's
-outline, and for where a controller comes to rest."""
+"""Points farther from an object by less than this count as equally near.
+
+A robot has reached an object when it stands within 1 m of it. A robot that gets within 0.4 m still
+meets this, with some room for errors of the outline and of the controller.
+"""
 OWN_CELLS = 2.0
-"""So many cells before a thing's own, what is occupied is of the thing."""
+"""Occupied cells this close to an object's own cells belong to the object."""
 ASIDE = 5
-"""Ground outside the regions that were chosen costs so many times as much as within them."""
+"""Cost factor of ground outside the regions that were chosen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ground:
     """The ground of a scene for a robot of some size.
 
-    Open is what `edge.tasks.value_map.open_cells` says.
+    A cell is open as `edge.tasks.value_map.open_cells` defines it.
 
     Attributes:
+        scene: the scene.
         costmap: closed cells have weight 0; costs grow towards obstacles.
-        unoccupied: closed where something is, and nowhere else.
-        reachable: (h, w) bool, the cells of the scene's grids: open, and connected with the robot.
+        unoccupied: closed only at occupied cells.
+        reachable: (h, w) bool, the cells of the scene's grids that are open and connected with the
+            robot.
     """
 
     scene: Scene
@@ -51,41 +55,44 @@ class Ground:
     _workspace: Workspace = field(default_factory=Workspace)
 
     def is_free(self, x_m: float, y_m: float) -> bool:
-        """Whether the robot can be there, and get there."""
+        """Return True if the robot can be at a point, and can get there."""
         cell = self.scene.occupancy.cell_of(x_m, y_m)
         return cell is not None and bool(self.reachable[cell])
 
     def is_occupied(self, x_m: float, y_m: float) -> bool:
-        """Whether something stands at a point of the map."""
+        """Return True if a point of the map is occupied."""
         cell = self.scene.occupancy.cell_of(x_m, y_m)
         return cell is not None and bool(self.scene.occupancy.cells[cell] > 0)
 
     def is_unseen(self, x_m: float, y_m: float) -> bool:
-        """Whether nobody has seen what is at a point; true outside the map."""
+        """Return True if a point was never seen, or is outside the map."""
         cell = self.scene.occupancy.cell_of(x_m, y_m)
         if cell is None:
             return True
         return bool(self.scene.occupancy.cells[cell] < 0) and not self.region_at(x_m, y_m)
 
     def sees(self, a_m: tuple[float, float], b_m: tuple[float, float]) -> bool:
-        """Whether a straight line between two points meets nothing that is occupied."""
+        """Return True if no occupied cell is on the straight line between two points."""
         return line_is_free(self.unoccupied, a_m, b_m)
 
     def region_at(self, x_m: float, y_m: float) -> int:
-        """The id of the drivable region at a point; 0 where there is none."""
+        """Return the id of the drivable region at a point; 0 if there is none."""
         cell = self.scene.regions_grid.cell_of(x_m, y_m)
         return 0 if cell is None else int(self.scene.regions_grid.cells[cell])
 
     def nearest(
         self, x_m: float, y_m: float, within_m: float = math.inf, region: int | None = None
     ) -> tuple[float, float] | None:
-        """The reachable point nearest to another: itself, or the centre of a cell.
+        """Return the reachable point nearest to a point: the point itself, or the centre of a cell.
 
         Args:
-            region: the id of the only region to look in; None: anywhere.
+            x_m: x of the point in `map`.
+            y_m: y of the point in `map`.
+            within_m: largest distance.
+            region: id of the only region to search; None: anywhere.
 
         Returns:
-            (x_m, y_m); None where nothing is near enough.
+            (x_m, y_m); None if nothing is near enough.
         """
         if self.is_free(x_m, y_m) and region in (None, self.region_at(x_m, y_m)):
             return x_m, y_m
@@ -101,13 +108,13 @@ class Ground:
         return (x, y) if distance_m[k] <= within_m else None
 
     def outline(self, thing: SceneObject) -> Outline:
-        """What of a thing stands in the way."""
+        """Return the outline of an object."""
         if thing.id not in self._outlines:
             self._outlines[thing.id] = outline_of(thing, self.scene.occupancy)
         return self._outlines[thing.id]
 
     def faces(self, thing: SceneObject, at_m: tuple[float, float]) -> bool:
-        """Whether nothing stands between a point and a thing."""
+        """Return True if nothing stands between a point and an object."""
         near_m = self.outline(thing).nearest(at_m)
         margin_m = OWN_CELLS * self.scene.occupancy.resolution_m
         share = 1.0 - margin_m / max(math.dist(at_m, near_m), margin_m)
@@ -117,15 +124,16 @@ class Ground:
     def stop(
         self, thing: SceneObject, from_m: tuple[float, float]
     ) -> tuple[tuple[float, float] | None, float]:
-        """Where one who comes from a point stops at a thing.
+        """Return where the robot stops at an object if it comes from a point.
 
-        Of the reachable points from which nothing stands before it and that are about as near to it
-        as the nearest (`ABOUT_M`), the one nearest to where one comes from; where something stands
-        before it everywhere, of all that are near. Drivable regions go before other ground.
+        Candidates are reachable points with a clear view of the object, about as near to it as the
+        nearest such point (`ABOUT_M`). The candidate nearest to `from_m` wins. If no point has a
+        clear view, all near points are candidates. Drivable regions take precedence over other
+        ground.
 
         Returns:
-            (x_m, y_m), None where there is none within `REACH_M`; and how near to the thing one
-            gets, inf where one gets nowhere.
+            (x_m, y_m), or None if there is no point within `REACH_M`; and the distance to the
+            object, inf if no point is reachable.
         """
         regions = self.scene.regions_grid.cells > 0
         on_region = self._stop(thing, from_m, self.reachable & regions)
@@ -134,11 +142,11 @@ class Ground:
     def _stop(
         self, thing: SceneObject, from_m: tuple[float, float], among: np.ndarray
     ) -> tuple[tuple[float, float] | None, float]:
-        """`stop`, among cells (h, w) bool."""
+        """Do the work of `stop` for the cells `among`, (h, w) bool."""
         centres_m = self.scene.occupancy.centres_m(*np.nonzero(among))
         if not len(centres_m):
             return None, math.inf
-        gaps_m = self.outline(thing).gaps_m(centres_m).round(6)  # 0.7 m may be a hair more
+        gaps_m = self.outline(thing).gaps_m(centres_m).round(6)  # 0.7 m may be 0.7000000001 m
         near = np.flatnonzero(gaps_m <= REACH_M + ABOUT_M)
         by_gap = near[np.argsort(gaps_m[near], kind="stable")]
         nearest = self._first_facing(thing, centres_m, by_gap)
@@ -155,8 +163,11 @@ class Ground:
     def _first_facing(
         self, thing: SceneObject, points_m: np.ndarray, order: np.ndarray
     ) -> int | None:
-        """The first of some indices whose point faces a thing; where none does, the first: a thing
-        may stand beyond the map, or behind what hides its foot."""
+        """Return the first index in `order` whose point has a clear view of an object.
+
+        If no point has one, return the first index: an object may stand beyond the map, or its foot
+        may be hidden.
+        """
         for k in order.tolist():
             x_m, y_m = points_m[k].tolist()
             if self.faces(thing, (x_m, y_m)):
@@ -170,11 +181,14 @@ class Ground:
         regions: frozenset[int] = frozenset(),
         spacing_m: float = 0.5,
     ) -> Plan:
-        """The cheapest way over open ground, straightened.
+        """Find the cheapest path over open ground, straightened.
 
         Args:
-            regions: ids; other ground costs `ASIDE` times as much. Empty: all ground is the same.
-            spacing_m: between two points, at most.
+            start_m: (x, y) in `map`.
+            goal_m: (x, y) in `map`.
+            regions: ids; other ground costs `ASIDE` times as much. Empty: all ground costs the
+                same.
+            spacing_m: largest distance between two points.
         """
         costmap = self._costmap(regions)
         found = plan(costmap, start_m, goal_m, self._workspace, escape_m=ESCAPE_M)
@@ -186,18 +200,14 @@ class Ground:
         if regions not in self._costmaps:
             weights = self.costmap.grid.cells
             other = ~np.isin(self.scene.regions_grid.cells, list(regions))
-            dearer = np.where(other, np.minimum(weights.astype(np.uint16) * ASIDE, 255), weights)
-            grid = replace(self.costmap.grid, cells=dearer.astype(np.uint8))
+            raised = np.where(other, np.minimum(weights.astype(np.uint16) * ASIDE, 255), weights)
+            grid = replace(self.costmap.grid, cells=raised.astype(np.uint8))
             self._costmaps[regions] = from_weights(grid, self.costmap.unit)
         return self._costmaps[regions]
 
 
 def ground_of(scene: Scene, clearance_m: float) -> Ground:
-    """The ground of a scene.
-
-    Args:
-        clearance_m: see `edge.tasks.value_map.closed_cells`.
-    """
+    """Compute the ground of a scene; `clearance_m` is as in `edge.tasks.value_map.closed_cells`."""
     occupancy = scene.occupancy
     is_open = open_cells(occupancy, scene.regions_grid, clearance_m)
     cells = np.where(is_open, np.int8(0), np.int8(OCCUPIED))
@@ -208,11 +218,10 @@ def ground_of(scene: Scene, clearance_m: float) -> Ground:
 
 
 def reachable(is_open: np.ndarray, grid: Grid, pose: SE2) -> np.ndarray:
-    """(h, w) bool: open cells that are connected with the robot's, or, where that is closed, with
-    the nearest open one within `ESCAPE_M`.
+    """Return the open cells that are connected with the robot's cell, (h, w) bool.
 
-    Args:
-        is_open: (h, w) bool, the cells of `grid`.
+    If the robot's cell is closed, start from the nearest open cell within `ESCAPE_M`. `is_open` is
+    (h, w) bool, on the cells of `grid`.
     """
     rows, columns = np.nonzero(is_open)
     away_m = np.hypot(*(grid.centres_m(rows, columns) - (pose.x_m, pose.y_m)).T)
@@ -220,6 +229,6 @@ def reachable(is_open: np.ndarray, grid: Grid, pose: SE2) -> np.ndarray:
     if cell is None or not len(away_m) or not (is_open[cell] or away_m.min() <= ESCAPE_M):
         return np.zeros(is_open.shape, bool)
     begin = cell if is_open[cell] else (rows[np.argmin(away_m)], columns[np.argmin(away_m)])
-    # A* cuts no corner, so what it reaches is connected by sides.
+    # A* cuts no corners, so cells that it reaches are connected by their sides.
     _, parts = cv2.connectedComponents(is_open.view(np.uint8), connectivity=4, ltype=cv2.CV_32S)
     return parts == parts[begin]

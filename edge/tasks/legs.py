@@ -1,4 +1,4 @@
-"""A coarse trajectory, cut into legs that A* is run for one after the other."""
+"""Legs of a coarse trajectory: parts for which A* runs one after the other."""
 
 from __future__ import annotations
 
@@ -12,22 +12,25 @@ from edge.errors import UserError
 from edge.tasks.speeds import headings_rad
 
 TURN_RAD = math.radians(45.0)
-"""A* cuts no bend short by more than this: of a circle as wide as three tubes it leaves an octagon
-whose sides lie in the tube."""
+"""A* shortens no bend by more than this turn.
+
+A circle as wide as three tubes becomes an octagon whose sides lie inside the tube.
+"""
 _COS_TURN = math.cos(TURN_RAD) + 1e-6
 
 
 class RefineError(UserError):
-    """No trajectory can be driven; the message says where it ends and what to do."""
+    """No trajectory can be driven; the message gives the place and what to do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Leg:
-    """A part of the coarse trajectory for which A* is run once.
+    """A part of the coarse trajectory for which A* runs once.
 
     Attributes:
-        points_m: (n, 3) float64 in `map`, n >= 1, without the point where the leg before it ended.
-        ends_segment: its end has to be reached; else it only keeps A* from cutting a bend short.
+        points_m: (n, 3) float64 in `map`, n >= 1, without the end point of the leg before.
+        ends_segment: True if its end must be reached; otherwise the end only keeps A* from
+            shortening a bend.
     """
 
     points_m: np.ndarray
@@ -37,13 +40,15 @@ class Leg:
 def cut(
     segments: Sequence[np.ndarray], start_xy_m: tuple[float, float], tube_m: float
 ) -> tuple[Leg, ...]:
-    """The coarse trajectory in legs: each segment, cut where it has turned by `TURN_RAD`.
+    """Split the coarse trajectory into legs: its segments, cut where they turn by `TURN_RAD`.
 
     Args:
-        tube_m: what lies nearer to a straight line than half of it is not a turn.
+        segments: (n, 2 or 3) points each.
+        start_xy_m: place of the robot.
+        tube_m: deviations from a straight line of less than half of this are not turns.
 
     Raises:
-        RefineError: no segment, a segment without points, points that are no numbers.
+        RefineError: there is no segment, a segment has no points, or a point is not finite.
     """
     legs: list[Leg] = []
     last = np.array([*start_xy_m, 0.0])
@@ -52,11 +57,11 @@ def cut(
         if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points):
             raise RefineError(
                 f"segment {number} of the trajectory: expected points (n, 2 or 3), got "
-                f"{points.shape}: ask for the trajectory again"
+                f"{points.shape}; ask for the trajectory again"
             )
         if not np.isfinite(points).all():
             raise RefineError(
-                f"segment {number} of the trajectory holds NaN or inf: ask for the trajectory again"
+                f"segment {number} of the trajectory has NaN or inf; ask for the trajectory again"
             )
         points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
         bends = _bends(np.concatenate([last[None], points]), 0.5 * tube_m)
@@ -65,12 +70,12 @@ def cut(
         legs[-1] = Leg(legs[-1].points_m, ends_segment=True)
         last = points[-1]
     if not legs:
-        raise RefineError("the trajectory has no segment: ask for the trajectory again")
+        raise RefineError("the trajectory has no segment; ask for the trajectory again")
     return tuple(legs)
 
 
 def _bends(points_m: np.ndarray, tolerance_m: float) -> list[int]:
-    """Indices at which a polyline has turned by `TURN_RAD` since the last, each at least 1."""
+    """Return the indices, each at least 1, where a polyline has turned by `TURN_RAD` again."""
     rough = simplified(points_m[:, :2], tolerance_m)
     headings = headings_rad(points_m[rough, :2])[:-1]
     found, first = list[int](), headings[0] if len(headings) else 0.0
@@ -82,9 +87,9 @@ def _bends(points_m: np.ndarray, tolerance_m: float) -> list[int]:
 
 
 def simplified(points_m: np.ndarray, tolerance_m: float) -> list[int]:
-    """Indices of the points that a polyline needs (Douglas & Peucker 1973).
+    """Return the indices of the points that a polyline needs (Douglas & Peucker 1973).
 
-    OpenCV's takes one that ends where it began for a point.
+    OpenCV's version reduces a closed polyline to one point.
     """
     kept, spans = {0, len(points_m) - 1}, [(0, len(points_m) - 1)]
     while spans:

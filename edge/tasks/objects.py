@@ -1,4 +1,4 @@
-"""Things in the map: their boxes, and what many pictures of one come to (OpenNav III-B)."""
+"""3-D object map: boxes of objects, merged from many pictures (OpenNav III-B)."""
 
 from __future__ import annotations
 
@@ -13,39 +13,44 @@ import numpy as np
 from edge import names
 
 REACH_M, REACH_SHARE = 0.4, 0.012
-"""Points of one thing lie no further apart, and this share of their distance from the sensor."""
+"""Largest gap between points of one object: `REACH_M` plus this share of the sensor's distance."""
 VOXEL_M = 0.1
 NEAR_M = 0.3
-"""A point of a thing lies about this near to one that was seen of it before."""
+"""Distance within which a point belongs to an object that was seen before."""
 SAME_SHARE, ALIKE_SHARE = 0.25, 0.6
-"""Two of one label are one thing where so many of the points of either lie near the other's; two of
-different labels, where so many of both do: a detector calls one thing by two names. So do two boxes
-of one picture, which tells a row of cars from a car that it shows twice."""
+"""Shares of near points from which two objects are one.
+
+Objects with the same label are one if the share of either reaches `SAME_SHARE`. Objects with
+different labels are one if both shares reach `ALIKE_SHARE`, because a detector may give one object
+two names. The same holds for two boxes of one picture: it separates a row of cars from a car that
+was detected twice.
+"""
 _CLOSE_M = 0.05
-"""What a point lies off a side counts about this much at least."""
+"""Smallest distance from a side that counts, so that points on a side have a finite score."""
 _FIT_POINTS = 400
 MOST_POINTS = 4096
 AGREED = 3
-"""A place is of a thing that is in many pictures where so many show it there."""
+"""Votes with which a voxel belongs to an object that is in many pictures."""
 MOST_VOTES = 1 << 16
-"""Of more places, those are forgotten that no picture has shown for longest."""
+"""Largest number of voxels with votes; the least recently seen ones are dropped."""
 LEAST_POINTS = 5
-"""With fewer there is no telling where and how large it is."""
+"""Smallest number of points from which an object's place and size can be estimated."""
 
 
 @dataclass(slots=True, eq=False)
 class MapObject:
-    """A thing in the 3D object map.
+    """An object of the 3-D object map.
 
     Attributes:
-        labels: what it was called in each picture, by the sum of the scores.
-        points_m: (n, 3) float32 in `map`, one in a voxel, at most `MOST_POINTS`.
-        captions: what was said of it in each picture, counted, by what it was called.
-        embedding: (d,) float32, the mean over pictures; None: there are none.
-        score: the highest of its boxes.
-        hits: boxes that it was found in.
-        picture: the newest that it was found in; None: it is not known.
-        apart: ids of things that one picture has shown beside it.
+        id: unique in the map, from 1.
+        labels: sum of the scores of each label that it was given.
+        points_m: (n, 3) float32 in `map`, one per voxel, at most `MOST_POINTS`.
+        captions: counts of its captions, by label.
+        embedding: (d,) float32, mean over pictures; None if there is none.
+        score: highest score of its boxes.
+        hits: number of its boxes.
+        picture: newest picture that shows it; None if unknown.
+        apart: ids of objects that one picture has shown together with it.
     """
 
     id: int
@@ -60,29 +65,30 @@ class MapObject:
 
     @property
     def label(self) -> str:
-        """What it was called with the highest scores, in sum."""
+        """The label with the highest sum of scores."""
         return max(self.labels, key=lambda label: self.labels[label])
 
     @property
     def caption(self) -> str:
-        """What was said of it most often, and first, as what it is; the label where nothing was."""
+        """The most frequent caption under its label, or the label if there is no caption."""
         said = self.captions.get(self.label)
         return said.most_common(1)[0][0] if said else self.label
 
 
 def box_around(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """The upright box that fits points best, when they lie on its sides (Zhang, Xu, Dong, Dolan:
-    search-based L-shape fitting, IV 2017, closeness criterion).
+    """Fit the upright box on whose sides the points lie best.
 
-    A LiDAR sees two sides of a thing at most, and the smallest rectangle around an L is askew.
+    This is the L-shape fit by search of Zhang, Xu, Dong and Dolan (IV 2017), with the closeness
+    criterion. A LiDAR sees at most two sides of an object, and the smallest rectangle around such
+    an L is rotated.
 
     Args:
         points_m: (n, 3), n > 0.
 
     Returns:
-        Its middle, (3,) float64; its size along its heading, across it, and up, (3,) float64, the
-        first not shorter than the second; the heading of its longer side, in [-pi/2, pi/2): which
-        end is the front is not seen.
+        Centre, (3,) float64; size along the heading, across it, and up, (3,) float64, the first not
+        shorter than the second; heading of the longer side in [-pi/2, pi/2), because front and back
+        cannot be distinguished.
     """
     xy, z = points_m[:, :2].astype(np.float64), points_m[:, 2].astype(np.float64)
     middle = xy.mean(axis=0)
@@ -104,7 +110,7 @@ def box_around(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def _best_turn(xy: np.ndarray, turns: np.ndarray) -> float:
-    """Of some headings, the one whose box has the points (n, 2) nearest to its sides."""
+    """Return the heading whose box has the points (n, 2) nearest to its sides."""
     c, s = np.cos(turns), np.sin(turns)
     along, across = xy @ np.stack((c, s)), xy @ np.stack((-s, c))  # (n, turns)
     off = np.minimum(*(np.minimum(v - v.min(axis=0), v.max(axis=0) - v) for v in (along, across)))
@@ -112,10 +118,11 @@ def _best_turn(xy: np.ndarray, turns: np.ndarray) -> float:
 
 
 def main_cluster(points_m: np.ndarray, sensor_m: np.ndarray) -> np.ndarray:
-    """Indices of the most points that hang together seen from above; strays are left out.
+    """Return the indices of the largest cluster of points, as seen from above.
 
     Args:
-        points_m: (n, 3) in `map`; sensor_m: (3,), where they were seen from.
+        points_m: (n, 3) in `map`.
+        sensor_m: (3,) position of the sensor.
     """
     if not len(points_m):
         return np.zeros(0, np.intp)
@@ -125,7 +132,7 @@ def main_cluster(points_m: np.ndarray, sensor_m: np.ndarray) -> np.ndarray:
 
 
 def clusters(points_m: np.ndarray, reach_m: float) -> list[np.ndarray]:
-    """Points that hang together seen from above, as indices, the most first."""
+    """Return the clusters of points as seen from above, as indices, the largest first."""
     if not len(points_m):
         return []
     part = _parts(points_m[:, :2], reach_m)
@@ -135,7 +142,7 @@ def clusters(points_m: np.ndarray, reach_m: float) -> list[np.ndarray]:
 
 
 def _parts(xy_m: np.ndarray, reach_m: float) -> np.ndarray:
-    """Which connected piece each point belongs to: (n,) integers."""
+    """Return the connected component of each point, (n,) integers."""
     cells = np.floor((xy_m - xy_m.min(axis=0)) / reach_m).astype(np.int64)
     picture = np.zeros(cells.max(axis=0)[::-1] + 1, np.uint8)
     picture[cells[:, 1], cells[:, 0]] = 1
@@ -144,7 +151,7 @@ def _parts(xy_m: np.ndarray, reach_m: float) -> np.ndarray:
 
 
 def thin(points_m: np.ndarray, voxel_m: float = VOXEL_M, most: int = MOST_POINTS) -> np.ndarray:
-    """One point in a voxel, the first; of more than `most`, evenly many: (n, 3) float32."""
+    """Keep the first point of each voxel, then at most `most` of them, evenly: (n, 3) float32."""
     first = first_in_voxels(points_m, np.full(3, voxel_m))
     if len(first) > most:
         first = first[np.linspace(0, len(first) - 1, most).astype(np.intp)]
@@ -152,7 +159,10 @@ def thin(points_m: np.ndarray, voxel_m: float = VOXEL_M, most: int = MOST_POINTS
 
 
 def first_in_voxels(points: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Indices of the first of the points (n, 3) in each voxel of sides `size`, (3,); ascending."""
+    """Return the indices of the first point (n, 3) in each voxel of sides `size` (3,).
+
+    The indices ascend.
+    """
     if not len(points):
         return np.zeros(0, np.intp)
     voxels = np.floor(points / size).astype(np.int64)
@@ -163,8 +173,10 @@ def first_in_voxels(points: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 
 def share_near(a_m: np.ndarray, b_m: np.ndarray, near_m: float = NEAR_M) -> float:
-    """Share of the points (n, 3) that have one of others (m, 3) in their own cube of side `near_m`
-    or in one beside it; 0 for none."""
+    """Return the share of points (n, 3) that are near one of the others (m, 3); 0 without points.
+
+    Near means in the same cube of side `near_m`, or in an adjacent one.
+    """
     corner = np.minimum(a_m.min(axis=0), b_m.min(axis=0)) if len(a_m) and len(b_m) else None
     if corner is None:
         return 0.0
@@ -178,10 +190,10 @@ def share_near(a_m: np.ndarray, b_m: np.ndarray, near_m: float = NEAR_M) -> floa
 
 
 class ObjectMap:
-    """The 3D object map: what is found joins the thing that it is of, or is a thing of its own.
+    """The 3-D object map. A detection joins the object that it fits, or becomes a new object.
 
     Attributes:
-        objects: by id, from 1, in the order in which they were found; an id is never given twice.
+        objects: objects by id, from 1, in the order of their first detection; ids are never reused.
     """
 
     def __init__(self) -> None:
@@ -198,15 +210,24 @@ class ObjectMap:
         embedding: np.ndarray | None = None,
         picture: int | None = None,
     ) -> MapObject | None:
-        """Bring in what one picture shows of a thing.
+        """Add the part of an object that one picture shows.
 
         Args:
+            label: its name.
             points_m: (n, 3) float32 in `map`.
-            embedding: (d,) of the picture's part.
-            picture: its number, such as `Observation.seq`; None: nothing else was in it.
+            caption: its description; "" without one.
+            score: of the box, in [0, 1].
+            embedding: (d,) embedding of the part of the picture.
+            picture: number of the picture, such as `Observation.seq`; None: nothing else was in it.
 
         Returns:
-            The thing; None: too few points.
+            The object, or None if there are too few points.
+
+        Example:
+            >>> found = ObjectMap()
+            >>> corner = np.random.default_rng(0).uniform(0.0, 1.0, (200, 3)).astype(np.float32)
+            >>> found.add("car", corner).id, found.add("car", corner + 0.05).id, len(found.objects)
+            (1, 1, 1)
         """
         points = thin(points_m)
         if len(points) < LEAST_POINTS:
@@ -231,7 +252,7 @@ class ObjectMap:
         return self._united(one)
 
     def vote(self, label: str, points_m: np.ndarray, by: int) -> None:
-        """One picture says that a thing of that label is there (1), or something else (-1)."""
+        """Count one picture's vote: 1 for an object with this label at the points, else -1."""
         label = names.canonical(label)
         for voxel in np.unique(_voxels(points_m), axis=0).tolist():
             self._votes[(label, *voxel)] = self._votes.pop((label, *voxel), 0) + by
@@ -239,17 +260,20 @@ class ObjectMap:
             del self._votes[place]
 
     def doubt(self, thing: MapObject, points_m: np.ndarray) -> None:
-        """One picture says that points (n, 3) which it shows beside a thing are not the thing's."""
+        """Count one picture's vote against the points (n, 3) that it shows outside a box."""
         held, shown = _voxels(thing.points_m), _voxels(points_m)
-        # A picture shows thousands of points, and few of them where the thing is.
+        # A picture has thousands of points, but few of them near the object.
         shown = shown[((shown >= held.min(0)) & (shown <= held.max(0))).all(axis=1)]
         for voxel in {*map(tuple, shown.tolist())} & {*map(tuple, held.tolist())}:
             if (thing.label, *voxel) in self._votes:
                 self._votes[(thing.label, *voxel)] -= 1
 
     def agreed_m(self, thing: MapObject) -> np.ndarray:
-        """(n, 3) float32, the points of a thing for which `AGREED` more pictures speak than against
-        them, or a third of all that there are; all, where that leaves too few."""
+        """Return the points of an object that enough pictures confirm, (n, 3) float32.
+
+        Votes for minus votes against must reach `AGREED`, or a third of the object's detections if
+        that is less. If this leaves too few points, return all of them.
+        """
         voxels = _voxels(thing.points_m).tolist()
         votes = np.array([self._votes[(thing.label, *voxel)] for voxel in voxels])
         agreed = (votes > 0) & (votes >= min(AGREED, thing.hits / 3))
@@ -257,7 +281,7 @@ class ObjectMap:
         return thing.points_m[agreed] if enough else thing.points_m
 
     def _united(self, one: MapObject) -> MapObject:
-        """What has grown may touch what was apart from it before; the oldest of them stays."""
+        """Merge the objects that an object touches after it has grown; the oldest one stays."""
         alike = [o for o in self.objects.values() if o is one or _likeness(one, o)]
         first = min(alike, key=lambda thing: thing.id)
         for other in alike:
@@ -268,12 +292,12 @@ class ObjectMap:
 
 
 def _voxels(points_m: np.ndarray) -> np.ndarray:
-    """(n, 3) int64."""
+    """Return the voxel of each point, (n, 3) int64."""
     return np.floor(points_m / VOXEL_M).astype(np.int64)
 
 
 def _likeness(a: MapObject, b: MapObject) -> float:
-    """The share of points by which two are one thing; 0 where they are not."""
+    """Return the share of near points that makes two objects one; 0 if they are different."""
     apart = np.maximum(a.points_m.min(0) - b.points_m.max(0), b.points_m.min(0) - a.points_m.max(0))
     if apart.max() > NEAR_M:
         return 0.0

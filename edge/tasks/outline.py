@@ -1,4 +1,4 @@
-"""What of a thing stands in the way: how near one is to it, and where one passes it."""
+"""Outline of an object on the ground: how near a point is to it, and where to pass it."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from edge.geometry import SE2, Grid
 from edge.tasks.scene import SceneObject
 from edge.trajectory.smoothing import resample
 
-_CHUNK = 128  # points whose distances to all cells are held at a time
+_CHUNK = 128  # points whose distances to all cells are in memory at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
-    """A thing seen from above.
+    """An object seen from above.
 
-    It is what of its box is not known to be free: the box around a hedge in a bend, or a sofa with
-    a corner, holds ground that one may stand on, and of a car a LiDAR sees two sides.
+    The outline is the part of its box that is not known to be free. The box around a curved hedge
+    or an L-shaped sofa also holds free ground, and a LiDAR sees only two sides of a car.
 
     Attributes:
-        middle_m: (2,) float64, of its box, in `map`.
-        cells_m: (n, 2) float64, n >= 1: middles of the cells that it covers; where the map has
-            nothing in its box, points along the box's rim.
-        hull_m: (k, 2) float64 from the middle, the corners of the convex hull of those cells.
-        rim_m: from a cell's middle to its rim.
+        middle_m: (2,) float64, centre of its box in `map`.
+        cells_m: (n, 2) float64, n >= 1: centres of the cells that it covers. If the map has nothing
+            in its box, points along the rim of the box.
+        hull_m: (k, 2) float64 relative to the centre, corners of the convex hull of those cells.
+        rim_m: distance from the centre of a cell to its rim.
     """
 
     middle_m: np.ndarray
@@ -36,7 +36,7 @@ class Outline:
     rim_m: float
 
     def gaps_m(self, points_m: np.ndarray) -> np.ndarray:
-        """(n,) how far points (n, 2) are from the nearest of its cells; 0 on one."""
+        """Return the distance (n,) from points (n, 2) to the nearest cell; 0 on a cell."""
         away_m = np.empty(len(points_m))
         for k in range(0, len(points_m), _CHUNK):
             apart_m = points_m[k : k + _CHUNK, None] - self.cells_m
@@ -44,16 +44,16 @@ class Outline:
         return np.maximum(away_m - self.rim_m, 0.0)
 
     def nearest(self, point_m: tuple[float, float]) -> tuple[float, float]:
-        """The middle of its cell nearest to a point."""
+        """Return the centre of the object's cell nearest to a point."""
         k = int(np.argmin(np.hypot(*(self.cells_m - point_m).T)))
         x_m, y_m = self.cells_m[k].tolist()
         return x_m, y_m
 
     def beside(self, angle_rad: float, distance_m: float) -> tuple[float, float]:
-        """The point in a direction from the middle that is so far from the hull."""
+        """Return the point in a direction from the centre, at a distance from the hull."""
         ray = np.array([math.cos(angle_rad), math.sin(angle_rad)])
         along_m = self.hull_m @ ray
-        # Outwards of there the distance from a convex hull only grows.
+        # Along the ray the distance from a convex hull grows, so bisect.
         low_m, high_m = max(float(along_m.mean()), 0.0), max(float(along_m.max()), 0.0) + distance_m
         while high_m - low_m > 1e-4:
             middle_m = 0.5 * (low_m + high_m)
@@ -70,11 +70,7 @@ class Outline:
 
 
 def outline_of(thing: SceneObject, occupancy: Grid) -> Outline:
-    """The outline of a thing.
-
-    Args:
-        occupancy: of its scene.
-    """
+    """Return the outline of an object; `occupancy` is the map of its scene."""
     middle_m, half_m = thing.position_m[:2], 0.5 * thing.size_m[:2]
     c, s = math.cos(thing.heading_rad), math.sin(thing.heading_rad)
     turn = np.array([[c, s], [-s, c]])
@@ -93,7 +89,7 @@ def outline_of(thing: SceneObject, occupancy: Grid) -> Outline:
 def _covered(
     occupancy: Grid, middle_m: np.ndarray, half_m: np.ndarray, turn: np.ndarray, margin_m: float
 ) -> np.ndarray:
-    """(n, 2): middles of the cells in a box that are not known to be free."""
+    """Return the centres (n, 2) of the cells in a box that are not known to be free."""
     reach_m = float(np.hypot(*half_m)) + margin_m
     low, high = (
         np.floor(occupancy.of_metres(middle_m + side * reach_m)).astype(np.int64)

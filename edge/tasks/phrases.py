@@ -1,4 +1,4 @@
-"""The words that the rules know, by kind; everything else can only name or describe a thing."""
+"""Words that the rules know, by kind; any other word can only name or describe an object."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from edge.mission.language.words import Token
 _SIDES = ("left", "right")
 
 PHRASES: dict[str, str] = {
-    # Who is spoken to, and words that carry nothing.
+    # Forms of address, and words without meaning for the task.
     "filler": "please|you|robot|the robot|can you|could you|would you|will you|now|just|kindly|"
     "i want you to|i need you to|i would like you to|i'd like you to|you should|you must|"
     "you have to|you need to|your task is to|let's|ok|okay",
     "first": "first|first of all",
-    # How steps hang together.
+    # Joints between steps.
     "then": "then|and then|after that|and after that|afterwards|and afterwards|finally|and finally|"
     "next|and next",
     "and": "and",
-    # What is done.
+    # Verbs.
     "go": "go|drive|move|head|navigate|walk|travel|proceed|continue|come|roll|return|steer|get|"
     "make your way|go on|drive on|keep going|keep driving",
     "pass": "pass|pass by|overtake|bypass",
     "stop": "stop|halt|park|wait|end|come to a stop|come to a halt",
     "reach": "approach|reach|visit",
     "leave": "leave|keep",
-    # The same in a clause that hangs on another: "after passing the van".
+    # Verbs in a clause that depends on another: "after passing the van".
     "going": "going|driving|moving|heading|steering|gone|driven",
     "passing": "passing|passing by|passed|passed by|overtaking|bypassing",
     "stopping": "stopping|halting|stopped|halted",
@@ -35,7 +35,7 @@ PHRASES: dict[str, str] = {
     "before": "before",
     "while": "while|whilst",
     "having": "having|you have|you've|you are|you're",
-    # Where a thing is to the way.
+    # Position of an object relative to the path.
     "to": "to|towards|toward|up to|over to|back to",
     "at": "at|near|next to|beside|close to|by",
     "past": "past|along",
@@ -53,7 +53,7 @@ PHRASES: dict[str, str] = {
     "metres": "m|metre|metres|meter|meters",
     "half": "half a",
     "and a half": "and a half",
-    # Which thing is meant.
+    # Words that choose an object.
     "article": "the|a|an|this|that|your|my",
     "pronoun": "it",
     "there": "there",
@@ -125,16 +125,18 @@ _TOKEN = re.compile(
     r"""|(?P<dash>(?<=\s)[-–—](?=\s+[^\W\d_]))|(?P<mark>\S)"""
 )
 _HYPHEN = re.compile(r"(?<=[^\W_])-(?=[^\W\d_])")
-"""Between the parts of a word, as in "left-hand"; any other may be a minus, and is none."""
+"""Hyphen between the parts of a word, as in "left-hand". Any other may be a minus and is kept."""
 _PUNCTUATION = {",": "comma", ";": "stop mark", ".": "stop mark", "!": "stop mark"}
 
 
 def tokenise(text: str) -> list[Token]:
-    """An instruction's tokens, longest phrases first, with an "end" at the end.
+    """Split an instruction into tokens, the longest phrases first, with an "end" at the end.
 
-    Kinds are those of `PHRASES`; "word" (of a name or a description; each word in quotes is one),
-    "number", "ordinal" (its text is the number), "comma", "stop mark" (a sentence's end), "mark"
-    (nothing that is known), "end".
+    Kinds are those of `PHRASES` and:
+
+    - "word": part of a name or a description; each word in quotes is one.
+    - "number", "ordinal": the text of an ordinal is its number.
+    - "comma", "stop mark" (end of a sentence), "mark" (any other character), "end".
     """
     found: list[tuple[str, str, int, int]] = []
     for match in _TOKEN.finditer(_HYPHEN.sub(" ", text)):
@@ -172,6 +174,6 @@ def tokenise(text: str) -> list[Token]:
 
 
 def _phrase_at(found: list[tuple[str, str, int, int]], at: int) -> int:
-    """How many words from there make the longest phrase; 0 when none does."""
+    """Return the number of words that make the longest phrase at an index; 0 if there is none."""
     words = tuple("" if kind == "quoted" else word for kind, word, *_ in found[at : at + LONGEST])
     return next((n for n in range(len(words), 0, -1) if words[:n] in TABLE), 0)

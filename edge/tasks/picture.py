@@ -1,5 +1,4 @@
-"""The picture that a model is shown: each object outlined in its own colour and numbered
-(OpenNav III-B)."""
+"""Picture for a model: each object is outlined in its own colour and numbered (OpenNav III-B)."""
 
 from __future__ import annotations
 
@@ -10,24 +9,25 @@ from edge.perception.scoring.choice.picture import place
 from edge.tasks.scene import Scene
 
 SHOWN_PX = 960
-"""Smaller pictures are enlarged until their longer side is so long: numbers want room."""
+"""The longer side of a smaller picture is enlarged to this, to make room for the numbers."""
 _RADIUS_SHARE, _LEAST_RADIUS_PX = 0.011, 10
 _GOLDEN = 0.618034
-"""Hues this share of a turn apart differ, however many there are."""
+"""Step between hues as a share of the colour circle; any number of such hues differ."""
 _BLACK, _WHITE = (0, 0, 0), (255, 255, 255)
 
 
 def annotated(scene: Scene, longest_px: int = 1280) -> np.ndarray | None:
-    """The scene's picture with the contours and numbers of its objects.
+    """Draw the contours and numbers of the objects into the scene's picture.
 
-    A number goes to the middle of the thing's largest outline, or as near to it as there is room,
-    with a line to there; one for which there is none is left out.
+    A number is drawn in the middle of the object's largest outline, or in the nearest free place
+    with a line to the middle. If there is no free place, the number is left out.
 
     Args:
-        longest_px: the longer side is at most so long.
+        scene: the scene.
+        longest_px: largest length of the longer side.
 
     Returns:
-        (h, w, 3) uint8; None where the scene has no picture.
+        (h, w, 3) uint8; None if the scene has no picture.
     """
     if scene.rgb is None:
         return None
@@ -54,14 +54,14 @@ def annotated(scene: Scene, longest_px: int = 1280) -> np.ndarray | None:
 
 
 def colour(number: int) -> tuple[int, int, int]:
-    """A bright colour (RGB) of an object's own."""
+    """Return a bright RGB colour for an object's number."""
     hsv = np.array([[[int(180 * (number * _GOLDEN % 1.0)), 190, 255]]], np.uint8)
     red, green, blue = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0, 0].tolist()
     return red, green, blue
 
 
 def _middle(outline: np.ndarray, size: tuple[int, int]) -> tuple[float, float]:
-    """Of what an outline has inside the picture."""
+    """Return the centre of the part of an outline inside the picture."""
     inside = np.clip(outline, 0, np.array(size) - 1)
     x, y, w, h = cv2.boundingRect(inside)
     return x + 0.5 * w, y + 0.5 * h
@@ -74,7 +74,7 @@ def _number(
     at: tuple[float, float],
     radius: int,
 ) -> None:
-    """A number on a black disc, with a line to the spot that it belongs to; drawn in place."""
+    """Draw a number on a black disc, with a line to its object, in place."""
     own = colour(number)
     here, centre = ((round(x), round(y)) for x, y in (spot, at))
     if np.hypot(here[0] - centre[0], here[1] - centre[1]) > radius:

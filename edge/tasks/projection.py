@@ -1,4 +1,4 @@
-"""From masks in the picture to points of the LiDAR (OpenNav eq. 2), without the background."""
+"""Projection of masks in the picture to LiDAR points, without the background (OpenNav eq. 2)."""
 
 from __future__ import annotations
 
@@ -9,14 +9,20 @@ from edge.tasks import scan_kernels as kernels
 from edge.types import MASK_SIDE
 
 BESIDE = 0.25
-"""Share of a box's size that is looked at on each side of it, to see what goes on beyond it."""
+"""Share of a box's size by which its window is larger on each side, to see the background there."""
 GAP_M, GAP_SHARE = 0.5, 0.015
-"""Surfaces are apart where depth leaps by more; scan lines on one surface lie further apart the
-farther it is. A side at a grazing angle is cut off where its own returns do: at 20 m below 4 deg
-with a column every 0.17 deg, as a LiDAR of 64 rings has, and below 13 deg with one every 0.5."""
+"""Surfaces are separated by a jump in depth of more than `GAP_M` plus this share of the depth.
+
+Scan lines on one surface are farther apart at a greater distance. A surface at a grazing angle is
+cut where the returns of one column are too far apart: at 20 m below 4 deg with a column every 0.17
+deg, as a LiDAR of 64 rings has, and below 13 deg with a column every 0.5 deg.
+"""
 LEAST_SPAN = 0.2
-"""Points that reach over less of the width or height of their box are of something else in it, such
-as the hedge before a house that stands higher than the LiDAR looks."""
+"""Smallest share of a box's width and height that the points must cover.
+
+Fewer points belong to something else in the box, such as the hedge in front of a house that is
+higher than the LiDAR's field of view.
+"""
 _BOXES_ALONE = np.zeros((0, MASK_SIDE, MASK_SIDE), np.bool_)
 
 
@@ -28,23 +34,23 @@ def points_of_masks(
     mask: np.ndarray | None = None,
     keep: np.ndarray | None = None,
 ) -> list[np.ndarray]:
-    """The points of each thing in a picture: those that its mask shows, less the background.
+    """Return the points of each object in a picture: the points in its mask without the background.
 
-    A mask also shows what is seen past the thing. The points are parted where their depth leaps,
-    and the part is taken whose picture fits the mask best (see `scan_kernels.best_surface`),
-    unless that is but a corner of the box.
+    A mask also shows some background. The points are split where their depth jumps. The part whose
+    picture fits the mask best is taken (see `scan_kernels.best_surface`), unless it covers only a
+    corner of the box.
 
     Args:
-        cloud_m: (n, 3) float32; points that are not finite are in no picture.
-        T_camera_cloud: (4, 4) float64, the optical frame from the cloud's: M_T.
-        camera: M_K.
+        cloud_m: (n, 3) float32; points that are not finite are ignored.
+        T_camera_cloud: (4, 4) float64, from the cloud's frame to the optical frame: M_T.
+        camera: intrinsics: M_K.
         xyxy_px: (k, 4) float32 boxes.
-        mask: (k, MASK_SIDE, MASK_SIDE) bool, see `Detections.mask`; a box without any cell of its
-            own, and all where it is None, are their own masks.
-        keep: (n,) bool, points that count, such as those above the ground; None: all.
+        mask: (k, MASK_SIDE, MASK_SIDE) bool, see `Detections.mask`. A box with an empty mask, or
+            every box if this is None, is its own mask.
+        keep: (n,) bool, points to use, such as those above the ground; None: all.
 
     Returns:
-        For each box indices into `cloud_m`, int32, ascending; empty where nothing returned.
+        For each box indices into `cloud_m`, int32, ascending; empty if no point is on the object.
     """
     k, n = len(xyxy_px), len(cloud_m)
     if k == 0 or n == 0:
@@ -87,7 +93,7 @@ def points_of_masks(
 def _spans(
     points_m: np.ndarray, T_camera_cloud: np.ndarray, camera: CameraModel, box: np.ndarray
 ) -> bool:
-    """Whether the picture of some points reaches over enough of the part of a box in the image."""
+    """Return True if the picture of some points covers enough of the visible part of a box."""
     at_px, _ = in_picture(points_m, T_camera_cloud, camera)
     sides = np.array([camera.width_px, camera.height_px], np.float64)
     inside = np.clip(box[2:], 0.0, sides) - np.clip(box[:2], 0.0, sides)
@@ -97,11 +103,11 @@ def _spans(
 def in_picture(
     cloud_m: np.ndarray, T_camera_cloud: np.ndarray, camera: CameraModel
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where points lie in a picture: M_K M_T l of eq. 2.
+    """Project points into a picture: M_K M_T l of eq. 2.
 
     Returns:
-        (n, 2) float64 u and v in pixels from the corner of the picture, as boxes count, and (n,)
-        bool, whether the picture holds the point.
+        (n, 2) float64 u and v in pixels from the corner of the picture, as for boxes, and (n,)
+        bool, True if the point is inside the picture.
     """
     T = T_camera_cloud
     x, y, z = (cloud_m @ T[:3, :3].T + T[:3, 3]).astype(np.float64).T

@@ -1,7 +1,8 @@
-"""What a model is told and shown: the task-agnostic prompt, the scene, the instruction.
+"""Prompt of a model: the task-agnostic prompt, the scene and the instruction.
 
-The prompt's five parts are those of OpenNav III-A1 in our own words, in `prompt.txt`; the scene is
-told and drawn as in III-B (caption, position, size, nearest reachable points; contours, numbers).
+The five parts of the prompt are those of OpenNav III-A1, in our own words, in `prompt.txt`. The
+scene is described and drawn as in III-B: caption, position, size, nearest reachable points;
+contours and numbers.
 """
 
 from __future__ import annotations
@@ -30,20 +31,19 @@ JPEG_QUALITY = 85
 
 @cache
 def prompt() -> str:
-    """The task-agnostic prompt."""
+    """Return the task-agnostic prompt."""
     return resources.files("edge.tasks").joinpath("prompt.txt").read_text(encoding="utf-8")
 
 
 def version() -> str:
-    """Of the prompt: what its first line says."""
+    """Return the version of the prompt, from its first line."""
     return prompt().partition("\n")[0].removeprefix("Version ").strip()
 
 
 def words(instruction: str, scene: Scene, limits: TrajectoryLimits, why: str = "") -> str:
-    """What a model is asked, in words: the scene, the instruction.
+    """Return the text part of a request: the scene and the instruction.
 
-    Args:
-        why: another trajectory is needed; "" where it is the first.
+    `why` is the reason for another trajectory; "" for the first.
     """
     again = f"\n\nYour trajectory before this one cannot be driven on: {why}" if why else ""
     return f"{describe(scene, limits)}\n\nInstruction: {json.dumps(instruction)}{again}"
@@ -56,9 +56,9 @@ def messages(
     with_picture: bool = True,
     why: str = "",
 ) -> list[dict[str, Any]]:
-    """The conversation that asks for a trajectory (OpenNav algorithm 1, line 2); see `words`.
+    """Return the conversation that asks for a trajectory (OpenNav algorithm 1, line 2).
 
-    Without a picture, or where the scene has none, the model gets the words alone (LLM-TG).
+    Without a picture the model gets the text alone (LLM-TG). The parameters are as in `words`.
     """
     text = words(instruction, scene, limits, why)
     jpeg = picture(scene) if with_picture else None
@@ -73,9 +73,9 @@ def messages(
 
 
 def describe(scene: Scene, limits: TrajectoryLimits) -> str:
-    """The scene in words, objects and regions as one line of JSON each.
+    """Describe the scene in words, with objects and regions as one line of JSON each.
 
-    What is nearest comes first; of more than `MOST_OBJECTS` objects the number is told.
+    The nearest objects come first. Above `MOST_OBJECTS`, only the number of the others is given.
     """
     pose = scene.pose
     x0, x1, y0, y1 = scene.occupancy.extent_m
@@ -107,10 +107,10 @@ def describe(scene: Scene, limits: TrajectoryLimits) -> str:
 
 
 def picture(scene: Scene) -> bytes | None:
-    """The camera's picture as JPEG, each object outlined and numbered (OpenNav III-B).
+    """Return the camera's picture as JPEG, each object outlined and numbered (OpenNav III-B).
 
     Returns:
-        None where the scene has no picture.
+        None if the scene has no picture.
     """
     image = annotated(scene, MOST_SIDE_PX)
     if image is None:

@@ -1,4 +1,4 @@
-"""Instructions that a small grammar knows, read as steps.
+"""Parser of instructions: a small grammar reads them as steps.
 
     task   = step { ("then" | "and" | "," | ".") step } ["stop" ["there"]]
     step   = go ("to" | "near" | …) thing ["'s" side] | "approach" thing
@@ -19,13 +19,13 @@
            | order | "that is" (description | place)
     aside  = "on the left" | "on your left" | …
 
-Clauses may hang on one another ("after passing …", "before you …", see `edge.tasks.clauses`).
-Words in double quotes only name or describe.
+A clause may depend on another ("after passing …", "before you …", see `edge.tasks.clauses`). Words
+in double quotes can only name or describe an object.
 
-Which thing is meant is told from where the robot stands when it is asked, as its user sees it: a
-number counts from the nearest, from the left what is ahead is counted. A thing that is passed "on
-your left" is on the robot's left then; passed "on the left", the robot is on the thing's left.
-Where "on the left" may as well say which thing is meant, it is refused.
+The robot's place at the time of the request decides which object is meant. A number counts from the
+nearest object. "From the left" counts only objects ahead. If the robot passes an object "on your
+left", the object is on the robot's left. If it passes "on the left", the robot is on the left side
+of the object. If "on the left" may also choose the object, the instruction is refused.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from edge.tasks.scene import Scene, SceneObject
 from edge.text import one_line
 
 ASIDE_RAD = math.radians(5)
-"""What is nearer to straight ahead is neither on the left nor on the right."""
+"""An object closer to straight ahead than this is neither on the left nor on the right."""
 AHEAD_RAD = math.radians(45)
 NEAR_M = 3.0
 
@@ -57,13 +57,14 @@ Kind = Literal["to", "past", "around", "beside", "between", "straight", "stop"]
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One part of an instruction.
+    """One step of an instruction.
 
     Attributes:
-        things: two of "between", none of "straight" and a mere "stop", else one.
-        side: of `edge.tasks.functions.SIDES_RAD`; "" where none is said.
-        distance_m: of "straight".
-        said: its part of the instruction.
+        kind: the sort of motion.
+        things: two objects for "between", none for "straight" and a bare "stop", else one.
+        side: one of `edge.tasks.functions.SIDES_RAD`; "" if none is given.
+        distance_m: length of "straight".
+        said: the part of the instruction that is this step.
     """
 
     kind: Kind
@@ -85,21 +86,23 @@ class Step:
 
 
 def read(instruction: str, scene: Scene, which: slice = slice(None)) -> list[Step]:
-    """The steps of an instruction, at least one.
+    """Parse the steps of an instruction, at least one.
 
     Args:
-        which: of its steps; what the others name does not have to be there. None of them may
-            speak of a thing (`it`) that another names.
+        instruction: the text.
+        scene: what is around the robot.
+        which: steps to return. The objects of the other steps need not be in the scene. No returned
+            step may refer (`it`) to an object that another step names.
 
     Raises:
-        TranslationError: it is not understood; it names the part.
+        TranslationError: the instruction is not understood; the error names the part.
     """
     steps = _steps(instruction, lambda n: scene if n in range(n + 1)[which] else _Unseen())
     return steps[which]
 
 
 def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list[Step]:
-    """All of them; `scene_of` gives the scene that the step of a number is read in."""
+    """Parse all steps; `scene_of` returns the scene for the step with a given index."""
     reader = Reader(instruction, in_order(instruction, tokenise(instruction)))
     steps: list[Step] = []
     reader.skip("filler", "first")
@@ -118,9 +121,9 @@ def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list
         reader.skip("then", "and", "comma", "stop mark", "filler", "first")
         for joint in reader.tokens[joints : reader.at]:
             if joint.kind in ("then", "and") and reader.sees("end"):
-                reader.refuse("nothing comes after it", joint)
+                reader.refuse("no step follows", joint)
         if start.kind == "stop" and not reader.sees("end"):
-            reader.refuse("a way ends where the robot stops; nothing can come after it", start)
+            reader.refuse("the robot stops here; no step can follow", start)
     if not steps:
         reader.refuse("say where to go")
     if steps[-1].kind != "stop":
@@ -131,13 +134,13 @@ def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list
 
 
 def task_steps(instruction: str) -> tuple[TaskStep, ...]:
-    """The steps of an instruction, before anything was seen: its grammar alone is read.
+    """Parse the steps of an instruction by its grammar alone, before any object was seen.
 
-    Names are as they are said first, in the singular: of words before a noun that is known, which
-    only describe, nothing is left.
+    Names are in the singular, as they are first written. Of a phrase only the known noun is kept;
+    the words before it only describe the object.
 
     Raises:
-        TranslationError: it is not understood; it names the part.
+        TranslationError: the instruction is not understood; the error names the part.
     """
     unseen: list[_Unseen] = []
 
@@ -153,7 +156,7 @@ def task_steps(instruction: str) -> tuple[TaskStep, ...]:
     return tuple(
         TaskStep(
             step.said,
-            # The way around a thing ends towards what comes next.
+            # A path around an object ends towards the object of the next step.
             tuple(dict.fromkeys(sum(named[n : n + 2], ()) if step.kind == "around" else named[n])),
             unseen[n].refers,
         )
@@ -162,28 +165,32 @@ def task_steps(instruction: str) -> tuple[TaskStep, ...]:
 
 
 def named(instruction: str) -> tuple[str, ...]:
-    """What an instruction names, each thing once; see `task_steps`."""
+    """Return the names in an instruction, each object once; see `task_steps`.
+
+    >>> named("pass the van on its left, then go to the red car")
+    ('van', 'car')
+    """
     return tuple(dict.fromkeys(name for step in task_steps(instruction) for name in step.names))
 
 
 @dataclass(slots=True)
 class _Unseen:
-    """In the place of a scene: each name that is read stands for one thing.
+    """Stand-in for a scene: every name that is read gives one placeholder object.
 
     Attributes:
-        names: those that were read, by the one name of what they stand for.
-        refers: the step speaks of the thing of the step before it.
+        names: names that were read, by their canonical name.
+        refers: True if the step refers to the object of the previous step.
     """
 
     names: dict[str, str] = field(default_factory=dict)
     refers: bool = False
 
     def thing(self, words: Sequence[Token] = ()) -> SceneObject:
-        """What words stand for; without any, whatever has some number."""
+        """Return the placeholder object for some words; without words, for a bare number."""
         if _is_name(words):
             nouns = list(names.head_nouns(" ".join(token.text for token in words)))
             noun = next(filter(names.is_known, nouns), nouns[0])
-            one = names.singular(noun)  # a chest of drawers is no chest of drawer
+            one = names.singular(noun)  # wrong for "chest of drawers", so compare the two
             noun = one if names.same(one, noun) else noun
             self.names.setdefault(names.canonical(noun), noun)
         return SceneObject(0, "", "", np.zeros(3), np.zeros(3), 0.0, np.empty((0, 3)), {})
@@ -229,7 +236,7 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
         case "between":
             return Step("between", _two(reader, scene, before))
         case "straight" if reader.sees("to"):
-            reader.refuse("a way that is straight to a thing is not known; say 'to'", relation)
+            reader.refuse("'straight to' is not understood; say 'to'", relation)
         case "straight":
             reader.take("for") or (reader.peek().text == "by" and reader.take("at"))
             return Step("straight", distance_m=_metres(reader))
@@ -242,14 +249,13 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
 
 
 def _check_joined(reader: Reader, last: Step, verb: Token) -> None:
-    """See that it is clear what the robot does at a relation without a verb.
+    """Check that the meaning of a relation without a verb is clear.
 
-    Args:
-        last: the step before it, which begins with `verb`.
+    "To the gate, past the van" may lead past the van first. "Past the left of the van and right of
+    the gate" may also lead past the gate. `last` is the step before, which begins with `verb`.
 
     Raises:
-        TranslationError: "to the gate, past the van" may come past the van first, and "past the
-            left of the van and right of the gate" may go past the gate, too.
+        TranslationError: the meaning is not clear.
     """
     token, comma = reader.peek(), reader.sees("comma", ahead=-1)
     passing = last.kind in ("past", "around")
@@ -278,7 +284,7 @@ def _straight(reader: Reader) -> Step:
 
 
 def _own_side(reader: Reader) -> str:
-    """Read the side that follows `the van's`; "" where none does."""
+    """Read the side that follows `the van's`; return "" if there is none."""
     token = reader.take("left", "right")
     if token is None:
         return ""
@@ -309,7 +315,7 @@ def _passing(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], kin
     found = _things(reader, scene, before, parting=True)
     said, aside = reader.peek(), _aside(reader)
     if aside is None or reader.sees("its left", "its right"):
-        if aside is not None:  # "the car on the left on its right": the first says which
+        if aside is not None:  # "the car on the left on its right": the first side chooses the car
             reader.at = begin
             found = _things(reader, scene, before)
         side = reader.take("its left", "its right")
@@ -319,7 +325,7 @@ def _passing(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], kin
     try:
         named = _things(reader, scene, before)
     except TranslationError:
-        named = []  # none stands there: it can only say on which side to pass
+        named = []  # no such object on that side: the words can only mean the passing side
     reader.at = end
     side = OTHER[aside.side] if aside.of_robot else aside.side
     differs = isinstance(scene, Scene) and bool(named) and named[0] is not found[0]
@@ -343,14 +349,14 @@ def _leaving(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> 
 
 @dataclass(frozen=True, slots=True)
 class _Aside:
-    """`on the left`, or, `of_robot`, `on your left`."""
+    """A side after an object: `on the left`, or with `of_robot` `on your left`."""
 
     side: str
     of_robot: bool
 
 
 def _aside(reader: Reader) -> _Aside | None:
-    """Read the side behind a thing that is passed; None: there is no such phrase."""
+    """Read the side after an object that is passed; return None if there is no such phrase."""
     token, at = reader.peek(), reader.at
     if _parts(reader):
         reader.at += 1
@@ -365,7 +371,7 @@ def _aside(reader: Reader) -> _Aside | None:
 
 
 def _parts(reader: Reader) -> bool:
-    """Whether a side comes here that ends a phrase, and is not one of the road."""
+    """Return True if a side ends the phrase here, and is not a side of the road."""
     ends = not reader.sees(*_PLACES, *_ORDER, "at", "which is", ahead=1)
     of_road = reader.peek().text.endswith((" road", " street"))
     return ends and reader.sees("on the left", "on the right") and not of_road
@@ -374,16 +380,16 @@ def _parts(reader: Reader) -> bool:
 def _it(
     scene: Scene | _Unseen, before: Sequence[Step], reader: Reader, token: Token
 ) -> SceneObject:
-    """The one thing of the step before, which `it` or `its` stands for."""
+    """Return the only object of the previous step, for which `it` or `its` stands."""
     if not before or len(before[-1].things) != 1:
-        reader.refuse("it is not clear what this stands for; name it", token)
+        reader.refuse("it is not clear what this stands for; name the object", token)
     if isinstance(scene, _Unseen):
         scene.refers = True
     return before[-1].things[0]
 
 
 def _two(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> tuple[SceneObject, ...]:
-    """`the van and the tree`, `the two cars`, `the cars`."""
+    """Read `the van and the tree`, `the two cars` or `the cars`."""
     start = reader.peek()
     if reader.sees("article") and reader.sees("number", ahead=1) and reader.peek(1).text == "2":
         reader.at += 2
@@ -391,7 +397,7 @@ def _two(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> tupl
     if reader.take("and"):
         found = [_only(found, reader, start), _thing(reader, scene, before)]
         if found[0] is found[1]:
-            reader.refuse("it is the same thing twice", start)
+            reader.refuse("this is the same thing twice; name two", start)
     if len(found) != 2 and isinstance(scene, Scene):
         reader.refuse(f"there are {len(found)} of them; name two: 'between … and …'", start)
     return tuple(found)
@@ -413,10 +419,10 @@ def _metres(reader: Reader) -> float:
 
 
 class AmbiguousError(TranslationError):
-    """A name that several things have.
+    """A name that fits several objects.
 
     Attributes:
-        things: their ids.
+        things: ids of these objects.
     """
 
     def __init__(self, message: str, part: str, position: int, things: tuple[int, ...]) -> None:
@@ -425,7 +431,7 @@ class AmbiguousError(TranslationError):
 
 
 def _thing(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> SceneObject:
-    """The one thing that the noun phrase here names."""
+    """Read a noun phrase and return the only object that it names."""
     start = reader.peek()
     return _only(_things(reader, scene, before), reader, start)
 
@@ -445,10 +451,9 @@ def _only(found: list[SceneObject], reader: Reader, start: Token) -> SceneObject
 def _things(
     reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], parting: bool = False
 ) -> list[SceneObject]:
-    """What the noun phrase here may mean, at least one thing.
+    """Read a noun phrase and return the objects that it may mean, at least one.
 
-    Args:
-        parting: leave a side at its end to the caller: the thing is passed.
+    If `parting` is True, a side at the end is left to the caller, because the object is passed.
     """
     start = reader.peek()
     if token := reader.take("pronoun"):
@@ -474,7 +479,7 @@ def _things(
         [scene.thing(words)] if unseen else _described(_named(reader, scene, words), reader, words)
     )
     origin = _measured_from(reader, scene, before, which)
-    asides, says_which = list(which), False  # says_which: right behind "that is"
+    asides, says_which = list(which), False  # says_which: the last word was "that is"
     while (says_which or not (parting and _parts(reader))) and (
         token := reader.take(*_PLACES, "at", *_ORDER, "which is")
     ):
@@ -512,17 +517,16 @@ def _things(
 
 
 _ASIDE = ("on ", "to ", "at ")
-"""Begins of "on the far left", which "far left" has not."""
+"""First words of "on the far left"; a bare "far left" has none of them."""
 _COUNTS = ("ordinal", "first")
 
 
 def _describing(reader: Reader, named: bool) -> Token | None:
-    """Read the next word of a noun phrase: one of a name, or one that says which.
+    """Read the next word of a noun phrase: part of the name, or a word that chooses an object.
 
-    Args:
-        named: a word of the name came before. A word that is also a verb or a unit is one of a
-            name before another word ("the stop sign"), or where nothing else can be meant
-            ("the shower head", "the parking meter").
+    `named` is True after a word of the name. A word that is also a verb or a unit belongs to the
+    name before another word ("the stop sign"), or if nothing else can be meant ("the shower head",
+    "the parking meter").
     """
     token = reader.peek()
     begins = reader.sees("word", ahead=1)
@@ -541,18 +545,18 @@ def _describing(reader: Reader, named: bool) -> Token | None:
 
 
 _NO_NAMES = ("not", "or", "nor", "but", "no", "except", "unless", "until", "instead", "never")
-"""They change what is asked for, and describe nothing."""
+"""Words that change the request and describe no object."""
 
 
 def _is_own_side(reader: Reader) -> bool:
-    """Whether a side comes here that is no word of a name: `the van's left`, and no `left door`."""
+    """Return True if a side follows that is no part of a name: `the van's left`, no `left door`."""
     beyond = reader.peek(1)
     own = beyond.kind != "word" or beyond.text in ("hand", "side")
     return reader.sees("left", "right") and own
 
 
 def _such(found: list[SceneObject], reader: Reader, scene: Scene | _Unseen) -> list[SceneObject]:
-    """Read what comes after `that is`: words that describe, or else a place follows."""
+    """Read the words after `that is`: a description, unless a place follows."""
     words = []
     while reader.sees("word") and reader.peek().text not in _NO_NAMES:
         words.append(reader.take("word"))
@@ -564,7 +568,7 @@ def _such(found: list[SceneObject], reader: Reader, scene: Scene | _Unseen) -> l
 def _measured_from(
     reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], which: Sequence[Token]
 ) -> SceneObject | None:
-    """The thing of `nearest to the sign`; None: the robot is meant."""
+    """Return the object of `nearest to the sign`, or None if the robot is meant."""
     at = reader.at
     if not any(token.kind in ("nearest", "farthest") for token in which) or _aside(reader):
         reader.at = at  # "the nearest tree to the left"
@@ -575,13 +579,13 @@ def _measured_from(
 def _by_id(
     reader: Reader, scene: Scene | _Unseen, words: list[Token], which: Sequence[Token]
 ) -> SceneObject:
-    """The thing whose number comes here; it has to be what the words before it say."""
+    """Return the object with the number that comes next; the words before must fit the object."""
     start = reader.peek()
     token = reader.take("number")
     if token is None:
         reader.refuse("say its number", start)
     if which:
-        reader.refuse("it is chosen in two ways; say one", which[0])
+        reader.refuse("this chooses the object in two ways; say only one", which[0])
     if isinstance(scene, _Unseen):
         return scene.thing(words)
     thing = scene.objects.get(int(token.text)) if token.text.isdecimal() else None
@@ -593,16 +597,18 @@ def _by_id(
 
 
 def _named(reader: Reader, scene: Scene, words: list[Token]) -> list[SceneObject]:
-    """The things whose kind the longest possible end of some words names; the words that are left
-    before it stay in `words`, as they describe."""
+    """Return the objects whose kind is named by the longest possible end of `words`.
+
+    The words before that end stay in `words`, because they describe the object.
+    """
     for begin in range(len(words)):
         if kinds := _of_kind(scene, words[begin:]):
             del words[begin:]
             return kinds
     for end in range(len(words) - 1, 0, -1):
         if any(_of_kind(scene, words[begin:end]) for begin in range(end)):
-            reader.refuse(f"no word that is known after {words[end - 1].text!r}", words[end])
-    reader.refuse(f"nothing of that name is here; there are {_listed(scene)}", words[0])
+            reader.refuse(f"unknown word after {words[end - 1].text!r}", words[end])
+    reader.refuse(f"no object here has that name; there are {_listed(scene)}", words[0])
 
 
 def _is_name(words: Sequence[Token]) -> bool:
@@ -619,11 +625,11 @@ def _of_kind(scene: Scene, words: Sequence[Token]) -> list[SceneObject]:
 def _described(
     found: list[SceneObject], reader: Reader, words: Sequence[Token]
 ) -> list[SceneObject]:
-    """Those of which each word is said."""
+    """Return the objects that every word describes."""
     for token in words:
         fitting = _kept(found, lambda t, word=token.text: word in _words_of(t))
         if not fitting:
-            hint = f"that is not said of any here: {', '.join(map(called, found[:4]))}"
+            hint = f"this word describes none of them: {', '.join(map(called, found[:4]))}"
             reader.refuse(hint, token)
         found = fitting
     return found
@@ -636,10 +642,9 @@ def _chosen(
     which: Sequence[Token],
     origin: SceneObject | None,
 ) -> list[SceneObject]:
-    """Those that sides, an order and a number in it pick out, as the robot sees them.
+    """Return the objects that sides, an order and a number choose, as seen from the robot.
 
-    Args:
-        origin: what `nearest` and `farthest` are measured from; None: the robot.
+    `nearest` and `farthest` are measured from `origin`; None: from the robot.
     """
     of_order: dict[bool, Token] = {}
     for token in which:
@@ -651,7 +656,7 @@ def _chosen(
             found = kept
             continue
         if of_order.setdefault(token.kind in _ORDER, token) is not token:
-            reader.refuse("it is chosen in two ways; say one", token)
+            reader.refuse("this chooses the object in two ways; say only one", token)
     if not of_order:
         return found
     order, number = of_order.get(True), of_order.get(False)
@@ -660,7 +665,7 @@ def _chosen(
     found = [thing for thing in found if thing is not origin]
     if kind not in ("nearest", "farthest"):
         ahead = _kept(found, lambda t: abs(_bearing_rad(scene, t)) < math.pi / 2)
-        found = ahead or found  # from left to right goes what is in view
+        found = ahead or found  # "from left to right" counts the objects in view
     if origin is not None:
         away_m = {t.id: _gap_m(scene, t, origin) for t in found}
         found = sorted(found, key=lambda t: away_m[t.id] * (-1.0 if kind == "farthest" else 1.0))
@@ -677,7 +682,7 @@ def _none_there(found: list[SceneObject], reader: Reader, token: Token | None) -
 
 
 def centre_m(thing: SceneObject) -> tuple[float, float]:
-    """The middle of a thing on the ground, in `map`."""
+    """Return the centre of an object on the ground, (x, y) in `map`."""
     x, y = thing.position_m[:2].tolist()
     return x, y
 
@@ -691,7 +696,7 @@ def _bearing_rad(scene: Scene, thing: SceneObject) -> float:
 
 
 def _gap_m(scene: Scene, a: SceneObject, b: SceneObject) -> float:
-    """Between the outlines of two things."""
+    """Return the distance between the outlines of two objects."""
     cells_m = outline_of(b, scene.occupancy).cells_m
     return float(outline_of(a, scene.occupancy).gaps_m(cells_m).min())
 
@@ -705,14 +710,14 @@ def _words_of(thing: SceneObject) -> set[str]:
 
 
 def called(thing: SceneObject) -> str:
-    """What a thing is called where several could be meant."""
-    said = one_line(thing.caption, 40)
-    return f"{thing.label} {thing.id}" + (f" ({said})" if said else "")
+    """Return an object's label, id and caption, to distinguish it from others."""
+    caption = one_line(thing.caption, 40)
+    return f"{thing.label} {thing.id}" + (f" ({caption})" if caption else "")
 
 
 def _listed(scene: Scene) -> str:
     labels = dict.fromkeys(thing.label for thing in scene.objects.values())
-    return one_line(", ".join(labels), 120) or "no things"
+    return one_line(", ".join(labels), 120) or "no objects"
 
 
 _PLACES: dict[str, Callable[[float], bool]] = {
@@ -722,7 +727,7 @@ _PLACES: dict[str, Callable[[float], bool]] = {
     "here ahead": lambda bearing_rad: abs(bearing_rad) < AHEAD_RAD,
     "here behind": lambda bearing_rad: abs(bearing_rad) > math.pi - AHEAD_RAD,
 }
-"""Kind of phrase → whether what lies in that direction from the robot is meant."""
+"""Kind of phrase → function that returns True if an object at this bearing is meant."""
 _ORDER: dict[str, Callable[[Scene, SceneObject], float]] = {
     "nearest": lambda scene, thing: _distance_m(scene, thing),
     "farthest": lambda scene, thing: -_distance_m(scene, thing),
@@ -731,4 +736,4 @@ _ORDER: dict[str, Callable[[Scene, SceneObject], float]] = {
     "from the left": lambda scene, thing: -_bearing_rad(scene, thing),
     "from the right": lambda scene, thing: _bearing_rad(scene, thing),
 }
-"""Kind of phrase → what the things are sorted by; the first is meant, or that of a number."""
+"""Kind of phrase → sort key of the objects; the first is meant, or the one of a number."""

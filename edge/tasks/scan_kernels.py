@@ -1,4 +1,4 @@
-"""Loops over LiDAR points and over cells of the ground. Arrays only."""
+"""Numba loops over LiDAR points and over cells of the ground; arrays only."""
 
 from __future__ import annotations
 
@@ -6,26 +6,27 @@ import numpy as np
 from numba import njit
 
 NEAREST_M = 0.1
-"""What is nearer to the camera than this is in no picture."""
+"""Points nearer to the camera than this are in no picture."""
 
 
 @njit(nogil=True, cache=True)
-def points_of_windows(cloud, T, camera, boxes, masks, beside, keep, mask_of, point_of, depth_of):
-    """Which points of a cloud lie in the windows around some boxes (OpenNav eq. 2).
+def points_of_windows(cloud, T, camera, boxes, masks, margin, keep, mask_of, point_of, depth_of):
+    """Find the points of a cloud that lie in windows around boxes (OpenNav eq. 2).
 
-    Args:
-        cloud: (n, 3) float32, any frame; points that are not finite lie in no window.
-        T: (4, 4) float64, optical frame from the cloud's.
-        camera: width, height in pixels, fx, fy, cx, cy.
-        boxes: (k, 4) float32 xyxy in pixels.
-        masks: (k, rows, columns) bool, over each box; (0, rows, columns): the boxes are the masks.
-        beside: share of a box's width and height that its window is wider on each side.
-        keep: (n,) bool, points that count.
-        mask_of: (m,) int32 out, the window's box i for a point on its mask, -1 - i beside it.
-        point_of: (m,) int32 out, index into `cloud`, ascending; depth_of: (m,) float32 out.
+    - `cloud`: (n, 3) float32, any frame; points that are not finite lie in no window.
+    - `T`: (4, 4) float64, from the cloud's frame to the optical frame.
+    - `camera`: width, height in pixels, fx, fy, cx, cy.
+    - `boxes`: (k, 4) float32 xyxy in pixels.
+    - `masks`: (k, rows, columns) bool, over each box; (0, rows, columns): the boxes are the masks.
+    - `margin`: share of a box's width and height by which its window is larger on each side.
+    - `keep`: (n,) bool, points to use.
+    - `mask_of`: (m,) int32 output; for window i the value is i for a point on its mask, else -1 -
+      i.
+    - `point_of`: (m,) int32 output, index into `cloud`, ascending.
+    - `depth_of`: (m,) float32 output.
 
     Returns:
-        How many there are; more than `m`: only `m` were written.
+        The number of points found. If it is more than m, only the first m were written.
     """
     width, height, fx, fy, cx, cy = camera
     k, room, found = len(boxes), len(mask_of), 0
@@ -33,16 +34,16 @@ def points_of_windows(cloud, T, camera, boxes, masks, beside, keep, mask_of, poi
     x0, y0 = np.empty(k, np.float32), np.empty(k, np.float32)
     x1, y1 = np.empty(k, np.float32), np.empty(k, np.float32)
     for i in range(k):
-        across, down = beside * (boxes[i, 2] - boxes[i, 0]), beside * (boxes[i, 3] - boxes[i, 1])
+        across, down = margin * (boxes[i, 2] - boxes[i, 0]), margin * (boxes[i, 3] - boxes[i, 1])
         x0[i], x1[i] = boxes[i, 0] - across, boxes[i, 2] + across
         y0[i], y1[i] = boxes[i, 1] - down, boxes[i, 3] + down
     rows, columns = masks.shape[1], masks.shape[2]
     for p in range(len(cloud)):
         px, py, pz = cloud[p, 0], cloud[p, 1], cloud[p, 2]
         z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-        if not z > NEAREST_M or not keep[p]:  # NaN is not either
+        if not z > NEAREST_M or not keep[p]:  # also skips NaN
             continue
-        # Pixel centres are whole numbers, boxes count from corners.
+        # Projection has pixel centres at integers, boxes have pixel corners there: add 0.5.
         u = fx * (T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]) / z + cx + 0.5
         v = fy * (T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]) / z + cy + 0.5
         if not (0.0 <= u < width and 0.0 <= v < height):
@@ -67,46 +68,51 @@ def points_of_windows(cloud, T, camera, boxes, masks, beside, keep, mask_of, poi
 
 @njit(nogil=True, cache=True)
 def best_surface(depth, on, gap_m, gap_share):
-    """Of some points parted where their depth leaps, the part whose picture fits the mask best.
+    """Split points where their depth jumps, and return the part that fits the mask best.
 
-    What lies behind a thing goes on beside it, and what stands before it seldom covers its mask:
-    the best part has the most points on the mask, of all on the mask and its own beside it
-    (intersection over union, counted in returns).
+    The background of an object continues outside its mask, and an obstacle in front of it seldom
+    covers the mask. So the score of a part is its intersection over union with the mask, counted in
+    points: its points on the mask, over all points on the mask and its own points off the mask.
 
     Args:
-        depth: (n,) float32, ascending; on: (n,) bool, whether a point lies on the mask.
-        gap_m, gap_share: a leap is longer than `gap_m` and `gap_share` of the depth together.
+        depth: (n,) float32, ascending.
+        on: (n,) bool, True if a point lies on the mask.
+        gap_m: a jump is longer than this plus `gap_share` of the depth.
+        gap_share: see `gap_m`.
 
     Returns:
-        Half-open range of the part; of equals the nearest. (0, 0): nothing is on the mask.
+        Half-open range of the part; the nearest if several are equal. (0, 0): no point is on the
+        mask.
     """
     n, on_mask = len(depth), 0
     for i in range(n):
         on_mask += on[i]
     begin, first, last, best = 0, 0, 0, 0.0
-    mine, beside = 0, 0
+    mine, off_mask = 0, 0
     for i in range(n):
         if on[i]:
             mine += 1
         else:
-            beside += 1
+            off_mask += 1
         if i + 1 < n and depth[i + 1] - depth[i] <= gap_m + gap_share * depth[i]:
             continue
-        fit = mine / max(on_mask + beside, 1)
+        fit = mine / max(on_mask + off_mask, 1)
         if fit > best:
             first, last, best = begin, i + 1, fit
-        begin, mine, beside = i + 1, 0, 0
+        begin, mine, off_mask = i + 1, 0, 0
     return first, last
 
 
 @njit(nogil=True, cache=True)
 def lowest(points, x0_m, y0_m, cell_m, out):
-    """The lowest point of each cell.
+    """Write the lowest z of the points in each cell.
 
     Args:
-        points: (n, 3) float32; those outside, or not finite, count nothing.
-        x0_m, y0_m: the corner of cell (0, 0).
-        out: (h, w) float32 out; inf where there is none.
+        points: (n, 3) float32; points outside the grid or not finite are ignored.
+        x0_m: x of the corner of cell (0, 0).
+        y0_m: y of that corner.
+        cell_m: side of a cell.
+        out: (h, w) float32 output; inf for a cell without points.
     """
     h, w = out.shape
     out[:] = np.inf
@@ -118,16 +124,24 @@ def lowest(points, x0_m, y0_m, cell_m, out):
 
 @njit(nogil=True, cache=True)
 def grow_ground(low, row, column, z_m, step_m, slope, cell_m, reach, ground, known):
-    """The ground's height, from where the robot stands outwards, by cells.
+    """Estimate the height of the ground by cells, from the robot outwards.
 
-    A cell is ground where its lowest point is as high as the ground beside it, give or take
-    `step_m` and `slope` times the way there; between scan lines it is looked for `reach` cells
-    away. All other cells take the height of the ground that is the fewest steps away.
+    A cell is ground if the height of its lowest point differs from nearby ground by at most
+    `step_m` plus `slope` times the distance. Nearby means within `reach` cells, to bridge the gaps
+    between scan lines. Each other cell takes the height of the ground that is the fewest steps
+    away.
 
     Args:
         low: (h, w) float32, see `lowest`.
-        row, column, z_m: the robot's cell, and the height of the ground that it stands on.
-        ground: (h, w) float32 out; known: (h, w) bool out, where it was seen.
+        row: the robot's cell.
+        column: the robot's cell.
+        z_m: height of the ground under the robot.
+        step_m: largest step.
+        slope: largest slope.
+        cell_m: side of a cell.
+        reach: largest gap in cells.
+        ground: (h, w) float32 output, height.
+        known: (h, w) bool output, True if the ground was seen.
     """
     h, w = low.shape
     known[:] = False
@@ -161,13 +175,15 @@ def grow_ground(low, row, column, z_m, step_m, slope, cell_m, reach, ground, kno
 
 @njit(nogil=True, cache=True)
 def nearest_of_regions(regions, allowed, cells, best, at):
-    """The allowed cell of each region that is nearest to a thing.
+    """Find the allowed cell of each region that is nearest to an object.
 
     Args:
-        regions: (h, w) uint8, 0 = none; allowed: (h, w) bool.
-        cells: (k, 2) float64, the thing's points as (column, row), in cells.
-        best: (256,) float64 out, squared distance in cells; inf where a region has no such cell.
-        at: (256, 2) int64 out, its (row, column).
+        regions: (h, w) uint8, 0 = none.
+        allowed: (h, w) bool.
+        cells: (k, 2) float64, points of the object as (column, row), in cells.
+        best: (256,) float64 output, squared distance in cells; inf for a region without such a
+            cell.
+        at: (256, 2) int64 output, (row, column) of the cell.
     """
     best[:] = np.inf
     h, w = regions.shape

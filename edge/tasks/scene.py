@@ -1,4 +1,4 @@
-"""What is around the robot, as it is described to who writes a trajectory (OpenNav III-B)."""
+"""Scene: what is around the robot, for the writer of a trajectory (OpenNav III-B)."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from edge.geometry import SE2, CameraModel, Grid
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneObject:
-    """A thing, its place in `map`, and where one can get nearest to it.
+    """An object, its place in `map`, and the points nearest to it that the robot can reach.
 
     Attributes:
-        id: its number, in the picture and in words; unique in a scene, from 1.
+        id: number in the picture and in texts; unique in a scene, from 1.
         label: canonical name.
-        caption: what is said of it besides: colour, size, place.
-        position_m: (3,) float64, the middle of its box.
+        caption: further description: colour, size, place.
+        position_m: (3,) float64, centre of its box.
         size_m: (3,) float64, along its heading, across it, and up.
-        heading_rad: of its longer side.
+        heading_rad: direction of its longer side.
         points_m: (n, 3) float32 in `map`.
-        nearest_m: the nearest reachable point (x, y) of each drivable region, by the region's id.
+        nearest_m: nearest reachable point (x, y) of each drivable region, by the region's id.
     """
 
     id: int
@@ -36,12 +36,12 @@ class SceneObject:
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """Ground that may be driven over.
+    """Connected ground that may be driven over.
 
     Attributes:
-        id: unique in a scene, from 1; also its number in `Scene.regions_grid`.
+        id: unique in a scene, from 1; also its value in `Scene.regions_grid`.
         label: road, sidewalk, floor, ….
-        area_m2: how much of it is seen.
+        area_m2: area that was seen.
     """
 
     id: int
@@ -51,18 +51,19 @@ class Region:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """All of it at one instant, in `map`.
+    """Everything around the robot at one instant, in `map`.
 
     Attributes:
-        stamp_ns: of the newest observation in it.
-        pose: where the robot stands.
-        objects: by id.
-        regions: drivable ones, by id.
+        stamp_ns: time of the newest observation in it.
+        pose: the robot's pose.
+        objects: objects by id.
+        regions: drivable regions by id.
         occupancy: int8; -1 unknown, 0 free, 100 occupied.
-        regions_grid: uint8, the same cells: the region's id, 0 where there is none.
-        rgb: (h, w, 3) uint8, the newest picture; None: there is no camera.
-        camera, T_map_camera: of `rgb`; None without.
-        contours: of each object in `rgb`, by id: list of (k, 2) int32 polygons in pixels.
+        regions_grid: uint8, the same cells: id of the region, 0 = none.
+        rgb: (h, w, 3) uint8, the newest picture; None without a camera.
+        camera: intrinsics of `rgb`; None without a picture.
+        T_map_camera: (4, 4) pose of the camera for `rgb`; None without a picture.
+        contours: outlines of each object in `rgb`, by id: list of (k, 2) int32 polygons in pixels.
     """
 
     stamp_ns: int

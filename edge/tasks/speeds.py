@@ -1,4 +1,4 @@
-"""From a path to one with times: as fast as the robot's limits let it be."""
+"""Speeds and times along a path, as fast as the robot's limits allow."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from edge.trajectory.pursuit import MotionLimits
 
 
 def headings_rad(path_m: np.ndarray) -> np.ndarray:
-    """(n,) float64: where each point of a path (n, 2) leads next; the last one as before it."""
+    """Return the direction from each point of a path (n, 2) to the next, (n,) float64.
+
+    The last point has the direction of the one before.
+    """
     if len(path_m) < 2:
         return np.zeros(len(path_m))
     leg = np.arctan2(*np.diff(path_m, axis=0).T[::-1])
@@ -16,15 +19,16 @@ def headings_rad(path_m: np.ndarray) -> np.ndarray:
 
 
 def speeds_mps(path_m: np.ndarray, limits: MotionLimits, start_mps: float = 0.0) -> np.ndarray:
-    """The highest speed at each point that keeps to the limits and ends at rest.
+    """Return the highest speed at each point that keeps the limits and ends at rest.
 
-    A corner is taken no faster than the turn between its legs allows; then a pass forward limits
-    what is gained and a pass backward what has to be lost (v^2 = u^2 + 2 a s).
+    The turn between two legs limits the speed at their corner. Then a forward pass limits the
+    acceleration and a backward pass the braking (v^2 = u^2 + 2 a s).
 
     Args:
-        path_m: (n, 2) float64, no point twice in a row.
-        start_mps: of the robot at the first point; higher than it can lose, the limit of
-            acceleration is broken at the start and nowhere else.
+        path_m: (n, 2) float64, without repeated points.
+        limits: highest speeds and accelerations.
+        start_mps: speed of the robot at the first point. If the robot cannot brake in time, the
+            first speed is lower than this; only there the limit of acceleration is broken.
 
     Returns:
         (n,) float64; 0 at the last point.
@@ -48,9 +52,9 @@ def speeds_mps(path_m: np.ndarray, limits: MotionLimits, start_mps: float = 0.0)
 
 
 def times_s(path_m: np.ndarray, speeds: np.ndarray, accel_mps2: float) -> np.ndarray:
-    """(n,) float64: when each point is passed, from 0; between points the acceleration is even.
+    """Return the time at each point from 0, (n,) float64; acceleration is constant between points.
 
-    A leg from rest to rest is driven in two halves.
+    A leg from rest to rest speeds up in its first half and brakes in the second.
     """
     legs = np.hypot(*np.diff(path_m, axis=0).T)
     mean = 0.5 * (speeds[:-1] + speeds[1:])

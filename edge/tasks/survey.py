@@ -1,7 +1,7 @@
-"""From what the sensors saw to a scene: objects, occupancy, regions (OpenNav III-B).
+"""Building of a scene from sensor data: objects, occupancy, regions (OpenNav III-B).
 
-`Survey` adds frames of a camera with LiDAR or depth up. `scene_of_map` describes what the service
-knows anyway: its rolling map and its instances.
+`Survey` accumulates frames of a camera with LiDAR or depth. `scene_of_map` describes the data that
+the service has already: its rolling map and its instances.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from edge.tasks.value_map import open_cells
 from edge.types import Detections, Instance, Observation
 
 OFF_GROUND_M = 0.15
-"""Lower points are the ground's, or say too little of a thing."""
+"""Points lower than this are ground, or show too little of an object."""
 MARGIN_SHARE = 0.05
-"""A box is as wide and as high as its thing but for so much on each side, and a pixel."""
+"""A point is clearly outside a box at this share of the box's size plus one pixel from it."""
 FARTHEST_M = 300.0
-"""What a scan has beyond this is a fault of the sensor, or of the file."""
+"""Points beyond this are an error of the sensor or the file."""
 MOST_DEPTH_POINTS = 60_000
 GROUND_VOXEL_M = 0.2
 MASK_SCALE = 4
-"""Contours are drawn around masks enlarged by so much, so that their corners are less coarse."""
+"""Factor by which masks are enlarged before contours are drawn, for finer corners."""
 
 _INFLATED = 50
 
@@ -49,20 +49,21 @@ OUTDOORS = config.Mapping(
     input="cloud", resolution_m=0.2, extent_m=110.0, range_m=50.0, min_range_m=3.0,
     inflation_m=0.1, obstacle_min_m=0.25, obstacle_max_m=2.0,
 )  # fmt: skip
-"""A map for a LiDAR of 64 rings on a car's roof: what is nearer than `min_range_m` is the car."""
+"""Map for a 64-ring LiDAR on a car's roof; points within `min_range_m` are the car itself."""
 
 
 class Survey:
-    """What frames of one run add up to, each seen through a chain (OpenNav eq. 1 and 2).
+    """Builder of a scene from frames of a run, through a perception pipeline (OpenNav eq. 1-2).
 
     Args:
-        mapping: of the occupancy map.
-        radius_m: the robot's, or more: the clearance that its trajectories will have.
-        ground_labels: kinds of ground that may be driven over, where semantics tell them; empty:
-            free ground that is connected to the robot.
+        chain: the pipeline.
+        mapping: settings of the occupancy map.
+        radius_m: clearance of the trajectories; at least the robot's radius.
+        ground_labels: kinds of drivable ground, if semantics are available; empty: free ground that
+            is connected to the robot.
 
     Attributes:
-        objects: the 3D object map.
+        objects: the 3-D object map.
         map: the occupancy map.
     """
 
@@ -76,25 +77,26 @@ class Survey:
         self.objects, self.map = ObjectMap(), RollingMap(mapping)
         self._chain, self._radius_m, self._ground_labels = chain, radius_m, tuple(ground_labels)
         self._range_m = mapping.range_m
-        self._own_m = mapping.min_range_m  # what is nearer is the robot's own body
+        self._own_m = mapping.min_range_m  # nearer points are the robot's own body
         self._ground = np.zeros((0, 3), np.float32)  # x, y, and its kind in the place of z
         self._newest: Observation | None = None
         self._contours: dict[int, list[np.ndarray]] = {}
 
     def add(self, observation: Observation, ground_kind: np.ndarray | None = None) -> None:
-        """Bring in a frame.
+        """Add a frame.
 
         Args:
+            observation: the frame.
             ground_kind: (n,) uint8 for the points of its cloud, index into `ground_labels` plus 1;
-                0: not to be driven over, or not known. None: no semantics.
+                0: not drivable, or unknown. None: no semantics.
 
         Raises:
-            ValueError: it has no camera, no image, or neither cloud nor depth; `ground_kind` is
-                of another number of points.
+            ValueError: the frame has no camera, no image, or neither cloud nor depth, or
+                `ground_kind` has another number of points.
         """
         cloud_m, T_base_cloud = cloud_of(observation)
         if ground_kind is not None and len(ground_kind) != len(cloud_m):
-            raise ValueError(f"{len(cloud_m)} points, but kinds of ground of {len(ground_kind)}")
+            raise ValueError(f"{len(cloud_m)} points, but {len(ground_kind)} kinds of ground")
         fine = usable(cloud_m)
         if not fine.all():
             cloud_m = cloud_m[fine]
@@ -124,13 +126,13 @@ class Survey:
                 self._contours.setdefault(thing.id, []).extend(contours_of(seen.found, i))
 
     def scene(self) -> Scene:
-        """All of it, around where the newest frame was taken.
+        """Return the scene around the pose of the newest frame.
 
         Raises:
-            ValueError: there was no frame.
+            ValueError: no frame was added.
         """
         if self._newest is None:
-            raise ValueError("a scene of no frames")
+            raise ValueError("no frame was added; call Survey.add first")
         occupancy = terrain.with_blind_spot(as_seen(self.map), self._newest.pose)
         kind, labels = None, self._ground_labels
         if labels:
@@ -144,24 +146,28 @@ class Survey:
         )  # fmt: skip
 
     def _add_ground(self, xy_m: np.ndarray, kind: np.ndarray) -> None:
-        """Points of other things than ground vote as well: a kerb's cell is not half a road's."""
+        """Store votes for the kind of ground. Points of other things vote too.
+
+        So a cell at a kerb does not count as half a road.
+        """
         fine = np.isfinite(xy_m).all(axis=1)
         new = np.column_stack((xy_m[fine], kind[fine])).astype(np.float32)
-        # Of a kind and a place one vote is enough, so that what stands near has no more weight.
+        # One vote for each kind and place, so that near ground has no greater weight.
         first = first_in_voxels(new, np.array([GROUND_VOXEL_M, GROUND_VOXEL_M, 1.0]))
         self._ground = np.concatenate((self._ground, new[first]))
 
 
 def add_found(objects: ObjectMap, found: Detections, range_m: float) -> None:
-    """Bring what the boxes of one picture show into an object map (OpenNav eq. 2).
+    """Add the objects in the boxes of one picture to an object map (OpenNav eq. 2).
 
-    What stands before a thing, such as the chair before a desk, is in its box too: where the
-    detector tells of other things, what a smaller box shows is not the larger one's. What is seen
-    past a thing is beside its box in a picture from elsewhere.
+    The box of an object also shows things in front of it, such as the chair before a desk. If the
+    detector reports other objects, points in a smaller box do not count for the larger one.
+    Background is outside the object's box in pictures from other places, and those vote against it.
 
     Args:
-        found: with a picture that has a camera, and a cloud or depth; and its context.
-        range_m: what is farther away says too little of a thing.
+        objects: the object map.
+        found: detections with their context, of a picture with a camera and a cloud or depth.
+        range_m: points beyond this show too little of an object.
 
     Raises:
         ValueError: see `cloud_of`.
@@ -175,7 +181,7 @@ def add_found(objects: ObjectMap, found: Detections, range_m: float) -> None:
     above = terrain.height_above(ground, points_m)
     around, sensor_m = found.around(), (seen.T_map_base @ T_base_cloud)[:3, 3]
     keep = above > OFF_GROUND_M
-    smallest_px2 = np.full(len(points_m), np.inf)  # box of something else that shows the point
+    smallest_px2 = np.full(len(points_m), np.inf)  # area of another object's box around the point
     if around is not None:
         for which, area_px2 in _in_boxes(around, cloud_m, T_base_cloud, keep):
             smallest_px2[which] = np.minimum(smallest_px2[which], area_px2)
@@ -199,15 +205,17 @@ def scene_of_map(
     floor: str = "floor",
     seen: ObjectMap | None = None,
 ) -> Scene:
-    """A scene of what the service knows: free floor is one region for each piece of it.
+    """Build a scene from the service's map and instances; each piece of free floor is one region.
 
     Args:
-        instances: become the objects, under their own ids.
+        view: the map.
+        observation: the newest frame.
+        instances: they become the objects, with their own ids.
         radius_m: see `Survey`.
-        found: boxes of the same picture; those around an instance's middle are its contours.
-        floor: what free ground is called.
-        seen: an object map of the same things: a tracker keeps but few points of an instance, and
-            of a large thing may have several, which have no middle in common.
+        found: boxes of the same picture. A box around an instance's centre is its contour.
+        floor: label of free ground.
+        seen: object map of the same objects. A tracker keeps only a few points of an instance, and
+            may have several instances of a large object.
     """
     objects = _whole([one for one in instances if len(one.points_m)], seen or ObjectMap())
     contours = {} if found is None else _boxed(objects, found)
@@ -216,7 +224,10 @@ def scene_of_map(
 
 
 def _whole(instances: Sequence[Instance], seen: ObjectMap) -> list[MapObject]:
-    """Instances with all that was seen of them; those of one object are one, by their first id."""
+    """Return the instances with all points that were seen of them.
+
+    Instances of one object are merged, under the first of their ids.
+    """
     objects: dict[int, MapObject] = {}
     for one in sorted(instances, key=lambda instance: instance.id):
         points_m, key = one.points_m, -one.id
@@ -233,7 +244,7 @@ def _whole(instances: Sequence[Instance], seen: ObjectMap) -> list[MapObject]:
 def _beside(
     found: Detections, label: str, cloud_m: np.ndarray, T_base_cloud: np.ndarray
 ) -> np.ndarray:
-    """(n,) bool: points in the picture, and clearly outside of each box of a label."""
+    """Return the points in the picture that are clearly outside every box of a label, (n,) bool."""
     seen, camera = found.observation, found.observation.camera
     x, y, z = _moved(invert(seen.T_base_camera) @ T_base_cloud, cloud_m).T
     ahead = z > 0.0
@@ -251,10 +262,9 @@ def _beside(
 def _in_boxes(
     found: Detections, cloud_m: np.ndarray, T_base_cloud: np.ndarray, keep: np.ndarray
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """What each box shows of its thing, as indices into the cloud, and the box's area in pixels.
+    """Yield the points of each box's object, as indices into the cloud, and the area of the box.
 
-    Args:
-        keep: (n,) bool, points that count.
+    `keep` is (n,) bool, the points to use.
     """
     seen = found.observation
     T_camera_cloud = invert(seen.T_base_camera) @ T_base_cloud
@@ -263,12 +273,12 @@ def _in_boxes(
 
 
 def _areas_px2(found: Detections) -> np.ndarray:
-    """(n,) float32."""
+    """Return the area of each box, (n,) float32."""
     return np.prod(found.xyxy_px[:, 2:] - found.xyxy_px[:, :2], axis=1)
 
 
 def as_seen(view: RollingMap | MapView) -> Grid:
-    """A map without what is inflated: those cells are free or unknown, as they were seen."""
+    """Return a map without inflation: inflated cells become free or unknown, as observed."""
     grid, n = view.snapshot(_INFLATED), view.window.n
     rows, columns = np.nonzero(grid.cells == _INFLATED)
     corner = np.rint(np.array(grid.origin_xy_m) / grid.resolution_m).astype(np.int64)
@@ -278,11 +288,12 @@ def as_seen(view: RollingMap | MapView) -> Grid:
 
 
 def cloud_of(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
-    """The observation's points: (n, 3) float32 of its LiDAR, else of its depth image, and their
-    frame, T_base_cloud.
+    """Return the observation's points (n, 3) float32 and their pose T_base_cloud.
+
+    The points are those of the LiDAR, else of the depth image.
 
     Raises:
-        ValueError: it has neither; or a depth image that does not fit its camera.
+        ValueError: it has neither, or the depth image does not fit its camera.
     """
     if observation.cloud_m is not None:
         return observation.cloud_m, observation.T_base_lidar
@@ -301,13 +312,13 @@ def cloud_of(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
 
 
 def usable(cloud_m: np.ndarray) -> np.ndarray:
-    """(n,) bool: which points (n, 3) of a scan are finite, and not absurdly far."""
+    """Return the points (n, 3) of a scan that are finite and not absurdly far, (n,) bool."""
     with np.errstate(over="ignore", invalid="ignore"):
         return np.linalg.norm(cloud_m, axis=1) <= FARTHEST_M
 
 
 def contours_of(found: Detections, i: int) -> list[np.ndarray]:
-    """The outlines of box i's mask, or the box where it has none: (k, 2) int32 polygons."""
+    """Return the outlines of box i's mask, or of the box if it has none: (k, 2) int32 polygons."""
     x0, y0, x1, y1 = found.xyxy_px[i]
     if found.mask is None or not found.mask[i].any():
         return [np.rint([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]).astype(np.int32)]
@@ -319,13 +330,15 @@ def contours_of(found: Detections, i: int) -> list[np.ndarray]:
 
 
 def _moved(T: np.ndarray, points_m: np.ndarray) -> np.ndarray:
-    """(n, 3) float32 points in another frame."""
+    """Transform points to another frame, (n, 3) float32."""
     return points_m @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
 
 
 def _boxed(objects: Iterable[MapObject], found: Detections) -> dict[int, list[np.ndarray]]:
-    """Each object's box in a picture: of those of its name that hold the middle of its points,
-    the smallest."""
+    """Return the contours of each object in a picture.
+
+    They come from the smallest box with the object's name that contains the median of its points.
+    """
     seen, camera = found.observation, found.observation.camera
     if camera is None:
         return {}
@@ -355,8 +368,10 @@ def _scene(
     contours: dict[int, list[np.ndarray]],
     radius_m: float,
 ) -> Scene:
-    """Regions of the ground's kinds (None: what the robot could drive to), and where on them one
-    gets nearest to each object."""
+    """Build the scene: regions of each kind of ground, and points of them nearest to each object.
+
+    If `kind` is None, the ground is free ground that the robot could drive to.
+    """
     pose = seen.pose
     if kind is None:
         kind = reachable(occupancy.cells == 0, occupancy, pose).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The ground: how high it is, which of it may be driven over, and where one gets to on it."""
+"""Terrain: height of the ground, drivable regions, and the points of them nearest to an object."""
 
 from __future__ import annotations
 
@@ -14,19 +14,23 @@ from edge.tasks import scan_kernels as kernels
 from edge.tasks.scene import Region
 
 CELL_M = 0.5
-"""Side of a cell of the ground's height."""
+"""Side of a cell in grids of the ground's height."""
 STEP_M, SLOPE = 0.08, 0.15
-"""Ground beside ground differs in height by `STEP_M` and this slope at most; a kerb is more."""
+"""Neighbouring ground differs in height by at most `STEP_M` plus this slope; a kerb is higher."""
 GAP_M = 4.0
-"""Scan lines on the ground lie so far apart at most, where the ground is still followed."""
+"""Largest gap between scan lines over which the ground is followed."""
 FILL_M, FILL_SHARE = 1.5, 0.06
-"""Ground between scan lines is of the kind that is seen this near, and this share of its distance
-from the robot, since scan lines lie further apart there."""
+"""Ground between scan lines takes the kind that was seen within `FILL_M` plus this share of its
+distance from the robot, because scan lines are farther apart there.
+"""
 BLIND_M = 4.5
-"""So near, the robot's own body may hide the ground: a ring of an HDL-64E, 24.8 degrees down from
-1.73 m, meets it at 3.7 m. There it is of the kind of which most is seen within twice that."""
+"""Distance within which the robot's own body may hide the ground.
+
+A ring of an HDL-64E, 24.8 degrees down from 1.73 m, meets the ground at 3.7 m. Hidden ground takes
+the kind that is most frequent within twice this distance.
+"""
 LEAST_M2 = 3.0
-"""Smaller pieces are no regions."""
+"""Smallest area of a region."""
 MOST_REGIONS = 255
 GROUND = "ground"
 
@@ -36,7 +40,7 @@ class Ground:
     """Height of the ground around the robot.
 
     Attributes:
-        height_m: float32, in `map`; where none was seen, that of the ground nearest.
+        height_m: float32, in `map`; cells that were not seen have the height of the nearest ground.
         seen: bool, the same cells.
     """
 
@@ -47,12 +51,14 @@ class Ground:
 def ground_around(
     points_m: np.ndarray, x_m: float, y_m: float, z_m: float, range_m: float
 ) -> Ground:
-    """The ground, followed from where the robot stands through the lowest points of cells.
+    """Estimate the ground, followed from the robot outwards through the lowest point of each cell.
 
     Args:
         points_m: (n, 3) float32 in `map`.
-        x_m, y_m, z_m: where the robot touches the ground.
-        range_m: how far around it.
+        x_m: x of the point where the robot touches the ground.
+        y_m: y of that point.
+        z_m: z of that point.
+        range_m: largest distance from the robot.
     """
     half = math.ceil(range_m / CELL_M)
     origin = (math.floor(x_m / CELL_M) - half) * CELL_M, (math.floor(y_m / CELL_M) - half) * CELL_M
@@ -67,7 +73,7 @@ def ground_around(
 
 
 def height_above(ground: Ground, points_m: np.ndarray) -> np.ndarray:
-    """Of points over the ground: (n,) float32 metres; NaN outside of what is known of it."""
+    """Return the height of points over the ground, (n,) float32 metres; NaN outside its grid."""
     grid = ground.height_m
     with np.errstate(invalid="ignore"):
         column, row = np.floor(grid.of_metres(points_m[:, :2])).T
@@ -80,13 +86,12 @@ def height_above(ground: Ground, points_m: np.ndarray) -> np.ndarray:
 
 
 def with_blind_spot(occupancy: Grid, pose: SE2) -> Grid:
-    """A map in which the ground that the robot stands on is joined to the ground that it sees.
+    """Return a map in which the ground under the robot is joined to the ground that it sees.
 
-    No sensor looks under itself: a LiDAR's lowest ring meets the ground metres away, a depth
-    camera's lowest row before the robot. Where the free ground around the robot is too small to be
-    a region (`LEAST_M2`), unknown cells on a straight line from it to the first ground that was
-    seen, at most `BLIND_M` away, count as free. Lines that meet something occupied first, or
-    nothing that is known, tell nothing.
+    No sensor sees the ground under itself: a LiDAR's lowest ring meets it metres away. If the free
+    ground around the robot is smaller than a region (`LEAST_M2`), unknown cells become free on the
+    straight lines to the first known ground, at most `BLIND_M` away. Lines that first meet an
+    occupied cell, or no known cell, change nothing.
 
     Args:
         occupancy: int8; -1 unknown, 0 free, 100 occupied.
@@ -122,16 +127,17 @@ def with_blind_spot(occupancy: Grid, pose: SE2) -> Grid:
 def kinds_of_cells(
     grid: Grid, pose: SE2, xy_m: np.ndarray, kind: np.ndarray, n_kinds: int
 ) -> np.ndarray:
-    """What kind of ground each cell is, as most of its points have it.
+    """Return the kind of ground of each cell, by a vote of its points.
 
     Args:
-        grid: whose cells are meant; its free ones without points take the kind seen nearest.
+        grid: map with these cells; free cells without points take the nearest kind.
         pose: the robot's.
         xy_m: (n, 2) points on the ground in `map`.
         kind: (n,) integers from 1 to `n_kinds`; 0: not ground.
+        n_kinds: number of kinds.
 
     Returns:
-        (h, w) uint8; 0 where nothing is known, or most points are not ground.
+        (h, w) uint8; 0 if nothing is known, or most points are not ground.
     """
     h, w = grid.cells.shape
     if h * w == 0:
@@ -160,17 +166,19 @@ def kinds_of_cells(
 def regions_of(
     occupancy: Grid, kind: np.ndarray, labels: Sequence[str]
 ) -> tuple[dict[int, Region], Grid]:
-    """The connected pieces of each kind of ground, without what is occupied, the largest first.
+    """Return the connected regions of each kind of ground, without occupied cells.
 
     Args:
-        kind: (h, w) uint8, index into `labels` plus 1; 0: not to be driven over.
+        occupancy: the map.
+        kind: (h, w) uint8, index into `labels` plus 1; 0: not drivable.
+        labels: names of the kinds.
 
     Returns:
-        At most `MOST_REGIONS`, by id, and which cells are whose.
+        At most `MOST_REGIONS` regions by id, the largest first, and a grid with each cell's region.
     """
     found: list[tuple[int, str, np.ndarray]] = []
     least = max(1.0, LEAST_M2 / occupancy.resolution_m**2)
-    for k, label in enumerate(labels if kind.size else (), start=1):  # OpenCV dies of no cells
+    for k, label in enumerate(labels if kind.size else (), start=1):  # OpenCV fails on no cells
         here = ((kind == k) & (occupancy.cells <= 0)).astype(np.uint8)
         n, part, stats, _ = cv2.connectedComponentsWithStats(here, connectivity=8)
         for i in range(1, n):
@@ -189,14 +197,15 @@ def regions_of(
 def nearest_points(
     points_m: np.ndarray, regions: Grid, allowed: np.ndarray
 ) -> dict[int, tuple[float, float]]:
-    """The point of each region that is nearest to a thing, among allowed cells (OpenNav III-A2).
+    """Return the point of each region nearest to an object, among allowed cells (OpenNav III-A2).
 
     Args:
-        points_m: (n, 2 or more) of the thing, in `map`.
+        points_m: (n, 2 or more) points of the object in `map`.
+        regions: grid with the region of each cell.
         allowed: (h, w) bool, see `edge.tasks.ground.reachable`.
 
     Returns:
-        By the region's id; without those that have no allowed cell.
+        Points (x, y) by the region's id, without regions that have no allowed cell.
     """
     if not len(points_m) or not regions.cells.size:
         return {}

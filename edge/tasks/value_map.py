@@ -1,4 +1,4 @@
-"""What each cell costs a trajectory that is to keep to what was said (OpenNav III-A4, III-B)."""
+"""Value map: the cost of each cell for a trajectory along the coarse one (OpenNav III-A4)."""
 
 from __future__ import annotations
 
@@ -13,19 +13,22 @@ from edge.geometry import Grid
 from edge.trajectory.costmap import OCCUPIED, CostMap, from_weights
 
 TUBE, DRIVABLE, HIGH = 10, 20, 250
-"""Weights of a cell; TUBE is 1 a metre. The paper gives their order and no figures: DRIVABLE is the
-least that keeps A* from cutting a half circle short (pi / 2 times its chord)."""
+"""Weights of cells; TUBE costs 1 per metre.
+
+The paper gives their order but no numbers. DRIVABLE is the smallest weight that keeps A* from
+cutting a half circle short (pi / 2 times its chord).
+"""
 CLOSED = 0
-_SUB_PX = 4  # OpenCV draws lines from points in sixteenths of a cell
+_SUB_PX = 4  # fractional bits of points for OpenCV: 1/16 cell
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """The robot's room and the coarse trajectory's.
+    """Clearance of the robot, and width of the tube around the coarse trajectory.
 
     Attributes:
         clearance_m: see `closed_cells`.
-        tube_m: radius around the coarse trajectory; what it says is meant within this.
+        tube_m: radius of the tube; the refined trajectory prefers to stay inside.
     """
 
     clearance_m: float
@@ -35,7 +38,7 @@ class Body:
 def value_map(
     occupancy: Grid, regions: Grid, drivable: Collection[int], coarse_m: np.ndarray, body: Body
 ) -> CostMap:
-    """The BEV value map (OpenNav III-A4), ready for A*.
+    """Build the bird's-eye-view value map (OpenNav III-A4), ready for A*.
 
     | cell | value |
     |---|---|
@@ -43,21 +46,22 @@ def value_map(
     | drivable: of a chosen region | DRIVABLE, slightly higher |
     | other ground | HIGH |
     | occupied | HIGH in the paper, closed here |
-    | too near to what is occupied, or never seen | closed |
+    | too near to an occupied cell, or never seen | closed |
 
-    In the paper a cost is all that keeps A* out of what is occupied, and Table II counts 2
-    collisions in 30: here no path enters it at any price. What is closed is so for who writes the
-    trajectory as well (`open_cells`). The tube lowers the cost of chosen regions only, else a
-    coarse line that is straight would lead over the lawn which the choice of regions leaves out.
+    In the paper only the cost keeps A* out of occupied cells, and Table II counts 2 collisions in
+    30. Here no path enters them. Closed cells are also closed for the writer of the trajectory
+    (`open_cells`). The tube lowers the cost only in chosen regions. Otherwise a straight coarse
+    line would lead over the lawn that the choice of regions leaves out.
 
     Args:
         occupancy: int8; -1 unknown, 0 free, 100 occupied.
-        regions: uint8, the same cells: the region's id, 0 where there is none.
-        drivable: the ids chosen, 1 to 255.
-        coarse_m: (n, 2) float64 in `map`; no tube for an empty one.
+        regions: uint8, the same cells: id of the region, 0 = none.
+        drivable: ids of the chosen regions, 1 to 255.
+        coarse_m: (n, 2) float64 in `map`; empty: no tube.
+        body: clearance and tube radius.
 
     Raises:
-        ValueError: grids of other types, or not the same cells; an id that is none.
+        ValueError: a grid has another type or other cells, or an id is not in 1 to 255.
     """
     cells = occupancy.cells
     if cells.dtype != np.int8 or regions.cells.dtype != np.uint8:
@@ -66,7 +70,7 @@ def value_map(
         )
     place = (occupancy.origin_xy_m, occupancy.resolution_m, cells.shape)
     if place != (regions.origin_xy_m, regions.resolution_m, regions.cells.shape):
-        raise ValueError("occupancy and regions lie on different cells")
+        raise ValueError("occupancy and regions have different cells")
     if not all(0 < region < 256 for region in drivable):
         raise ValueError(f"regions are numbered 1 to 255, got {sorted(drivable)}")
     if cells.size == 0:
@@ -83,35 +87,35 @@ def value_map(
 
 
 def closed_cells(grid: Grid, clearance_m: float) -> np.ndarray:
-    """(h, w) bool: where a robot's middle may not be, whatever is known of the ground there.
+    """Return the cells that the robot's centre must not enter, known or not, (h, w) bool.
 
-    Occupied cells, and those whose middle is nearer than `clearance_m` to the rim of one.
+    These are occupied cells, and cells with a centre nearer than `clearance_m` to an occupied
+    cell's rim.
     """
     if grid.cells.size == 0:
         return np.zeros(grid.cells.shape, bool)
     occupied = cv2.compare(grid.cells, OCCUPIED, cv2.CMP_GE)
     reach = math.ceil(clearance_m / grid.resolution_m)
     gap_m = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 0.5, 0.0) * grid.resolution_m
-    # An exact disc: over few cells a dilation costs a tenth of a distance transform.
+    # An exact disc: with a small radius, dilation costs a tenth of a distance transform.
     disc = gap_m**2 + gap_m[:, None] ** 2 < max(clearance_m, 1e-9) ** 2
     return cv2.dilate(occupied, disc.astype(np.uint8)).view(bool)
 
 
 def open_cells(occupancy: Grid, regions: Grid, clearance_m: float) -> np.ndarray:
-    """(h, w) bool: where a robot's middle may be: not closed, and seen free or of a region, which
-    reaches over cells that nothing hit, as between the rings of a LiDAR.
+    """Return the cells that the robot's centre may enter, (h, w) bool.
 
-    Args:
-        regions: the same cells, 0 where there is none.
+    They are not closed, and they are seen free or part of a region. A region also covers cells that
+    no ray hit, as between the rings of a LiDAR. `regions` has the same cells, 0 = none.
     """
     known = (occupancy.cells >= 0) | (regions.cells > 0)
     return known & ~closed_cells(occupancy, clearance_m)
 
 
 def _tube(grid: Grid, coarse_m: np.ndarray, radius_m: float) -> np.ndarray:
-    """(h, w) uint8, 255 within a radius of a polyline."""
+    """Return the cells within a radius of a polyline, (h, w) uint8, 255 inside."""
     tube = np.zeros(grid.cells.shape, np.uint8)
-    # OpenCV has a pixel's centre at whole numbers, a grid its corner.
+    # OpenCV has pixel centres at integers, a grid has cell corners there.
     at = np.clip((grid.of_metres(coarse_m) - 0.5) * (1 << _SUB_PX), -(2**24), 2**24)
     points = np.rint(at).astype(np.int32).reshape(-1, 1, 2)
     radius = radius_m / grid.resolution_m

@@ -1,4 +1,4 @@
-"""Compile the kernels of tasks before a person waits for a trajectory."""
+"""Warm-up: compile the kernels of tasks before a person waits for a trajectory."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _CLEARANCE_M = 0.1
 
 
 def warm_up() -> None:
-    """Do a small task: a box is looked at, a trajectory to it written by the rules and refined.
+    """Do a small task: see a box, write a trajectory to it by the rules, and refine the trajectory.
 
-    Whatever the configuration, these are the kernels that a service calls for a task.
+    This compiles every kernel that a service calls for a task, with any configuration.
     """
     seen = room()
     box = np.array([[20, 6, 28, 20]], np.float32)
     found = Detections(seen, box, np.ones(1, np.float32), np.zeros(1, np.int32), ("box",))
     objects = ObjectMap()
-    for way in (seen, _as_cloud(seen)):
-        add_found(objects, replace(found, observation=way), 2.0 * _WALL_M)
+    for frame in (seen, _as_cloud(seen)):
+        add_found(objects, replace(found, observation=frame), 2.0 * _WALL_M)
     grid = RollingMap(Mapping(extent_m=4.0 * _WALL_M))
     grid.update_depth(seen.depth_m, seen.camera, seen.T_map_base, seen.T_base_camera)
     points_m = np.array([[_WALL_M, 0.0, 0.5]], np.float32)
@@ -44,7 +44,7 @@ def warm_up() -> None:
 
 
 def room() -> Observation:
-    """A wall ahead over a bare floor, in a depth image."""
+    """Return a depth image of a wall ahead over a bare floor."""
     camera = CameraModel.from_hfov(48, 40, 1.6)
     rows = np.arange(camera.height_px) - camera.cy_px
     with np.errstate(divide="ignore"):

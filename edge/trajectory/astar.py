@@ -203,7 +203,7 @@ def path_cost_m(costmap: CostMap, path_m: np.ndarray) -> float:
 def nearest_open(
     costmap: CostMap, cell: tuple[int, int], xy_m: tuple[float, float], within_m: float
 ) -> tuple[int, int] | None:
-    """Return the open cell with its centre nearest to a point, or None if none is `within_m`."""
+    """Return the open cell with the nearest centre, or None if that is farther than `within_m`."""
     reach = math.ceil(within_m / costmap.grid.resolution_m)
     row, column = max(cell[0] - reach, 0), max(cell[1] - reach, 0)
     window = costmap.weight[row : cell[0] + reach + 1, column : cell[1] + reach + 1]

@@ -164,7 +164,7 @@ def test_a_download_whose_content_does_not_end_ends(tmp_path, how):
     with serving(after_hearing(BODIES[how])) as address:
         with pytest.raises(FetchError, match=rf"{_TOO_MUCH}|only \d+ bytes came in {_SHORT_S} s$"):
             fetch(address, tmp_path, HASTY_BODY)
-        with pytest.raises(FetchError, match=f"{_TOO_MUCH}|not whole after"):
+        with pytest.raises(FetchError, match=f"{_TOO_MUCH}|not complete after"):
             read_small(f"http://{address}/said", Limits(small_s=_SHORT_S))
     assert not (tmp_path / "w.pt").exists()
 
@@ -205,8 +205,8 @@ def test_redirects_end(tmp_path, talk, message):
 @pytest.mark.parametrize(
     ("told", "message"),
     [
-        (1 << 62, "offers 4611686018427387904 bytes, more than any model has"),
-        (len(CONTENT) + 1, "closed the connection before its answer was whole"),
+        (1 << 62, "offers 4611686018427387904 bytes, more than the limit of"),
+        (len(CONTENT) + 1, "closed the connection before its answer was complete"),
         (len(CONTENT) - 1, "sha256 is"),
         (-1, r"does not speak HTTP \(bad Content-Length\)"),
     ],

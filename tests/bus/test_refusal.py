@@ -57,5 +57,5 @@ def test_nobody_refuses(place):
 def test_who_speaks_no_zenoh_takes_no_session(port, monkeypatch):
     for limit in ("PROBE_S", "_NAME_S"):
         monkeypatch.setattr(refusal, limit, PATIENCE_S)
-    assert "takes no session" in why(f"tcp/127.0.0.1:{port}")
+    assert "refuses the session" in why(f"tcp/127.0.0.1:{port}")
     assert why(f"tls/127.0.0.1:{port}").startswith("it does not speak TLS")

@@ -258,7 +258,7 @@ def test_a_loop_that_takes_a_request_and_says_nothing_is_told_of(session, serve,
     request = taken(server)
     late = SimpleNamespace(monotonic=lambda: time.monotonic() + PATIENCE_S)
     monkeypatch.setattr("edge.bus.request_queue.time", late)
-    assert "taken, but not answered" in asking.refusal
+    assert "request accepted, but not answered" in asking.refusal
     request.answer({"phase": "late"})
     asking = Asking(session, do="status")
     taken(server).answer({"phase": "well"})
@@ -342,7 +342,10 @@ def test_what_stops_the_robot_stops_new_missions_that_were_given_before(session,
     eventually(lambda: preparing.begun == ["a", "b"])  # a is ready, c waits
     before += give(server, session, "d")
     (status,), stop = waiting(server, session, ["status"]), Asking(session, do=do)
-    assert all("stopped meanwhile: give it again" in asking.refusal for asking in before)
+    assert all(
+        "cancelled by a stop request that came later: send it again" in asking.refusal
+        for asking in before
+    )
     after = give(server, session, "e")
     requests = [server.poll() for _ in range(2)]
     assert [(r.do, r.overtaken) for r in requests] == [("status", 0), (do, 4)]
@@ -432,7 +435,7 @@ def test_a_session_that_is_closed_first_ends_the_server_too(session, serve, capl
     eventually(lambda: caplog.messages)
     server.close()
     assert [line.split(":")[0] for line in caplog.messages] == [
-        "no more requests are taken, the session is closed"
+        "requests are no longer accepted, the session is closed"
     ]
     assert server.poll() is None
 

@@ -280,7 +280,7 @@ def test_rules_for_another_prefix_are_noticed(settings, text, prefix, shut, capl
     said = settings(text, prefix=prefix, endpoint="tcp/127.0.0.1:0")
     assert shuts_all_out(session_config(said, "listen"), prefix) is shut
     open_session(said, "listen").close()
-    assert (f"nothing below {prefix}/" in caplog.text) is shut
+    assert (f"no key below {prefix}/" in caplog.text) is shut
 
 
 def access(name: str) -> dict:

@@ -279,7 +279,7 @@ def test_the_demos_page_is_at_one_port_and_stays(
     assert stays == bool(words)
     if served_at == "another port":
         assert port not in (None, usual)
-        assert f"port {usual} is taken, port {port} is used instead" in capsys.readouterr().err
+        assert f"port {usual} is in use, port {port} is used instead" in capsys.readouterr().err
     else:
         assert port == (usual if served_at == "the usual port" else served_at)
 

@@ -72,7 +72,7 @@ def test_all_readings_are_told_and_one_is_chosen():
     first, *listed, last = explained(said, formula=False)
     assert first == f"ambiguous:   it can be read in {len(listed)} ways"
     assert "Reach the sofa, then the bed." in listed[-1]
-    assert last.endswith("(1) is taken: it fulfils all the others")
+    assert last.endswith("(1) is used: it fulfils all the others")
     lines = explained(said, formula=False, reading=len(listed))
     assert lines[0] == "understood:  Reach the sofa, then the bed."
     assert lines[1 : 2 + len(listed)] == [f"reading:     {len(listed)} of {len(listed)}", *listed]
@@ -134,7 +134,7 @@ def test_a_formula_that_cannot_be_is_refused_in_one_short_line(text, says):
         ('go to "tv\u202e"', "no name: character 3 (U+202E) does not print"),
         ('go to "..."', "no name: it needs a letter or a digit"),
         ("go to the " + "blah " * 900, "did not understand 'blah blah blah"),
-        ("x" * 9999, "no known thing"),
+        ("x" * 9999, "not a known object"),
         ("(" * 9000, "more than 1000 words"),
         ("go to the tv " * 1000, "at most 10000 characters"),
     ],

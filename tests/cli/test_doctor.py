@@ -307,7 +307,7 @@ def test_models_that_are_neither_here_nor_named_are_only_counted(cache):
     """Those that the package brings are here; and a similarity card has no file of its own."""
     *here, others = doctor.check_models(SIM)
     assert {f.level for f in (*here, others)} == {"ok"}
-    assert re.match(r"\d+ other models are not here", others.what)
+    assert re.match(r"\d+ other models are not on this machine", others.what)
     assert not any("similarity" in f.what for f in here)
     broken = cache / "models" / "yolo-world-s-256x320-fp32.onnx"
     broken.parent.mkdir(parents=True)

@@ -95,7 +95,7 @@ def heard(monkeypatch) -> Callable[..., list[tuple[str, str]]]:
 
 def test_nothing_that_comes_is_a_failure(heard):
     assert heard(lambda fields: None, ()) == [
-        ("fail", "no observation: no frame has all that it needs")
+        ("fail", "no observation: no frame has all the inputs that it needs")
     ]
 
 
@@ -107,7 +107,7 @@ AGO_NS = 3_600_000_000_000
     ("change", "level", "says"),
     [
         (put("depth_m", lambda d: d * 1000), "fail", "the depth cannot be in metres"),
-        (put("depth_m", lambda d: d * 1.5), "warn", "floor: seen -0.25 m from where the mount"),
+        (put("depth_m", lambda d: d * 1.5), "warn", "floor: measured at -0.25 m, expected at 0"),
         (put("depth_m", np.zeros_like), "fail", "camera/depth: only 0.0% of the pixels"),
         (put("rgb", np.zeros_like), "fail", "camera/rgb: the image has one colour"),
         (put("rgb", lambda a: np.broadcast_to(np.arange(64, dtype=np.uint8)[:, None], a.shape)),
@@ -127,7 +127,7 @@ def test_each_fault_is_a_line(heard, change, level, says):
         ({"state": "missing"}, "fail", "edge/camera/depth: no message"),
         ({"state": "silent"}, "fail", "edge/camera/depth: 10 Hz, silent"),
         ({"state": "dropped", "why": "stale (3 s)"}, "fail", "10 Hz, dropped: stale (3 s)"),
-        ({"hz": 4.0}, "warn", "edge/camera/depth: 4 Hz, configured are 10 Hz"),
+        ({"hz": 4.0}, "warn", "edge/camera/depth: 4 Hz, configured: 10 Hz"),
         ({"dropped": {"malformed": 30}}, "warn", "edge/camera/depth: 30% dropped: malformed"),
         ({"dropped": {"superseded": 90}}, "ok", ""),
         ({"state": "missing", "needed": False}, "ok", ""),

@@ -141,7 +141,9 @@ def private(tmp_path, monkeypatch) -> Path:
 
 
 def test_what_its_user_cannot_read_is_refused_with_what_to_do(private):
-    with pytest.raises(UserError, match=r"cannot read it; put it where all can.*--user") as caught:
+    with pytest.raises(
+        UserError, match=r"cannot read it; put it where all users can.*--user"
+    ) as caught:
         unit(settings(private), "edge", None)
     assert "\n" not in str(caught.value)
 
@@ -149,9 +151,9 @@ def test_what_its_user_cannot_read_is_refused_with_what_to_do(private):
 @pytest.mark.parametrize(
     ("what", "says"),
     [
-        ("executable", "^the Python of this environment, {}: .* make the environment with one"),
-        ("base_prefix", "^the Python of this environment, {}: .* make the environment with one"),
-        ("PACKAGE", "^the package, {}: .* install it where all can read it"),
+        ("executable", "^the Python of this environment, {}: .* make the environment with"),
+        ("base_prefix", "^the Python of this environment, {}: .* make the environment with"),
+        ("PACKAGE", "^the package, {}: .* install it where all users can read it"),
     ],
 )
 def test_it_is_said_what_of_this_installation_cannot_be_read(private, monkeypatch, what, says):
@@ -166,19 +168,19 @@ def test_it_is_said_what_of_this_installation_cannot_be_read(private, monkeypatc
     monkeypatch.setattr(owner, what, link if what == "PACKAGE" else str(link))
     with pytest.raises(UserError, match=says.format(file)) as caught:
         unit(settings("/etc/hostname"), "edge", None)
-    assert f", who may not go through {private.parent}, " in str(caught.value)
+    assert f", who cannot enter {private.parent}, " in str(caught.value)
     assert "--user" in str(caught.value)
 
 
 def test_what_lies_in_a_folder_that_is_another_to_the_service_is_refused(private, monkeypatch):
     me = pwd.getpwuid(os.getuid()).pw_name
     monkeypatch.setattr(install_service, "_TEMPORARY", (str(private.parent),))
-    with pytest.raises(UserError, match=r"robot.yaml: the service has a /tmp of its own; put"):
+    with pytest.raises(UserError, match=r"robot.yaml: the service has a private /tmp"):
         unit(settings(private), "edge", me)
 
 
 def test_a_user_who_is_not_there_is_refused():
-    with pytest.raises(UserError, match=r"^--user: 'no-such-user': there is no such user here$"):
+    with pytest.raises(UserError, match=r"^--user: 'no-such-user': no such user on this machine$"):
         unit(settings(), "edge", "no-such-user")
 
 
@@ -246,7 +248,7 @@ def test_a_checkpoint_must_lie_where_the_service_can_write(checkpoint, is_taken,
     if is_taken:
         unit(config, "edge", None)
         return
-    with pytest.raises(UserError, match=r"^mission.checkpoint: /data.*below /var/lib/edge alone"):
+    with pytest.raises(UserError, match=r"^mission.checkpoint: /data.*only below /var/lib/edge"):
         unit(config, "edge", None)
 
 

@@ -49,7 +49,7 @@ def test_nothing_to_play_is_told_in_one_line(play, config, tmp_path):
     path = write_mcap(tmp_path / "robot.mcap", [])
     code, _, error = play(path, config, "--fast")
     assert code == os.EX_IOERR
-    assert error.splitlines()[-1].startswith(f"{path}: no observation comes of it: looked for")
+    assert error.splitlines()[-1].startswith(f"{path}: it gives no observation: searched for")
 
 
 @pytest.mark.parametrize("pace", [("--fast",), ("--rate", "8")])
@@ -119,7 +119,9 @@ def test_a_bench_of_a_covered_camera_says_so(config, tmp_path):
 
 def test_a_bench_tells_what_is_missing(config, tmp_path):
     path = write_mcap(tmp_path / "robot.mcap", odometry())
-    with pytest.raises(UserError, match=r"looked for camera/rgb.* there are /odom") as caught:
+    with pytest.raises(
+        UserError, match=r"searched for camera/rgb.* the recording has /odom"
+    ) as caught:
         bench.run_bench(load(config), path, 20.0, threading.Event())
     assert "--seconds" not in str(caught.value)
 

@@ -87,8 +87,8 @@ def test_patience_counts_from_the_look_that_first_misses_a_robot(missing, betwee
     ("part", "there", "reason"),
     [
         (BED, (FAILED,), "a: no bed"),
-        (dataclasses.replace(BED, only="b"), (robot("a"),), "it is not there"),
-        (dataclasses.replace(BED, only="b"), (), "it is not there"),
+        (dataclasses.replace(BED, only="b"), (robot("a"),), "it is offline"),
+        (dataclasses.replace(BED, only="b"), (), "it is offline"),
     ],
 )
 @pytest.mark.parametrize("between", ["nothing", "it is back", "the router is gone"])
@@ -100,7 +100,7 @@ def test_a_part_is_lost_only_after_no_other_robot_came_for_the_patience(
     over = fleet.dispatcher._is_over
     first = fleet.look(100.0, *there)
     assert (first.outcomes, over(first), first.failed) == ({}, False, False)
-    assert any(f"{reason}; failed unless another robot comes" in line for line in fleet.told)
+    assert any(f"{reason}; the part fails unless another robot" in line for line in fleet.told)
     assert not over(fleet.look(109.9, *there))
     since_s = 100.0
     if between == "it is back":
@@ -121,7 +121,7 @@ def test_a_robot_that_forgets_what_it_took_does_not_keep_it_from_others():
     fleet = Fleet(BED, accepts=True)
     assert fleet.given_to(0.0, liar, other) == ["liar"]
     assert fleet.given_to(1.0, liar, other) == ["other"]
-    assert "liar forgot what it was given: Reach the bed." in fleet.told
+    assert "liar no longer knows its part: Reach the bed." in fleet.told
     assert fleet.look(2.0, liar, robot("other", "m.1", "searching")).under_way == {"m.1": "other"}
 
 
@@ -147,7 +147,7 @@ def test_a_robot_that_forgets_again_and_again_gets_no_more(between):
     assert gives == TRIES
     fleet.look(now_s + 100.0, robot("a"))
     assert fleet.look(now_s + 200.0, robot("a")).outcomes == {
-        "m.1": Outcome("failed", "a", "a: it forgot it")
+        "m.1": Outcome("failed", "a", "a: it lost the part")
     }
 
 

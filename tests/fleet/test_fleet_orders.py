@@ -52,7 +52,7 @@ def test_nobody_and_nothing():
         # Who is not free gets nothing.
         ([robot("a", "other", "searching"), robot("b")], {"m.1": "b"}),
         ([robot("a", "", "paused"), robot("b", "other", "reached")], {"m.1": "b"}),
-        ([robot("a", amiss=("nothing to be seen",))], {}),
+        ([robot("a", amiss=("no usable observations",))], {}),
         ([Robot("a", problem="no answer within 2 s")], {}),
         # Who failed at a part does not get it again; who was doubled may, by another name.
         ([robot("a", past=(("m.1", "failed", "no bed"),)), robot("b")], {"m.2": "a", "m.1": "b"}),
@@ -70,7 +70,7 @@ def test_a_part_for_one_robot_goes_to_no_other():
     assert given([mine], robot("a", bed=1.0), robot("b")) == {"m.1": "b"}
     assert given([mine], robot("a"), robot("b", "x", "searching")) == {}
     gone = orders([mine], robot("a"))
-    assert gone.outcomes == {"m.1": Outcome("failed", "b", "it is not there")}
+    assert gone.outcomes == {"m.1": Outcome("failed", "b", "it is offline")}
     assert orders([mine], robot("a"), away={"m.1": "b"}).under_way == {"m.1": "b"}
 
 

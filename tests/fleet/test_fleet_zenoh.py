@@ -111,7 +111,7 @@ def targets(*robots: FakeRobot) -> set[str]:
 
 def test_nobody_is_there(port, capsys):
     assert main(["fleet", "list", f"tcp/127.0.0.1:{port}"]) == 0
-    assert capsys.readouterr().out == "no robot is there (robots/*)\n"
+    assert capsys.readouterr().out == "no robot found (at robots/*)\n"
     assert main(["mission", "pause", "--fleet", f"tcp/127.0.0.1:{port}"]) == 69
 
 
@@ -130,7 +130,7 @@ def test_robots_are_stopped_and_asked_by_command(port, robots, capsys):
     code, said = fleet("pause")  # bob has nothing to pause, which is no fault where he is not named
     assert (code, anna.mission.paused, bob.mission.paused) == (0, True, False)
     assert "anna:\n  instruction: F bed" in said
-    assert "bob:\n  refused: no mission is under way: none was given yet" in said
+    assert "bob:\n  refused: no mission is running: no mission was given yet" in said
     assert fleet("pause", "bob")[0] == 69
     assert fleet("resume", "anna")[0] == 0
     assert not anna.mission.paused
@@ -154,8 +154,8 @@ def test_who_watches_is_told_of_changes_only(port, robots, tmp_path):
     watching = Edge("fleet", "list", "--watch", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
     try:
         watching.says("anna  idle  -  -  ok")
-        anna.amiss = ("nothing to be seen",)
-        watching.says("anna  idle  -  -  nothing to be seen")
+        anna.amiss = ("no usable observations",)
+        watching.says("anna  idle  -  -  no usable observations")
         anna.close()
         watching.says("anna  gone")
         assert watching.stop(signal.SIGTERM) == 0
@@ -306,12 +306,12 @@ def test_a_mission_that_is_given_twice_is_begun_once(port, robots):
         for _ in range(2):
             assert seen.tell("anna", request, PATIENCE_S)["id"] == "x.1"
         assert anna.service.begun == 1
-        with pytest.raises(UserError, match="refused: not free: the last one searching: F bed"):
+        with pytest.raises(UserError, match="refused: not free: the last mission searching: F bed"):
             seen.tell("anna", {**request, "id": "x.2"}, PATIENCE_S)
         seen.tell("anna", {"do": "new", "formula": "F sofa"}, PATIENCE_S)
-        with pytest.raises(UserError, match=r"mission x\.1 is over here"):
+        with pytest.raises(UserError, match=r"mission x\.1 is already over"):
             seen.tell("anna", request, PATIENCE_S)
-        with pytest.raises(UserError, match="no such mission is under way"):
+        with pytest.raises(UserError, match="no such mission is running"):
             seen.tell("anna", {"do": "cancel", "id": "x.1"}, PATIENCE_S)
         assert anna.mission.target == "sofa"
         assert not anna.mission.done
@@ -357,7 +357,7 @@ def test_two_services_that_came_together_later_are_shown(port, robots):
     with open_session(settings_of(port, "anna"), "listen") as other:
         token = other.liveliness().declare_token("robots/anna/alive/other")
         with open_roster(settings_of(port, "any")) as seen:
-            eventually(lambda: "2 services have this name" in seen.look()["anna"].problem)
+            eventually(lambda: "2 services use this name" in seen.look()["anna"].problem)
             token.undeclare()
             eventually(lambda: seen.look()["anna"].account)
 
@@ -379,7 +379,7 @@ def test_one_of_three_is_killed_in_the_middle(port, robots, carl, tmp_path):
     try:
         command.says("carl gets: ")
         carl.send_signal(signal.SIGKILL)
-        command.says("carl is gone; another gets it unless it is back in 0.5 s")
+        command.says("carl is offline; another robot gets the part unless it is back within 0.5 s")
         for robot in both:
             robot.reaches_in_s = 0.1
         assert command.wait() == 0, command.output

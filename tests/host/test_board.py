@@ -162,13 +162,13 @@ WARM = replace(
         (WARM, WARM, 3.0, ""),
         (WARM, None, 5.0, "tj is at 94 C, passive from 99 C"),
         (replace(NOTHING, throttled={"cpu": 0.0, "gpu": 0.25}), None, 0.0,
-         "gpu is slowed down by 25%"),
+         "gpu is throttled by 25%"),
         (replace(NOTHING, over_current={"oc1": 7}), None, 0.0, ""),
         (replace(NOTHING, over_current={"oc1": 7}), NOTHING, 0.0, ""),
         (replace(NOTHING, over_current={"oc1": 7}), replace(NOTHING, over_current={"oc1": 7}),
          0.0, ""),
         (replace(NOTHING, over_current={"oc1": 7}), replace(NOTHING, over_current={"oc1": 6}),
-         0.0, "the board slows itself down, it draws too much (oc1)"),
+         0.0, "the board throttles, it draws too much current (oc1)"),
     ],
 )  # fmt: skip
 def test_distress_is_what_slows_the_board_down_or_soon_will(board, before, margin_c, why):

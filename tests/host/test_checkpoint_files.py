@@ -213,7 +213,7 @@ def test_a_file_of_another_program_is_refused_and_left_alone(tmp_path, use, cont
     with pytest.raises(CheckpointError) as error:
         USES[use](path)
     assert str(error.value) == (
-        f"mission.checkpoint: {path}: not a note, and left as it is; name another file, or move "
+        f"mission.checkpoint: {path}: not a note, left unchanged; name another file, or move "
         "this one away"
     )
     assert [p.name for p in tmp_path.iterdir()] == [".bashrc"]

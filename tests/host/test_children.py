@@ -55,7 +55,7 @@ def test_every_child_is_started_so(monkeypatch):
     monkeypatch.setattr(launch.subprocess, "Popen", start)
     settings = simulated({"mission": {"target": "chair"}})
     with (
-        pytest.raises(UserError, match="cannot start edge sim --motion-only: No such file"),
+        pytest.raises(UserError, match="cannot start `edge sim --motion-only`: No such file"),
         launch.children(settings, threading.Event(), ("sim", "--motion-only")),
     ):
         raise AssertionError

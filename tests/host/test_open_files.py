@@ -31,7 +31,7 @@ def test_too_few_are_one_line_with_what_is_needed(command):
     assert done.returncode == os.EX_UNAVAILABLE
     assert done.stdout == ""
     assert done.stderr.count("\n") == 1
-    assert done.stderr.startswith("this process may open 20 files and connections, and needs 256:")
+    assert done.stderr.startswith("this process may open 20 files and connections, but needs 256:")
 
 
 def test_a_limit_that_may_be_raised_is():

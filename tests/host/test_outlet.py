@@ -52,7 +52,7 @@ def test_a_full_pipe_is_not_waited_for_and_what_was_lost_is_told(pipe, monkeypat
             if (line := reader.readline()) == LINE:
                 came += 1
             else:
-                assert line.endswith(" lines were not read in time, and are lost)\n")
+                assert line.endswith(" lines of output were dropped: the reader is too slow)\n")
                 lost += int(line[1:].split()[0])
     assert lost > 0
     assert came + lost == MUCH

@@ -72,8 +72,8 @@ def test_what_cannot_be_made_is_answered_with_why_and_logged_once(caplog):
     ("path", "stranger", "known"),
     [
         ("/probe", (503, b""), (503, b"why")),
-        ("/page", (401, b"who asks must know the token\n"), (200, b"secret")),
-        ("/else", (401, b"who asks must know the token\n"), (404, None)),
+        ("/page", (401, b"a token is required: Authorization: Bearer TOKEN\n"), (200, b"secret")),
+        ("/else", (401, b"a token is required: Authorization: Bearer TOKEN\n"), (404, None)),
     ],
 )
 def test_without_the_token_probes_tell_their_status_and_nothing_else_is_told(path, stranger, known):
@@ -274,7 +274,7 @@ def test_what_was_refused_is_not_read_as_the_next_request(taken):
 
 def test_without_a_token_nothing_can_be_posted():
     with serve({}, HERE, 0, forms={"/form": lambda body: 1 // 0}) as port:
-        assert post(port) == (403, b"read-only: set http.token_file\n")
+        assert post(port) == (403, b"read-only: set http.token_file to allow changes\n")
 
 
 @pytest.mark.parametrize(

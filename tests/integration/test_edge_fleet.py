@@ -38,7 +38,7 @@ def test_three_robots_share_a_mission_and_one_is_killed_in_the_middle(edge, endp
         services[name].says("target: ")
     sharing.says("carl gets: ")  # else its answer dies with it, and nobody knows that it began
     services["carl"].process.send_signal(signal.SIGKILL)
-    sharing.says("carl is gone; another gets it unless it is back in 3 s")
+    sharing.says("carl is offline; another robot gets the part unless it is back within 3 s")
     assert sharing.wait() == 0, sharing.output
     told = json.loads("\n".join(sharing.lines[sharing.lines.index("{") :]))
     assert [part["phase"] for part in told["parts"]] == ["reached"] * 3

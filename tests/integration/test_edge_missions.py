@@ -74,7 +74,7 @@ def test_a_mission_goes_on_where_kill_9_cut_it_off(edge, endpoint, tmp_path):
     assert restored, second.output
     assert int(restored[1]) > 10
     assert int(restored[2]) > 0
-    assert "going on with the mission" in second.output
+    assert "continuing the saved mission" in second.output
     assert "reached: sofa (" not in second.output, "what was reached stays reached"
     assert "reached: sofa, then television, then trash can" in second.output
 
@@ -137,7 +137,7 @@ def test_requests_by_command(edge, endpoint, tmp_path, request_of):
     assert code == 0, said
     code, said = request_of("pause", config)
     assert code == os.EX_DATAERR
-    assert "no mission is under way" in said
+    assert "no mission is running" in said
 
 
 @pytest.mark.parametrize("suffix", ["svg", "png", "dot"])

@@ -71,7 +71,7 @@ def test_a_service_without_sensors_stops_and_leaves_a_report(edge, config, tmp_p
 
 @pytest.mark.slow
 def test_a_simulator_that_waits_for_the_service_stops(edge, config):
-    simulator = edge("sim", config).says("waiting for somebody")
+    simulator = edge("sim", config).says("waiting for a server")
     assert len(simulator.children()) == 1
     assert simulator.stop(signal.SIGINT) == 0, simulator.output
     assert not simulator.orphans()
@@ -82,7 +82,7 @@ def test_a_demo_ends_when_its_simulator_does(edge, config):
     victim = next(child for child in demo.children() if "sim" in child.cmdline())
     victim.kill()
     assert demo.wait() == os.EX_SOFTWARE
-    assert "edge sim --no-motion ended before its time (signal 9)" in demo.lines[-1]
+    assert "`edge sim --no-motion` ended too early (signal 9)" in demo.lines[-1]
     assert not demo.orphans()
 
 

@@ -47,6 +47,6 @@ def test_what_was_on_the_disk_at_kill_9_is_recovered_and_replays(edge, endpoint,
     left.unlink()  # else it were a part of the run too
     replayed = edge("replay", whole)
     assert replayed.wait() == os.EX_OK, replayed.output
-    assert "the same, tick for tick" in replayed.output
+    assert "identical in every tick" in replayed.output
     ticks = int(re.search(r": (\d+) ticks", replayed.output)[1])
     assert 0.5 * there < ticks <= there

@@ -146,9 +146,9 @@ def test_while_a_mission_is_being_understood_others_pass_and_a_stop_ends_it(sess
         eventually(lambda: sum(future.done() for future in asked) == 2)
         assert ask(session, KEY, {"do": "pause"}, PATIENCE_S, "mission")["paused"] is True
         errors = [str(future.exception(PATIENCE_S)) for future in asked]
-    assert "stopped meanwhile: give it again" in errors[0]
+    assert "cancelled by a stop request that came later: send it again" in errors[0]
     assert sum("busy" in error for error in errors) == 2
-    assert sum("stopped meanwhile" in error for error in errors) == 3
+    assert sum("cancelled by a stop request" in error for error in errors) == 3
     release(service)
     new = {"do": "new", "formula": "F bed"}
     assert ask(session, KEY, new, PATIENCE_S, "mission")["formula"] == "F bed"

@@ -196,15 +196,17 @@ def test_strangers_are_kept_out_and_told_why(etc, elsewhere, tmp_path):
     known = of("operator")
     strangers = {
         "our certificate is out of date": known.model_copy(update={"client_file": str(old)}),
-        "it wants a certificate": known.model_copy(update={"client_file": str(bare)}),
-        "it does not trust who signed our certificate": known.model_copy(
+        "it requires a client certificate": known.model_copy(update={"client_file": str(bare)}),
+        "it does not trust the issuer of our certificate": known.model_copy(
             update={"client_file": str(mixed)}
         ),
         "its certificate is not trusted": Zenoh(
             endpoint=at, client_file=str(elsewhere / "operator.json5")
         ),
-        "somebody is there and takes no session": Zenoh(endpoint=f"tcp/127.0.0.1:{port}"),
-        "since they are written in place": known.model_copy(update={"client_file": str(in_place)}),
+        "a server is there but refuses the session": Zenoh(endpoint=f"tcp/127.0.0.1:{port}"),
+        "inline certificates are not checked here": known.model_copy(
+            update={"client_file": str(in_place)}
+        ),
         "gone.key: no such file": known.model_copy(update={"client_file": str(gone)}),
     }
     with service(known) as running:
@@ -286,7 +288,7 @@ def test_a_robot_is_driven_as_the_page_says(etc, edge, tmp_path):
         EDGE__ZENOH__CLIENT_FILE="null", EDGE__ZENOH__FILE="null",
     )  # fmt: skip
     assert stranger.wait() == os.EX_UNAVAILABLE
-    assert "takes no session" in stranger.output
+    assert "refuses the session" in stranger.output
     edge("sim", config, "--no-motion", **robot)
     edge("sim", config, "--motion-only", **controller)
     assert service.wait() == 0, service.output

@@ -22,8 +22,8 @@ from edge.host.ports import free_port
 
 WATCHDOG_S = 2.0
 UNSEEN = (
-    "nothing to be seen: no message yet on edge/camera/rgb, edge/camera/depth, edge/camera/info, "
-    "edge/odom"
+    "no usable observations: no message yet on edge/camera/rgb, edge/camera/depth, "
+    "edge/camera/info, edge/odom"
 )
 TOKEN = "a token of more than sixteen letters".replace(" ", "-")
 HANGING = """

@@ -192,7 +192,8 @@ def test_models_are_swapped_in_the_running_service(config, capsys):
         code, lines = use_one("elsewhere", force=True)
         assert code == 0
         assert lines[-1] == (
-            f"until the service stops; for good: perception.detector.model: elsewhere in {config}"
+            "valid until the service stops; to keep it, set perception.detector.model: elsewhere "
+            f"in {config}"
         )
         assert seen[-1] == "elsewhere"
 

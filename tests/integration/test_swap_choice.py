@@ -90,7 +90,9 @@ def test_choice_models_are_swapped_under_load_and_the_loop_goes_on(config, tmp_p
             lines = capsys.readouterr().out.splitlines()
             assert lines[0].startswith("loading")
             assert lines[-2].startswith("kept: 3 answers; loaded and asked in")
-            assert lines[-1].startswith("until the service stops; for good: perception.choice.card")
+            assert lines[-1].startswith(
+                "valid until the service stops; to keep it, set perception.choice.card"
+            )
             choice = status_of(service.result())["scorers"]["choice"]
             assert (choice["model"], choice["failed"]) == (name, 0)
         assert used("smolvlm-256m-q4") == 1  # a card without files

@@ -85,7 +85,7 @@ def driven(edge: Callable[..., Edge], endpoint, tmp_path) -> Iterator[tuple[Edge
     ("alter", "why"),
     [
         (lambda: frozen(True), "the same to the bit"),
-        pytest.param(backward, "nothing to be seen", marks=pytest.mark.slow),
+        pytest.param(backward, "no usable observations", marks=pytest.mark.slow),
     ],
     ids=["frozen", "backward"],
 )

@@ -100,7 +100,7 @@ def test_a_second_service_is_told_what_is_wrong(config):
     assert second.returncode == 2
     assert second.stderr.strip().splitlines() == [
         f"zenoh.endpoint: {config.zenoh.endpoint} is in use: another service runs there; "
-        "stop it, or give this one another port"
+        "stop it, or set another port for this one"
     ]
 
 

@@ -107,7 +107,7 @@ def test_a_layer_is_drawn_over_the_map_when_it_is_chosen(page):
 def test_pausing_stops_the_robot_and_resuming_sends_it_on(page, house):
     page.click("#pause")
     page.says("#phase", "PAUSED")
-    page.says("#banner", "Paused: the robot stands")
+    page.says("#banner", "Paused: the robot holds its position")
     assert house.service.mission.paused
     assert house.service.goal is None
     page.says("#pause", "Resume")
@@ -152,7 +152,7 @@ def test_what_is_not_sure_is_shown_before_it_is_begun(page, house):
     page.type("#words", "vist the sofa")
     page.click("#new-ok")
     page.until("document.querySelectorAll('#readings button').length === 1")
-    page.says("#new-error", "It is not sure that this is meant. Is it?")
+    page.says("#new-error", "Is this what you mean?")
     page.says("#readings", "1. Reach the sofa.")
     assert house.service.mission.brief.targets == ("bed",)
     page.click("#readings button")
@@ -168,7 +168,7 @@ def test_a_robot_without_a_mission_waits_for_one_from_the_page(tab):
         tab.says("#phase", "IDLE")
         assert tab.text("#reason") == "waiting for a mission"
         assert "idle" in tab.run("document.title")
-        tab.says("#english", "until it is given a mission")
+        tab.says("#english", "The robot waits for a mission")
         for part in ("#formula", "#automaton", "#plan", "#note"):
             assert tab.text(part) == ""  # of the mission that it was made ready for
         assert tab.run("document.getElementById('pause').disabled")
@@ -202,7 +202,7 @@ def test_what_is_seen_is_approached_and_reached(tab):
 def test_without_sensors_it_says_what_to_look_at(page, house):
     page.says("#camera-note", " × ")
     house.robot.blind = True
-    page.says("#banner", "Not ready: nothing to be seen")
+    page.says("#banner", "Not ready: no usable observations")
     page.says("#camera-note", "no new image for")
     house.robot.blind = False
     page.until("document.getElementById('banner').hidden")
@@ -216,7 +216,7 @@ def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
     house.service.inputs = house.service._health._inputs = inputs.rows
     house.robot.blind = True
     page.says(
-        "#banner", "nothing to be seen: no message yet on camera/depth; every message on odom"
+        "#banner", "no usable observations: no message yet on camera/depth; every message on odom"
     )
     page.says("#health", "camera/depth\nno message yet\n")
     page.says("#health", "odom\nall are dropped: malformed (")
@@ -309,7 +309,7 @@ def test_a_task_is_shown_where_the_mission_was_and_its_trajectory_on_the_map(pag
     assert page.run(hidden)
     house.tasked.task = driving(60)
     page.says("#phase", "DRIVING")
-    page.says("#task-facts", "m of it")
+    page.says("#task-facts", "s in total")
     page.until(f"!{hidden}")
     house.tasked.task = None
     page.says("#what", "Mission")

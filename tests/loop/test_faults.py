@@ -67,12 +67,12 @@ def test_degraded_comes_with_a_row_without_end_and_goes_with_its_end(faults, tol
     assert faults.state == "ok"
     fail(faults)
     assert faults.state == "degraded"
-    assert "degraded: tick fails again and again: tick: ZeroDivisionError" in told[-1]
+    assert "degraded: tick keeps failing: tick: ZeroDivisionError" in told[-1]
     fail(faults, 5)
     with faults.outlived("tick", 7):
         pass
     assert faults.state == "ok"
-    assert told[-1] == "7 tick: goes well again"
+    assert told[-1] == "7 tick: works again"
     assert len(told) == 3
 
 

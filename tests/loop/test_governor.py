@@ -152,8 +152,8 @@ def test_a_slow_detector_gives_way_rung_by_rung_and_comes_back(bench):
     b.until(lambda: b.governor.rung == 1)
     assert (b.running, b.scorers.resting) == ("small", frozenset())
     assert b.said == [
-        "governor: step down to rung 1 of 2: model small: detect takes 60 ms at the median, "
-        "perception.swap.budget_ms is 33, for 2 s and more"
+        "governor: step down to rung 1 of 2: model small: detect takes 60 ms (median), above "
+        "perception.swap.budget_ms (33), for over 2 s"
     ]
     b.until(lambda: b.governor.rung == 2)
     assert b.scorers.resting == {"choice"}
@@ -171,7 +171,7 @@ def test_a_slow_detector_gives_way_rung_by_rung_and_comes_back(bench):
 def test_a_hot_board_is_a_step_down_and_says_which_part(bench):
     b = bench().sees(HOT)
     b.until(lambda: b.governor.rung == 1)
-    assert "model small: tj is at 97 C, passive from 99 C, for 2 s" in b.said[0]
+    assert "model small: tj is at 97 C, passive from 99 C, for over 2 s" in b.said[0]
     assert b.governor.status()["distress"] == "tj is at 97 C, passive from 99 C"
 
 
@@ -180,7 +180,7 @@ def test_a_model_that_is_not_to_be_had_is_passed_over(bench):
     b.models["large"].ms, b.models["small"] = 60.0, ModelError("small.onnx: damaged")
     b.until(lambda: b.governor.rung == 2)
     assert b.running == "large"
-    assert b.said[1] == "governor: rung 1 is not to be had: small.onnx: damaged; large goes on"
+    assert b.said[1] == "governor: rung 1 cannot be used: small.onnx: damaged; large goes on"
     assert b.scorers.resting == {"choice"}
     b.models["large"].ms = 10.0
     b.until(lambda: b.governor.rung == 0)
@@ -193,7 +193,7 @@ def test_a_model_that_cannot_come_back_leaves_the_other_at_work(bench):
     b.until(lambda: b.running == "small")
     b.models["large"] = ModelError("large.onnx: damaged")
     b.until(lambda: len(b.said) == 3)
-    assert b.said[2] == "governor: rung 0 is not to be had: large.onnx: damaged; small goes on"
+    assert b.said[2] == "governor: rung 0 cannot be used: large.onnx: damaged; small goes on"
     assert (b.governor.rung, b.running) == (1, "small")
 
 

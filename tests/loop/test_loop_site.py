@@ -87,7 +87,7 @@ def test_a_place_that_cannot_be_reached_fails_with_the_reason():
     loop = driven("go to the roof", Place("roof", SE2(60.0, 60.0, 0.0)), seconds=280.0)
     status = loop.service.status
     assert status.phase == "failed"
-    assert "no way to roof" in status.reason
+    assert "no path to roof" in status.reason
 
 
 def test_it_drives_around_a_zone_and_the_way_is_longer():

@@ -84,7 +84,7 @@ def test_what_it_stops_at_is_made_sure_of_or_left_for_another(task, monkeypatch)
     assert oven.state == "refuted"
     assert (loop.service.status.done, states(loop)[0]) == (False, "looked for")
     assert any(
-        f"oven {oven.id} is none, as seen from near by: looking further" in event
+        f"oven {oven.id} was not confirmed from near by, rejected: exploring" in event
         for event in loop.notes.events
     )
 
@@ -92,7 +92,7 @@ def test_what_it_stops_at_is_made_sure_of_or_left_for_another(task, monkeypatch)
 def test_what_is_too_far_off_to_make_sure_of_is_taken_for_it():
     loop = closed(TO_THE_OVEN, perception={"confirm_range_m": 0.2}).run(200)
     assert not loop.service.map.tracker.of("oven", sure=True)
-    assert any("too far to make sure that it is one" in event for event in loop.notes.events)
+    assert any("too far to verify, accepted" in event for event in loop.notes.events)
     assert loop.service.status.phase == "reached", loop.notes.events
 
 
@@ -116,7 +116,7 @@ def test_what_it_may_be_any_of_is_looked_at_from_near_by(monkeypatch):
     ambiguous(loop, monkeypatch, ("seen",))
     loop.run(200)
     assert loop.service.status.phase == "reached", loop.notes.events
-    assert any("it may be any of these: looking further" in e for e in loop.notes.events)
+    assert any("it may be any of these: exploring further" in e for e in loop.notes.events)
     assert [goal.kind for goal in loop.notes.goals].count("instance") >= 1
     assert loop.service.mission.reached == ()
 
@@ -231,7 +231,7 @@ def test_what_blocks_the_way_is_driven_around():
     facts = loop.service.result().task()
     assert loop.service.status.phase == "reached", loop.notes.events
     assert facts.refinements >= 2
-    assert any("is in the way" in event for event in loop.notes.events)
+    assert any("obstacle on the path" in event for event in loop.notes.events)
 
 
 def by_model(server: ChatServer, **planner: object) -> ClosedLoop:

@@ -249,13 +249,13 @@ def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(i
 
     loop(run, stop, each=each)
     run.worker.close()
-    well, ill = ("ok", ""), ("degraded", "fails at every image: ZeroDivisionError: oh no")
+    well, ill = ("ok", ""), ("degraded", "fails on every image: ZeroDivisionError: oh no")
     assert [(s["state"], s["detail"]) for s in states] == [
         *[well] * (DEGRADED_AFTER - 1), *[ill] * 3, *[well] * passing
     ]  # fmt: skip
     name = f"detector {detector.name}: "
     told = [text.removeprefix(name) for text in closed.notes.events if text.startswith(name)]
-    assert told == [f"degraded: {ill[1]}", "goes well again"]
+    assert told == [f"degraded: {ill[1]}", "works again"]
     assert status_of(service.result())["loop"]["state"] == "ok"
 
 

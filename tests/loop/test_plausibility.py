@@ -97,7 +97,7 @@ TAMPERED = {
     "grey": (always(rgb=lambda o: np.full_like(o.rgb, 128)), "camera/rgb: the image has one"),
     "dark": (always(rgb=lambda o: o.rgb // 32), "camera/rgb: the image is dark"),
     "millimetres": (always(depth_m=lambda o: o.depth_m * 1000), "cannot be in metres"),
-    "late": (late(20), "sensors: frames come"),
+    "late": (late(20), "sensors: frames arrive"),
 }  # fmt: skip
 
 

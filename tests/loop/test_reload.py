@@ -192,7 +192,7 @@ def test_a_new_detector_is_tried_first_and_the_rest_is_switched_with_it(bench, m
     [
         ({"state": "on probation", "model": "new"}, ["new"], "new is still on probation; reload"),
         ({"state": "loading", "model": "new"}, ["sim"], "new is still loading; reload again"),
-        ({"state": "kept", "model": "new"}, ["sim", "new"], "new has come meanwhile; reload again"),
+        ({"state": "kept", "model": "new"}, ["sim", "new"], "new was swapped in during the reload"),
     ],
 )
 def test_while_another_model_comes_all_may_change_but_the_detector(

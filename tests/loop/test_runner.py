@@ -123,7 +123,7 @@ def test_sinks_that_no_motion_controller_hears_are_warned_of(sinks, heard, caplo
     stop.set()
     with pytest.raises(Stopped), open_service(settings, [], stop=stop):
         raise AssertionError
-    warned = "sinks: neither zenoh nor ros2: no motion controller hears a goal" in caplog.text
+    warned = "sinks: no zenoh or ros2 sink: no motion controller receives goals" in caplog.text
     assert warned is not heard
 
 

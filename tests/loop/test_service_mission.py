@@ -79,7 +79,7 @@ def test_who_waits_for_its_first_mission_stands_and_has_tried_its_controller():
     assert (answer["id"], answer["past"], service.status.done) == ("", [], False)
     assert answer["robot"]["controller"] == "answers"
     assert loop.drive.motion.path_m < 0.05
-    assert refusal(loop, "pause") == "no mission is under way: none was given yet"
+    assert refusal(loop, "pause") == "no mission is running: no mission was given yet"
     ask(loop, "new", prepare(loop.config.mission, formula="F bed"), if_free=True)
     assert service.status.phase == "searching"
 
@@ -87,12 +87,12 @@ def test_who_waits_for_its_first_mission_stands_and_has_tried_its_controller():
 def test_a_mission_with_a_name_is_known_by_it_now_and_later():
     loop = ClosedLoop(config("F television"), colour=False).run(3)
     bed, sofa = (prepare(loop.config.mission, formula=f"F {x}") for x in ("bed", "sofa"))
-    assert refusal(loop, "new", bed, id="1", if_free=True).startswith("not free: the last one ")
+    assert refusal(loop, "new", bed, id="1", if_free=True).startswith("not free: the last mission ")
     assert ask(loop, "new", bed, id="1")["id"] == "1"
     begun = loop.service.mission
     assert ask(loop, "new", bed, id="1", if_free=True)["id"] == "1"
     assert loop.service.mission is begun, "given twice, begun once"
-    assert refusal(loop, "cancel", id="2").startswith("no such mission is under way: ")
+    assert refusal(loop, "cancel", id="2").startswith("no such mission is running: ")
     assert ask(loop, "cancel", id="1", why="another is\nat it")["reason"] == "another is at it"
     ask(loop, "new", sofa, id="2")
     answer = ask(loop, "new", bed)
@@ -100,7 +100,8 @@ def test_a_mission_with_a_name_is_known_by_it_now_and_later():
         {"id": "1", "phase": "failed", "reason": "another is at it"},
         {"id": "2", "phase": "failed", "reason": "replaced"},
     ]
-    assert refusal(loop, "new", sofa, id="2") == "mission 2 is over here"
+    over = "mission 2 is already over on this robot: give it another id"
+    assert refusal(loop, "new", sofa, id="2") == over
     assert json.dumps(answer)
 
 
@@ -197,7 +198,7 @@ def test_cancel_ends_it_and_then_there_is_nothing_to_pause():
 def test_a_stop_that_kept_a_new_mission_from_beginning_is_answered_so(do):
     loop = ClosedLoop(config("F bed"), colour=False)
     ask(loop, "cancel")
-    assert "no mission is under way" in refusal(loop, do)
+    assert "no mission is running" in refusal(loop, do)
     answer = ask(loop, do, overtaken=2)
     assert (answer["phase"], answer["paused"], answer["overtaken"]) == ("failed", False, 2)
     loop.service.close()

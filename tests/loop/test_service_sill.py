@@ -61,7 +61,7 @@ def closed_loop(
 
 
 def held_up(loop: ClosedLoop) -> list[str]:
-    return [event for event in loop.notes.events if event.startswith("held up")]
+    return [event for event in loop.notes.events if event.startswith("blocked")]
 
 
 @pytest.mark.parametrize("policy", ["hvl", "nearest_frontier"])
@@ -85,8 +85,8 @@ def test_where_no_other_way_leads_it_tries_twice_more_and_says_why_it_ends(tmp_p
     loop = closed_loop(tmp_path, way_round=False).run(200)
     status = loop.service.status
     assert status.phase == "failed"
-    assert re.match(r"no way to the \d+ frontiers left,", status.reason)
-    assert "no way to bed; held up at (3.9, 1." in status.reason
+    assert re.match(r"no path to the \d+ remaining frontiers,", status.reason)
+    assert "found no path to bed; blocked at (3.9, 1." in status.reason
     assert loop.drive.motion.collisions <= 3
     assert status.elapsed_s < 90
 

@@ -74,8 +74,8 @@ def watched(tmp_path) -> Iterator[Watched]:
 def test_it_is_ready_once_it_sees(watched):
     watched.vitals.ready()
     assert watched.told() == ["READY=1"]
-    assert watched.page("/readyz")[1]["why"] == ["nothing to be seen"]
-    assert watched.beat()[-1] == "STATUS=not ready: nothing to be seen (searching: bed)"
+    assert watched.page("/readyz")[1]["why"] == ["no usable observations"]
+    assert watched.beat()[-1] == "STATUS=not ready: no usable observations (searching: bed)"
     watched.see()
     assert watched.beat(1.0)[-1] == "STATUS=searching: bed"
     assert watched.page("/readyz") == (200, {"ok": True, "state": "running", "why": []})
@@ -88,7 +88,7 @@ def test_it_says_which_input_is_missing_and_logs_that_once(watched, caplog):
     inputs = TimeSynchronizer(watched.closed.config, lambda: 0).inputs
     watched.running.service.inputs = inputs.rows
     watched.vitals.ready()
-    why = "nothing to be seen: no message yet on camera/rgb, camera/depth, camera/info, odom"
+    why = "no usable observations: no message yet on camera/rgb, camera/depth, camera/info, odom"
     assert watched.beat()[-1] == f"STATUS=not ready: {why} (searching: bed)"
     assert watched.page("/readyz")[1]["why"] == [why]
     assert caplog.messages == [], "sensors may start a moment later"
@@ -175,13 +175,13 @@ def test_a_detector_that_hangs_at_an_image_is_noticed(watched):
     worker.submit(replace(seen, rgb=np.zeros((2, 2, 3), np.uint8)))
     for _ in range(int(HANGS_S)):
         watched.beat(1.0)
-    assert watched.vitals.amiss() == ("nothing to be seen",)
+    assert watched.vitals.amiss() == ("no usable observations",)
     watched.beat(1.0)
-    assert "the detector hangs at an image" in watched.vitals.amiss()
+    assert "the detector has hung at one image for more than 10 s" in watched.vitals.amiss()
     detector.over.set()
     worker.close()
     watched.beat(1.0)
-    assert watched.vitals.amiss() == ("nothing to be seen",)
+    assert watched.vitals.amiss() == ("no usable observations",)
 
 
 def test_that_no_file_can_be_opened_is_told_once_and_makes_it_not_ready(

@@ -72,7 +72,7 @@ def test_without_targets_nothing_is_written_or_read():
     values.write_view(sight(), ("bed",), np.ones(1, np.float32))
     values.write_directions(sight(), "bed", np.ones((1, 2)), np.ones(1), 1.0)
     values.roll(0, 64)
-    with pytest.raises(IndexError, match="value channel 0: there are 0"):
+    with pytest.raises(IndexError, match="value channel 0: the map has 0"):
         values.best(0, np.zeros((1, 2), np.float32), 1, 0.5, np.zeros(1, np.float32))
 
 

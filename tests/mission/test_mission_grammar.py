@@ -217,14 +217,14 @@ def test_refuses_by_name(sentence: str, part: str) -> None:
     ("sentence", "reason"),
     [
         ("keep visiting the bed", "a mission ends"),
-        ("wait at the door", "not staying or leaving"),
+        ("wait at the door", "not stay or leave"),
         ("go to the bed and continue", "say where to go"),
         ("visit the bed forever", "a mission ends"),
         ("visit the bed frame", '"bed frame"'),
         ("go to the firdge", "firdge: fridge\\?"),
-        ("turn left and go to the bed", "'left': no thing, and no word that is known here"),
-        ("find out whether the lamp is on", "'whether': no thing, and no word that is known here"),
-        ("go to the sofa after an hour", "times and distances cannot be told"),
+        ("turn left and go to the bed", "'left': unknown word, and not an object"),
+        ("find out whether the lamp is on", "'whether': unknown word, and not an object"),
+        ("go to the sofa after an hour", "times and distances cannot be used"),
         ("go to the bed \x1b", "U\\+001B"),
         ("Geh zum Sofa und dann zum Bett.", "in English only"),
         ("Va au canapé puis au lit", "in English only"),
@@ -277,7 +277,7 @@ def test_reads_in_every_way(sentence: str, formulas: list[str], safer: int | Non
 
 def test_too_many_readings_are_refused() -> None:
     steps = (f"room {i} must be visited before landmark {i}" for i in range(1, 6))
-    with pytest.raises(TranslationError, match="in too many ways"):
+    with pytest.raises(TranslationError, match="too many possible meanings"):
         readings(". ".join(steps))
 
 

@@ -48,7 +48,7 @@ def test_lifts(said: str, words: str, names: tuple[str, ...]) -> None:
 
 
 REFUSED = [
-    ("go to the sofa \x1b[2J", "this character has no place"),
+    ("go to the sofa \x1b[2J", "this character is not allowed"),
     ('go to ""', "no name"),
     ("go " * 251, "more than 250 words"),
     ("x" * 10_001, "at most 10000 characters"),

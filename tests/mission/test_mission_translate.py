@@ -94,8 +94,15 @@ TOGETHER = [
     (STRANGE, NOTHING, _reader("F bed"), ["F bed"], "stub", True),
     (STRANGE, NOTHING, NOTHING, "not the grammar's reason", "", True),
     # Nobody is to guess at what is no order, or reaches nobody knows how far.
-    ("have you been to the bed?", _reader("F bed"), _reader("F bed"), "no order", "", True),
-    ("don't just go to the bed", _reader("G !bed"), None, "say plainly what not to do", "", True),
+    (
+        "have you been to the bed?",
+        _reader("F bed"),
+        _reader("F bed"),
+        "not an instruction",
+        "",
+        True,
+    ),
+    ("don't just go to the bed", _reader("G !bed"), None, "say directly what not to do", "", True),
     ("go to the bed, never enter the bed", _reader("F bed"), None, "a contradiction", "", True),
 ]
 

@@ -67,7 +67,7 @@ def test_from_a_folder_to_a_sound_model(published, capsys):
     (row,) = (row for row in json.loads(says(capsys, "list", "--json")) if row["name"] == "tiny")
     assert row["path"] == str(card.path)
     again = says(capsys, "pull", "tiny", "--from", str(published))
-    assert again.count("was here already") == 9
+    assert again.count("already here") == 9
 
 
 def test_the_hash_of_the_first_pull_counts_from_then_on(published, capsys):
@@ -79,7 +79,7 @@ def test_the_hash_of_the_first_pull_counts_from_then_on(published, capsys):
     (published / DECODER).write_bytes(sound[:-1] + b"!")  # the publisher has another one now
     refused = says(capsys, "pull", "tiny", "--from", str(published), code=69)
     assert "sha256 is" in refused
-    assert "tiny: its onnx/decoder_model_merged.onnx could not be had" in refused
+    assert "tiny: its onnx/decoder_model_merged.onnx could not be downloaded" in refused
     (published / DECODER).write_bytes(sound)
     says(capsys, "pull", "tiny", "--from", str(published))
     assert kept.read_bytes() == sound
@@ -98,7 +98,7 @@ def test_from_a_server(published, capsys, server, monkeypatch, at):
         ours = card.model_copy(update={"url": server.url("/repo/")})
         monkeypatch.setattr(pull, "load_card", lambda name: ours)
         told = says(capsys, "pull", "tiny")
-    assert told.count("was here already") == 8
+    assert told.count("already here") == 8
     assert told.count("from now on") == 1
     assert card.is_here()
 
@@ -106,7 +106,7 @@ def test_from_a_server(published, capsys, server, monkeypatch, at):
 def test_a_page_in_the_place_of_a_file_is_refused(published, capsys):
     change_card(decoder={"file": DECODER, "mb": 87.0})
     said = says(capsys, "pull", "tiny", "--from", str(published), code=69)
-    assert "0.0 MB, its card lists 87" in said
+    assert "0.0 MB, but its card says 87" in said
     assert not (load_card("tiny").path / DECODER).exists()
 
 

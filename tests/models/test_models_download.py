@@ -96,9 +96,9 @@ def test_a_part_that_is_whole_needs_no_server(server, tmp_path):
         ({"content": CONTENT[::-1]}, {}, "sha256 is"),
         ({"content": CONTENT * 2}, {"size": len(CONTENT)}, "offers 204800 bytes, the card says 10"),
         ({"content": CONTENT[1:]}, {"size": len(CONTENT)}, "offers 102399 bytes, the card says 10"),
-        ({"content": CONTENT, "told": 1 << 40}, {}, "offers 1099511627776 bytes, more than any"),
+        ({"content": CONTENT, "told": 1 << 40}, {}, "offers 1099511627776 bytes, more than"),
         ({"content": b"", "status": 404}, {}, "HTTP 404 Not Found"),
-        ({"status": 302, "location": "file:///etc/passwd"}, {}, "is no address to ask"),
+        ({"status": 302, "location": "file:///etc/passwd"}, {}, "is not a valid address"),
         ({"status": 302, "location": "/w.pt"}, {}, "more than 10 redirects"),
     ],
     ids=["hash", "long", "short", "huge", "missing", "file", "loop"],
@@ -159,7 +159,7 @@ def test_a_redirect_is_followed_without_the_password(server, tmp_path):
 def test_two_at_one_file_do_not_mix(tmp_path):
     with part(tmp_path) as first:
         first.write(CONTENT)
-        with pytest.raises(ModelError, match="another process is fetching it"), part(tmp_path):
+        with pytest.raises(ModelError, match="another process is downloading it"), part(tmp_path):
             pass
         first.finish()
     assert (tmp_path / "w.pt").read_bytes() == CONTENT
@@ -217,7 +217,7 @@ def test_a_small_file_is_small(server):
 
 def test_a_proxy_that_cannot_be_used_is_told(monkeypatch, server, tmp_path):
     monkeypatch.setenv("all_proxy", "gopher://127.0.0.1:9")
-    with pytest.raises(FetchError, match="no proxy of the environment can be used"):
+    with pytest.raises(FetchError, match="the proxy of the environment cannot be used"):
         fetch(server, tmp_path)
 
 

@@ -58,7 +58,7 @@ def test_no_weights_here(started, put_card, capsys, sources):
     put_card({**DERIVED, "sources": sources})
     assert main(["models", "export", "small"]) == os.EX_UNAVAILABLE
     error = capsys.readouterr().err
-    assert "name them with --weights" in error
+    assert "give them with --weights" in error
     assert ("run `edge models pull small`" in error) == bool(sources)
     assert started == []
 
@@ -92,7 +92,7 @@ def test_variants_of_a_language_model_are_made_of_its_fp32(started, monkeypatch,
 def test_a_card_that_names_its_precision_is_not_told_another(started, capsys):
     words = ["--calibration", "p", "--precision", "int8"]
     assert main(["models", "export", "--quantize", "small", *words]) == os.EX_UNAVAILABLE
-    assert "small: its card names its precision already" in capsys.readouterr().err
+    assert "small: its card sets the precision" in capsys.readouterr().err
     assert started == []
 
 
@@ -131,7 +131,7 @@ def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys,
     words = ["--weights", "w.pt", "--vocabulary", str(tmp_path / "words.npz")]
     assert main(["models", "export", "big", *words]) == os.EX_UNAVAILABLE
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"{tmp_path}/words.npz: cannot be kept as ")
+    assert line.startswith(f"{tmp_path}/words.npz: cannot be copied to ")
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys,
         ("own", "is not derived from another model; `python -m exporters.training.mini --out RUN`"),
         ("small", "big.onnx: model big is not there"),
         ("s", "has no file of its own, it uses big"),
-        ("rows", "is no detector; make it from its model's folder: `edge models export NAME "),
+        ("rows", "is not a detector; export it from its model folder: `edge models export NAME "),
         ("none", "no such card"),
         ("vlm-fp32", "decoder.onnx: model vlm-fp32 is not there; run `edge models pull vlm-fp32"),
     ],

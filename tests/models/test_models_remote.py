@@ -67,7 +67,7 @@ def test_what_needs_a_file_says_that_a_server_has_it(far, capsys):
     far("http://127.0.0.1:1")
     runs = "the server http://127.0.0.1:1 runs it"
     assert main(["models", "pull", "far"]) == 0
-    assert capsys.readouterr().out.startswith(f"far: nothing to fetch, {runs}\n")
+    assert capsys.readouterr().out.startswith(f"far: nothing to download, {runs}\n")
     assert main(["models", "export", "far"]) != 0
     assert runs in capsys.readouterr().err
     assert main(["models", "list"]) == 0

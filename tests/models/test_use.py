@@ -55,13 +55,13 @@ def test_a_swap_that_is_over_at_once():
 
 
 def test_the_end_of_another_swap_is_not_told_as_the_end_of_this_one():
-    with pytest.raises(RequestError, match="another swap has begun since"):
+    with pytest.raises(RequestError, match="another swap has begun meanwhile"):
         followed(Service(swap("loading"), swap("kept", number=2)))
 
 
 def test_patience_has_an_end():
     service = Service(swap("checking", progress="0 of 4 images collected"))
-    line = r"^models: still checking \(0 of 4 images collected\), not waited for any longer; "
+    line = r"^models: still checking \(0 of 4 images collected\) after --timeout; "
     with pytest.raises(RequestError, match=line):
         followed(service, patience=3)
     assert len(service.requests) == 4

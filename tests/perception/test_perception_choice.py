@@ -286,7 +286,7 @@ def test_with_no_room_for_a_letter_nothing_is_asked(make_observation):
             "begins its answer with 'The', 'I', not with A",
         ),
         (model(scene={"Maybe": -0.1}), "begins its answer with 'Maybe', not with Yes, No"),
-        (model(direction={"A": float("nan")}), "a logprob that is none"),
+        (model(direction={"A": float("nan")}), "an invalid logprob"),
         (model(scene={}), "no logprobs"),
         (lambda handler: send(handler, b"[]"), "no logprobs"),
         (lambda handler: send(handler, b"x" * 100_000), "more than 64 KB"),

@@ -197,8 +197,8 @@ def tensors(**shapes):
 
 GOOD = {"boxes": (1, 1680, 4), "scores": (1, 1680, 1)}
 BAD = [
-    (cut, "dead", "closed the connection before its answer was whole"),
-    (part, "dead", "closed the connection before its answer was whole"),
+    (cut, "dead", "closed the connection before its answer was complete"),
+    (part, "dead", "closed the connection before its answer was complete"),
     (garbage, "dead", "does not speak HTTP"),
     (silent, "slow", "no whole answer within 0.3 s"),
     (drip, "slow", "no whole answer within 0.3 s"),

@@ -111,7 +111,7 @@ def test_a_partial_file_is_recovered_under_its_own_name(tmp_path, whole):
 def test_nothing_that_is_there_is_written_over(tmp_path, whole):
     path = tmp_path / "a.mcap.recovering"
     path.write_bytes(whole)
-    with pytest.raises(RecordingError, match=r"a\.mcap\.recovering: is there already"):
+    with pytest.raises(RecordingError, match=r"a\.mcap\.recovering: exists already"):
         recover(path, tmp_path / "a.mcap")
     assert path.read_bytes() == whole
 
@@ -163,6 +163,6 @@ def test_after_a_kill_all_but_the_last_moments_are_there(tmp_path):
     assert (n, why) == (len(read), "cut off")
     with open(tmp_path / "whole.mcap", "rb") as file:
         assert len(list(make_reader(file).iter_messages())) == n
-    with pytest.raises(RecordingError, match="is there already"):
+    with pytest.raises(RecordingError, match="exists already"):
         recover(path, tmp_path / "whole.mcap")
     writer.stdout.close()

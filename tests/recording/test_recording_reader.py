@@ -58,7 +58,7 @@ def write(path, *parts: bytes) -> None:
 
 
 NOTHING = bytes(MANY)
-NOT_THE_SIZE = "a chunk is not of the size that it says"
+NOT_THE_SIZE = "a chunk does not have its declared size"
 BOMBS = {
     "zstd": (chunk(zstd(NOTHING), 1000, "zstd"), NOT_THE_SIZE),
     "zstd, of no size": (chunk(zstd(NOTHING, False), 1000, "zstd"), "cannot be decompressed"),
@@ -67,7 +67,7 @@ BOMBS = {
     "lz4, of no length": (chunk(lz4.frame.compress(NOTHING), 0, "lz4"), NOT_THE_SIZE),
     "lz4, cut off": (chunk(lz4.frame.compress(SMALL)[:-8], len(SMALL), "lz4"), NOT_THE_SIZE),
     "none": (chunk(SMALL, 1000), NOT_THE_SIZE),
-    "another codec": (chunk(SMALL, len(SMALL), "xz"), "compression xz is not known"),
+    "another codec": (chunk(SMALL, len(SMALL), "xz"), "unknown compression xz"),
     "a size of all": (chunk(zstd(SMALL), 1 << 62, "zstd"), f"chunk of {1 << 62} bytes, at most"),
     "checksum": (chunk(SMALL, len(SMALL), crc=zlib.crc32(SMALL) ^ 1), "checksum of a chunk"),
     "a long record": (
@@ -78,7 +78,7 @@ BOMBS = {
     "a short message": (chunk(struct.pack("<BQ", Opcode.MESSAGE, 0), 9), "without its times"),
     "a length in a chunk": (
         struct.pack("<BQ", Opcode.CHUNK, 40) + bytes(28) + struct.pack("<IQ", 0, 1 << 62),
-        "a record is shorter than what it holds",
+        "a record is shorter than its content",
     ),
     "channels": (
         b"".join(

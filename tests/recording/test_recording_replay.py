@@ -1,4 +1,4 @@
-"""A recorded run replays to the same, tick for tick, whatever came into it; and what does not."""
+"""A recorded run replays to identical in every tick, whatever came into it; and what does not."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_drive(drive, capsys):
     assert commands.replay(args) == 0
     told = capsys.readouterr().out
     assert "30 ticks" in told
-    assert "the same, tick for tick" in told
+    assert "identical in every tick" in told
     assert "select" in told
 
 
@@ -275,7 +275,7 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     ("localised", "boot", "elsewhere"),
     [
         (False, "this", [""]),
-        (False, "another", ["the computer was started anew, and its odometry with it"]),
+        (False, "another", ["the computer was rebooted, so its odometry restarted"]),
         (True, "another", ["", ""]),  # once more after the jump
     ],
 )
@@ -326,7 +326,7 @@ def test_a_run_in_several_files(tmp_path):
     Recording(tmp_path / "other").steps(1).close()
     assert Session(files[0]).files == files
     same(files[0], 4)
-    with pytest.raises(RecordingError, match=r"begins in the middle of a run \(file 3 of it\)"):
+    with pytest.raises(RecordingError, match=r"begins in the middle of a run \(it is file 3\)"):
         replay(Session(files[2]))
     files[2].unlink()
     assert Session(files[0]).files == files[:2]
@@ -400,9 +400,9 @@ def test_another_goal_then_is_a_difference_at_its_tick(drive, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("change", "ticks", "why"),
     [
-        (only(JOURNAL.topic), 0, "the next frame's depth was dropped when it was recorded"),
+        (only(JOURNAL.topic), 0, "the next frame's depth was dropped while recording"),
         (page(lambda told: told["entries"][0]["n"] not in range(20, 30)), None,
-         "what follows was dropped when it was recorded"),
+         "the messages that follow were dropped while recording"),
     ],
 )  # fmt: skip
 def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, why):
@@ -421,7 +421,7 @@ def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, wh
     [
         ({}, b"{}", "an MCAP file, but not of the sink `mcap`"),
         ({"edge-recording": {"version": "2", "edge": "9.0"}}, b"{}",
-         "recorded by edge 9.0 in version 2 of the format, this one reads 1"),
+         "recorded by edge 9.0 in version 2 of the format; this one reads 1"),
         ({"edge-recording": {"version": "1", "edge": "1"}}, b"{}", "damaged"),
         ({"edge-recording": {"version": "1", "edge": "1", "session": "a", "part": "0",
                              "config": '{"nonsense": 1}'}}, b"{}",
@@ -429,7 +429,7 @@ def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, wh
         ("good", b'{"entries": [{"n": 0, "kind": "spell"}]}', "damaged journal: KeyError"),
         ("good", b"[]", "damaged journal: TypeError"),
         ("good", b'{"entries": [{"n": 0, "kind": "jump", "now_ns": 1}], "observation": null, '
-                 b'"said": null}', "does not begin with the start"),
+                 b'"said": null}', "does not begin with a start"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_replayed_is_one_line(drive, tmp_path, metadata, payload, why):
@@ -538,7 +538,7 @@ def test_no_file(tmp_path):
 
 
 def test_detecting_anew(drive, tmp_path):
-    with pytest.raises(ReplayError, match="sim finds nothing in pictures"):
+    with pytest.raises(ReplayError, match="sim cannot detect in images"):
         replay(Session(drive), detect=True)
     onnx = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "threads": 1}
     other = small(perception={"detector": onnx})

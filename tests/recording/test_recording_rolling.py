@@ -110,7 +110,7 @@ def test_what_cannot_be_written_is_told_once_and_goes_on_when_it_can(tmp_path, c
     assert (files.messages, files.problem) == (2, "")
     said = [record.getMessage() for record in caplog.records]
     assert len(said) == 2
-    assert said[0].endswith("nothing can be recorded: File exists; goes on as soon as it can")
+    assert said[0].endswith("cannot record: File exists; trying again every few seconds")
     assert said[1].endswith("; 6 messages are lost")
     files.close()
 
@@ -153,7 +153,7 @@ def test_a_disk_that_is_full_for_a_while(tmp_path):
     assert done.returncode == 0, done.stderr
     told = done.stderr.splitlines()
     assert len(told) == 4
-    assert told[0].endswith("nothing can be recorded: File too large; goes on as soon as it can")
+    assert told[0].endswith("cannot record: File too large; trying again every few seconds")
     messages, lost = map(int, done.stdout.split())
     assert messages + lost == 195
     first, second = files_of(tmp_path)

@@ -32,7 +32,7 @@ from edge.types import Goal, GoalStatus
 HERE = Path(__file__).parent
 PEER = HERE / "ros_peer.py"
 # All that can be said but "goal", which the action takes the place of.
-READY = f"passes up to {len(HEARD)} topics in and {len(SAID) - 1} out"
+READY = f"passing up to {len(HEARD)} topics in and {len(SAID) - 1} out"
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +152,7 @@ def test_what_nobody_hears_is_not_taken_from_ros(adapter, service, robot):
 
 def test_a_silent_topic_is_told_with_the_reason(adapter, service):
     nothing = service.hear("lidar/scan")
-    adapter.says("/nowhere: no message yet: nobody publishes it")
+    adapter.says("/nowhere: no message yet: it has no publisher")
     nothing.close()
 
 
@@ -168,7 +168,7 @@ def test_results_reach_ros_and_what_is_no_message_does_not(adapter, service, rob
     cells = np.full((20, 30), -1, np.int8)
     cells[3, 4] = 100
     service.say("map", b"not a map", latched=True)
-    adapter.says("occupancy: left out: not little-endian CDR: begins 6e6f7420")
+    adapter.says("occupancy: dropped: not little-endian CDR: begins 6e6f7420")
     service.say("map", messages.encode_occupancy_grid(7, Grid(cells, (0.0, 1.0), 0.05)))
     robot.says(json.dumps({"map": [30, 20, 0.05, 100 - 599]}))
 
@@ -180,7 +180,7 @@ ON_ITS_WAY = [("accepted", ""), ("accepted", "1 recoveries, 2.5 m left")]
     ("x_m", "on_its_way", "end"),
     [
         (REACHED, ON_ITS_WAY, ("reached", "")),
-        (ABORTED, ON_ITS_WAY, ("failed", "given up by Nav2 (error 204): no valid path found")),
+        (ABORTED, ON_ITS_WAY, ("failed", "aborted by Nav2 (error 204): no valid path found")),
         (REJECTED, [], ("failed", "refused by navigate_to_pose")),
     ],
 )
@@ -201,7 +201,7 @@ def test_what_is_no_request_is_left_out(adapter, service):
     for junk in (b"junk", b"\0\1\0\0junk"):
         replies = service.session.get(key, payload=junk, timeout=PATIENCE_S)
         assert list(replies) == []
-    adapter.says("a request is left out: ")
+    adapter.says("a request was dropped: ")
 
 
 def test_a_replaced_goal_is_cancelled_by_a_server_that_would_drive_on(
@@ -233,7 +233,7 @@ def node_of(adapter: Process) -> psutil.Process:
 
 def test_a_node_that_crashes_is_started_again(adapter, service, odometry):
     node_of(adapter).send_signal(signal.SIGSEGV)
-    adapter.says("the node ended (signal 11): started again in 1 s")
+    adapter.says("the node ended (signal 11): starting it again in 1 s")
     adapter.says(READY, times=2)
     odometry.take()
     payload_of(odometry)

@@ -82,8 +82,8 @@ def test_nobody_looks_and_nothing_is_encoded(sink):
     sink.tick(tick(1))
     eventually(lambda: sink._worker.idle)
     assert sink.status() == {"port": sink.port, "dropped": 0, "failed": 0, "problem": ""}
-    moment = sink._teller.take(tick(2))
-    assert (moment.bytes, list(sink._teller.tell(moment))) == (0, [])
+    moment = sink._encoder.take(tick(2))
+    assert (moment.bytes, list(sink._encoder.tell(moment))) == (0, [])
 
 
 def test_a_client_sees_what_it_subscribed_to_and_no_more(sink):
@@ -125,7 +125,7 @@ def test_others_can_reach_it_only_where_that_is_said(caplog):
     FoxgloveSink(simulated(), port=0).close()
     assert caplog.records == []
     FoxgloveSink(simulated(), port=0, host="0.0.0.0").close()
-    assert "whoever reaches 0.0.0.0 port" in caplog.text
+    assert "anyone who reaches 0.0.0.0 port" in caplog.text
 
 
 def test_without_the_sdk_it_says_what_to_install(monkeypatch):

@@ -175,7 +175,7 @@ def test_a_disk_that_hangs_costs_pictures_but_no_memory(make, tmp_path):
     sink.close()
     session = Session(files_of(tmp_path)[0])
     assert len(list(session.moments())) == 21
-    assert session.gap == "the next frame's depth was dropped when it was recorded"
+    assert session.gap == "the next frame's depth was dropped while recording"
     written = [m.sequence for m in session.messages() if m.topic == "/camera/depth"]
     assert written == [*range(1, 22), 31]
 

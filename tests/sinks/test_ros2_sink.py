@@ -106,9 +106,9 @@ def first_goal(nav2: Nav2) -> bytes:
 @pytest.mark.parametrize(
     ("distribution", "status", "state", "reason"),
     [("humble", SUCCEEDED, "reached", ""), ("jazzy", SUCCEEDED, "reached", ""),
-     ("kilted", ABORTED, "failed", "given up by Nav2"),
+     ("kilted", ABORTED, "failed", "aborted by Nav2"),
      ("humble", CANCELED, "failed", "cancelled by Nav2"),
-     ("jazzy", 0, "failed", "knows nothing of it")],
+     ("jazzy", 0, "failed", "unknown to Nav2")],
 )  # fmt: skip
 def test_a_goal_and_its_end(make, theirs, answers, distribution, status, state, reason):
     nav2 = Nav2(theirs, distribution)
@@ -133,7 +133,7 @@ def test_a_goal_through_what_tells_no_types(make, theirs, answers, via):
     nav2.feed_back(goal_id, 1, 2.0)
     assert answers(2)[1].reason == "1 recoveries, 2.0 m left"
     nav2.end(goal_id, ABORTED, 103)
-    assert answers(3)[2] == GoalStatus(9, "failed", "given up by Nav2 (error 103)")
+    assert answers(3)[2] == GoalStatus(9, "failed", "aborted by Nav2 (error 103)")
     nav2.close()
 
 

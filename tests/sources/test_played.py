@@ -91,7 +91,9 @@ EVERY = [ns for _, ns in stamps()]
 
 @pytest.mark.parametrize("write", [write_mcap, write_bag, write_db3])
 def test_nothing_comes_of_an_empty_recording(tmp_path, write):
-    with pytest.raises(RecordingError, match=r"looked for camera/rgb, .* there are no topics"):
+    with pytest.raises(
+        RecordingError, match=r"searched for camera/rgb, .* the recording has no topics"
+    ):
         play(write(tmp_path / "empty", []))
 
 
@@ -209,7 +211,7 @@ def test_topics_are_found_and_told(tmp_path, name):
 BASE, FOOT = ("base_link", OPTICAL, MOUNT), ("base_footprint", "base_link", se3(z_m=0.1))
 FRAMES: dict[str, tuple[list[Sent], float, str]] = {
     # What is sent, x in the map at first, and what is told.
-    "no tf": (plain(), 0.0, "no tf in it"),
+    "no tf": (plain(), 0.0, "no tf in the recording"),
     "map from odom": (
         together(odometry(frame="odom"), camera(), static(BASE), moving("map", "odom", 3.0)),
         3.0, "base_link in map, by tf",
@@ -229,7 +231,7 @@ FRAMES: dict[str, tuple[list[Sent], float, str]] = {
     ),
     "odometry elsewhere": (
         together(odometry(frame="visual"), camera(), static(BASE), moving("map", "base_link")),
-        0.0, "tf does not lead from visual to map",
+        0.0, "tf does not connect visual with map",
     ),
     "handheld": (
         together(camera(), static(("kinect", OPTICAL, MOUNT)), moving("world", "kinect")), 0.0,
@@ -255,7 +257,7 @@ def test_frames_are_followed_and_told(tmp_path, name):
 def test_sensors_that_tf_does_not_know_sit_where_the_configuration_says(tmp_path):
     sent = together(odometry(frame="odom"), camera(), moving("map", "odom", 1.0))
     seen = play(write_mcap(tmp_path / "robot.mcap", sent))
-    assert f"tf does not lead from base_link to {OPTICAL}" in seen.lines
+    assert f"tf does not connect base_link with {OPTICAL}" in seen.lines
     expected = CONFIG.sensors.camera.T_base_camera()
     np.testing.assert_allclose(seen.observations[-1].T_base_camera, expected)
 
@@ -287,25 +289,28 @@ def test_one_lidar_maps(tmp_path, cloud, used):
 @pytest.mark.parametrize(
     ("sent", "why"),
     [
-        (together(odometry()), "found no camera/depth, camera/rgb, camera/info; there are /odom"),
-        (together(camera()), "found no odom; there are"),
+        (
+            together(odometry()),
+            "found no camera/depth, camera/rgb, camera/info; the recording has /odom",
+        ),
+        (together(camera()), "found no odom; the recording has"),
         (
             [("/imu", "sensor_msgs/msg/Imu", 5, bytes(8))],
-            r"there are /imu \(sensor_msgs/msg/Imu, 1",
+            r"the recording has /imu \(sensor_msgs/msg/Imu, 1",
         ),
     ],
 )
 def test_what_is_missing_is_told_with_what_is_there(tmp_path, sent, why):
     with pytest.raises(RecordingError, match=why) as caught:
         play(write_mcap(tmp_path / "robot.mcap", sent))
-    assert "looked for camera/rgb, camera/depth, camera/info, odom" in str(caught.value)
+    assert "searched for camera/rgb, camera/depth, camera/info, odom" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_what_cannot_be_used_is_told_in_the_end(tmp_path):
     config = simulated({"ros2": {"mounts": "tf"}})
     sent = together(odometry(frame=""), camera(), static(BASE))
-    with pytest.raises(RecordingError, match=r"left out .*odom \(/odom\): 12 no_transform"):
+    with pytest.raises(RecordingError, match=r"dropped .*odom \(/odom\): 12 no_transform"):
         play(write_mcap(tmp_path / "robot.mcap", sent), config)
 
 
@@ -391,8 +396,8 @@ def _bytes(data: bytes):
     [
         (lambda path: path, "no such file"),
         (_bytes(b""), "empty"),
-        (_bytes(b"junk" * 100), "neither an MCAP file nor rosbag2's"),
-        (_bytes(b"#ROSBAG V2.0\n"), "a bag of ROS 1: convert it first"),
+        (_bytes(b"junk" * 100), "neither an MCAP file nor a rosbag2 file"),
+        (_bytes(b"#ROSBAG V2.0\n"), "a ROS 1 bag: convert it first"),
         (_bytes(b"SQLite format 3\0" + bytes(200)), "not a rosbag2 file"),
         (_bytes(b"\x28\xb5\x2f\xfdjunk"), "empty"),
         (_folder, "no recording in this folder"),
@@ -416,7 +421,7 @@ def test_a_folder_plays_without_the_files_that_are_missing(tmp_path):
     metadata.write_text(metadata.read_text().replace(f"- {name}", f"- ../{name}\n  - gone.db3"))
     seen = play(folder)
     assert seen.stamps == EVERY
-    assert "names gone.db3, which is not there" in seen.lines
+    assert "names gone.db3, but there is no such file" in seen.lines
 
 
 @pytest.mark.parametrize("data", [b"", b"SQLite format 3\0" + bytes(500)])

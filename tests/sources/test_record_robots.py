@@ -163,15 +163,15 @@ def test_a_topic_of_another_type_is_left_out_and_told(tmp_path, caplog):
         written = record(session, config, tmp_path / "robot.mcap", {"/tf"}, robot.see)
         robot.node.close()
     assert "/odom" not in written
-    assert "/tf: not recorded: it brings tf2_msgs/msg/TFMessage, not nav_msgs" in caplog.text
+    assert "/tf: not recorded: its type is tf2_msgs/msg/TFMessage, expected nav_msgs" in caplog.text
 
 
 @pytest.mark.parametrize(
     ("written", "code", "said"),
     [
-        ({}, 1, "nothing was heard at"),
-        ({"/odom": 5}, 1, "nothing was heard of camera/depth, camera/rgb, camera/info"),
-        ({"/camera/rgb": 5, "/camera/depth": 5, "/odom": 5}, 1, "heard of camera/info"),
+        ({}, 1, "nothing received at"),
+        ({"/odom": 5}, 1, "nothing received from camera/depth, camera/rgb, camera/info"),
+        ({"/camera/rgb": 5, "/camera/depth": 5, "/odom": 5}, 1, "received from camera/info"),
         ({"/camera/rgb/compressed": 5, "/camera/depth": 5, "/camera/info": 1, "/tf": 5}, 0, ""),
     ],
 )

@@ -154,5 +154,5 @@ def test_a_loop_plays_until_it_is_stopped(tmp_path):
 def test_a_loop_over_nothing_is_an_error(tmp_path):
     path = tmp_path / "empty.mcap"
     record_messages(path, [])
-    with pytest.raises(RecordingError, match="nothing in it"):
+    with pytest.raises(RecordingError, match="no message of a sensor in it"):
         recording.play(Tape(), Zenoh(), path, loop=True)

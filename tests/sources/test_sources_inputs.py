@@ -72,7 +72,7 @@ def test_the_one_input_that_comes_no_more_is_named_until_it_is_back(without):
     row = rows(robot)[without]
     assert (row.state, row.hz) == ("silent", 0.0)
     assert row.age_s == pytest.approx(3.0, abs=0.01)
-    assert f"no message any more on {without}" in lacking(robot.synchronizer.inputs.rows())
+    assert f"no more messages on {without}" in lacking(robot.synchronizer.inputs.rows())
     assert lacking(driven(robot, 3).synchronizer.inputs.rows()) == ""
 
 

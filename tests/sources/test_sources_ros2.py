@@ -241,7 +241,7 @@ def test_a_topic_of_another_type_is_told(robot, make, caplog):
         return source.counters["malformed"]
 
     eventually(told)
-    assert "/odom brings nav_msgs/msg/Odometry, not sensor_msgs/msg/Image or" in caplog.text
+    assert "/odom has type nav_msgs/msg/Odometry, expected sensor_msgs/msg/Image or" in caplog.text
 
 
 def test_no_message_of_a_stranger_is_more_than_counted(robot, make):

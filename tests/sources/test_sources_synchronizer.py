@@ -337,7 +337,7 @@ def through_a_lens(settings: dict, lens: Lens = LENS, rgb: str = RAW, depth: str
             RAW,
             "ignored",
             (False, False),
-            f"images are taken for rectified: {RECT} says so",
+            f"images are used as rectified: {RECT} has rect in its name",
         ),
         (
             "ignore",
@@ -345,7 +345,7 @@ def through_a_lens(settings: dict, lens: Lens = LENS, rgb: str = RAW, depth: str
             RAW,
             "ignored",
             (False, False),
-            "images are taken for rectified: source.distortion is ignore",
+            "images are used as rectified: source.distortion is ignore",
         ),
     ],
 )
@@ -425,7 +425,7 @@ def test_a_scan_in_a_hall_wider_than_its_range_is_no_empty_one(caplog, scan_inf,
     seen = robot.send(topics.SCAN, scan).wait().poll()
     assert (None if seen is None else seen.cloud_m.tolist()) == rows
     assert robot.drops == ({"empty": 1} if rows is None else {})
-    assert ("no beam measured anything" in caplog.text) == (rows is None)
+    assert ("no beam has a valid range" in caplog.text) == (rows is None)
 
 
 def test_an_empty_cloud_and_one_too_large():

@@ -167,10 +167,10 @@ def frames() -> Frames:
         ("odom", "elsewhere",
          "no transform from 'base_link' to 'elsewhere' in tf, which has no 'elsewhere'"),
         ("odom", "odom", "no transform from 'base_link' to 'odom' in tf"),
-        ("", "base_link", "header.frame_id is empty: the driver must name it, as odom"),
-        ("/", "base_link", "header.frame_id is '/': the driver must name it, as odom"),
+        ("", "base_link", "header.frame_id is empty: the driver must set it, as odom"),
+        ("/", "base_link", "header.frame_id is '/': the driver must set it, as odom"),
         ("odom", "",
-         "child_frame_id is empty: the driver must name the robot's frame, as base_link"),
+         "child_frame_id is empty: the driver must set it to the robot's frame, as base_link"),
     ],
 )  # fmt: skip
 def test_odometry_is_taken_into_the_map(frames, frame_id, child_frame_id, expected):

@@ -193,7 +193,7 @@ def fails(handler):
     ("behave", "message"),
     [
         (stalls, "no whole answer within 0.3 s; raise time_limit_s or use a faster model"),
-        (sends_100_mb, "the answer has more than 256 KB; check what runs there"),
+        (sends_100_mb, "the answer has more than 256 KB; is it a chat server?"),
         (fails, "answered HTTP 500: out of memory [2J"),
         (lambda h: send(h, b"<html>welcome</html>"), "the answer is not JSON"),
         (lambda h: send(h, b'{"choices": []}'), "the answer has no choices[0].message.content"),

@@ -1,4 +1,4 @@
-"""Who is there: the endpoints of a ROS 2 graph, as their liveliness tokens tell."""
+"""Endpoints of a ROS 2 graph, discovered by their liveliness tokens."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ _MOST = 8192
 
 
 class Graph:
-    """The endpoints of a domain, but for those of our own session; for one thread, which looks
-    now and then.
+    """The endpoints of a ROS 2 domain, without those of our own session; for one thread.
 
-    A token that goes unseen would be missed for good, so the ring has room for more of them than
-    a robot has; whoever sends more than that is told of, and not followed.
+    The ring has room for more tokens than a robot has, since a missed token is never sent again.
+    If there are more, a warning is logged once and the rest is ignored.
     """
 
     def __init__(self, session: zenoh.Session, domain: int) -> None:
@@ -26,22 +25,22 @@ class Graph:
         self._there: dict[str, Endpoint] = {}
         self._by_topic: dict[tuple[Kind, str], list[Endpoint]] = {}
         self._hashes: dict[str, str] = {}
-        self._told = False
+        self._warned = False
         self._tokens = session.liveliness().declare_subscriber(
             every_token(domain), zenoh.handlers.RingChannel(_MOST), history=True
         )
 
     def look(self) -> bool:
-        """Take in who came and went since the last look; whether anybody did."""
+        """Process the tokens since the last poll; return True if any endpoint changed."""
         changes = 0
         while changes < _MOST and (sample := self._tokens.try_recv()) is not None:
             changes += 1
             self._take(str(sample.key_expr), sample.kind == zenoh.SampleKind.DELETE)
         if changes == 0:
             return False
-        if changes == _MOST and not self._told:
-            self._told = True
-            log.warning("ros2: more than %d endpoints: some are not seen", _MOST)
+        if changes == _MOST and not self._warned:
+            self._warned = True
+            log.warning("ros2: more than %d endpoints: some are ignored", _MOST)
         self._index()
         return True
 
@@ -54,18 +53,18 @@ class Graph:
                 self._there[key] = endpoint
 
     def _index(self) -> None:
-        """Anew each time: a dead robot's hash must not outlive it, and changes are rare."""
+        """Rebuild the index: a dead robot's hash must not stay, and changes are rare."""
         self._by_topic, self._hashes = {}, {}
         for endpoint in self._there.values():
             self._by_topic.setdefault((endpoint.kind, endpoint.topic), []).append(endpoint)
             self._hashes.setdefault(endpoint.type, endpoint.hash)
 
     def endpoints(self, kind: Kind, topic: str) -> list[Endpoint]:
-        """Those of a topic or service."""
+        """Return the endpoints of a topic or service."""
         return self._by_topic.get((kind, topic), [])
 
     def hash_of(self, type_name: str) -> str | None:
-        """What the graph calls the hash of a type; None where neither it nor the table knows."""
+        """Return the hash of a type in this graph; None if neither graph nor table has it."""
         if type_name in self._hashes:
             return self._hashes[type_name]
         return NO_HASH if NO_HASH in self._hashes.values() else known_hash(type_name)

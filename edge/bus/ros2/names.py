@@ -1,8 +1,9 @@
-"""How rmw_zenoh writes things: keys of data, liveliness tokens, attachments, hashes of types; and
-how zenoh-bridge-ros2dds does, which is plainer.
+"""Naming schemes of a ROS 2 graph over Zenoh: rmw_zenoh and zenoh-bridge-ros2dds.
 
-Source: rmw_zenoh's docs/design.md and `liveliness_utils.cpp`, `attachment_helpers.cpp`;
-zenoh-plugin-ros2dds' `route_publisher.rs`, `route_service_srv.rs`.
+rmw_zenoh has keys with types, liveliness tokens, attachments and type hashes. The bridge uses plain
+topic names. Sources: rmw_zenoh's docs/design.md,
+`liveliness_utils.cpp`, `attachment_helpers.cpp`; zenoh-plugin-ros2dds' `route_publisher.rs`,
+`route_service_srv.rs`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 NO_HASH = "TypeHashNotSupported"
-"""What Humble, which knows no hashes, writes in their place."""
+"""Humble has no type hashes and writes this instead."""
 
 HASHES: dict[str, str] = {
     "geometry_msgs/msg/PoseStamped": (
@@ -51,15 +52,17 @@ HASHES: dict[str, str] = {
         "573d8b0a534451d7bc2ac8c5ffde8ac14b8593b7001175d0cd6516dcbeb8689a"
     ),
 }
-"""Of types that are the same in every distribution from Iron on; others are learned from tokens."""
+"""Type hashes that are equal in all distributions since Iron. Others are read from tokens."""
 
 Kind = Literal["NN", "MP", "MS", "SS", "SC"]
-"""Node, publisher, subscription, service, client."""
+"""Node, publisher, subscription, service server, service client."""
 KINDS: tuple[Kind, ...] = ("NN", "MP", "MS", "SS", "SC")
 
 RELIABLE, BEST_EFFORT, LATCHED = "::,10:,:,:,,", "2::,5:,:,:,,", ":1:,1:,:,:,,"
-"""Quality of service as a token has it: reliability:durability:history,depth:… ; a latched topic is
-transient local: who comes late gets the last message."""
+"""Quality of service in a token, reliability:durability:history,depth:…
+
+A latched topic is transient local: a late subscriber gets the last message.
+"""
 
 _ATTACHMENT = struct.Struct("<qqB16s")
 _LONGEST = 1000
@@ -67,12 +70,14 @@ _LONGEST = 1000
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """What a token says of a publisher, a subscription, a service or a client of one.
+    """A publisher, subscription, service server or service client, as its token describes it.
 
     Attributes:
-        zid: of its Zenoh session.
-        node: its name, with the namespace: `/bt_navigator`.
-        type: as ROS 2 writes it: `sensor_msgs/msg/Image`.
+        kind: see `Kind`.
+        zid: id of its Zenoh session.
+        node: its node with the namespace: `/bt_navigator`.
+        topic: topic or service, with a leading slash.
+        type: ROS 2 name: `sensor_msgs/msg/Image`.
         hash: `RIHS01_` and 64 hexadecimal digits, or `NO_HASH`.
     """
 
@@ -85,13 +90,14 @@ class Endpoint:
 
 
 def known_hash(type_name: str) -> str | None:
-    """From the table; None where distributions differ."""
+    """Return the hash of a type from the table; None if distributions differ."""
     digits = HASHES.get(type_name)
     return None if digits is None else f"RIHS01_{digits}"
 
 
 def dds_name(type_name: str) -> str:
-    """
+    """Return the DDS name of a ROS 2 type.
+
     >>> dds_name("sensor_msgs/msg/Image")
     'sensor_msgs::msg::dds_::Image_'
     """
@@ -100,7 +106,7 @@ def dds_name(type_name: str) -> str:
 
 
 def ros_name(dds: str) -> str:
-    """The inverse of `dds_name`; "" for what is no such name."""
+    """Invert `dds_name`; return "" for any other text."""
     parts = dds.split("::")
     if len(parts) != 4 or parts[2] != "dds_" or not parts[3].endswith("_"):
         return ""
@@ -108,29 +114,30 @@ def ros_name(dds: str) -> str:
 
 
 def data_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
-    """Where messages of a topic, or requests of a service, go."""
+    """Return the key to publish a topic or query a service."""
     return f"{domain}/{topic.lstrip('/')}/{dds_name(type_name)}/{type_hash}"
 
 
 def any_key(domain: int, topic: str) -> str:
-    """Where messages of a topic come, of whatever type; `type_of_key` says which."""
+    """Return the key expression of a topic's messages of any type (see `type_of_key`)."""
     return f"{domain}/{topic.lstrip('/')}/*/*"
 
 
 def type_of_key(key: str) -> str:
-    """The type of a message, from the key that it came under; "" for what is no such key."""
+    """Return the message type from the key of a message; "" if the key has none."""
     parts = key.rsplit("/", 2)
     return ros_name(parts[1]) if len(parts) == 3 else ""
 
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """How a graph is spoken to.
+    """The naming scheme of a graph.
 
     Attributes:
-        data_key: see the function of this name; so `any_key`.
-        has_tokens: whether who is there, and what types are called, can be read off the graph.
-            Without, messages and requests go out without attachments as well.
+        data_key: see the function of this name.
+        any_key: see the function of this name.
+        has_tokens: True if endpoints and type hashes can be read from the graph. If False,
+            messages and requests have no attachments either.
     """
 
     data_key: Callable[[int, str, str, str], str]
@@ -142,7 +149,7 @@ RMW_ZENOH = Dialect(data_key, any_key, has_tokens=True)
 
 
 def plain(prefix: str) -> Dialect:
-    """Names stay, behind a prefix, and domains are the business of who is at the other end."""
+    """Return a dialect of plain names behind a prefix; the other end handles the domain."""
     return Dialect(
         lambda domain, topic, type_name, type_hash: prefix + topic.lstrip("/"),
         lambda domain, topic: prefix + topic.lstrip("/"),
@@ -151,23 +158,23 @@ def plain(prefix: str) -> Dialect:
 
 
 BRIDGE = plain("")
-"""Of zenoh-bridge-ros2dds, which puts its own `namespace` before names, where it has one."""
+"""Dialect of zenoh-bridge-ros2dds. Its own `namespace` setting, if any, precedes the names."""
 
 
 def dialect_of(via: Literal["rmw_zenoh", "bridge", "adapter"], prefix: str) -> Dialect:
-    """By `ros2.via`; the adapter's keys lie below `zenoh.prefix`."""
+    """Return the dialect for `ros2.via`; the adapter's keys are below `zenoh.prefix`."""
     if via == "adapter":
         return plain(f"{prefix}/ros2/")
     return {"rmw_zenoh": RMW_ZENOH, "bridge": BRIDGE}[via]
 
 
 def node_token(domain: int, zid: str, nid: int, node: str) -> str:
-    """The token of a node in the root namespace."""
+    """Return the token of a node in the root namespace."""
     return f"@ros2_lv/{domain}/{zid}/{nid}/{nid}/NN/%/%/{node}"
 
 
 def endpoint_token(domain: int, nid: int, eid: int, endpoint: Endpoint, qos: str) -> str:
-    """The token of an endpoint of a node in the root namespace."""
+    """Return the token of an endpoint of a node in the root namespace."""
     node, topic = endpoint.node.lstrip("/"), endpoint.topic.replace("/", "%")
     return (
         f"@ros2_lv/{domain}/{endpoint.zid}/{nid}/{eid}/{endpoint.kind}/%/%/{node}/{topic}/"
@@ -180,7 +187,7 @@ def every_token(domain: int) -> str:
 
 
 def parse_token(key: str) -> Endpoint | None:
-    """What a token says; None for a node's, and for what is no token."""
+    """Parse an endpoint's token; None for a node's token and for anything else."""
     parts = key.split("/")
     if len(parts) != 13 or parts[0] != "@ros2_lv" or len(key) > _LONGEST:
         return None
@@ -194,5 +201,5 @@ def parse_token(key: str) -> Endpoint | None:
 
 
 def attachment(sequence: int, time_ns: int, gid: bytes) -> bytes:
-    """What goes with every message and request; `gid`: 16 bytes that name its endpoint."""
+    """Return the attachment of a message or request; `gid`: 16 bytes that name its endpoint."""
     return _ATTACHMENT.pack(sequence, time_ns, len(gid), gid)

@@ -1,9 +1,9 @@
-"""A node of a ROS 2 graph, with publishers, subscriptions and clients of services.
+"""A node of a ROS 2 graph, with publishers, subscriptions and service clients.
 
-In a graph that speaks rmw_zenoh every endpoint has a token, by which `ros2 topic list` shows it,
-and which names its type's hash. That hash differs between distributions, so endpoints are declared
-anew once the graph shows another than was thought. Beside a bridge or the adapter there is neither,
-and whether somebody is there is what Zenoh's routing says.
+In rmw_zenoh every endpoint has a token, which names its type's hash; `ros2 topic list` shows it.
+The hash differs between distributions, so endpoints are declared again when the graph shows another
+one. With the bridge or the adapter there are no tokens and hashes; Zenoh's own matching shows
+if there is a subscriber or server.
 """
 
 from __future__ import annotations
@@ -24,17 +24,20 @@ from edge.bus.session import Ring
 from edge.config import Config
 
 _IDS = itertools.count()  # of nodes and endpoints, in this process
-_LOOK_S = 0.2
+_POLL_S = 0.2
 
 
 class Node:
-    """For one thread. `look` must be called now and then.
+    """A node; for one thread, which must call `look` periodically.
 
     Args:
+        session: an open session.
+        domain: ROS 2 domain id.
         name: in the root namespace.
+        dialect: the naming scheme of the graph.
 
     Attributes:
-        graph: who else is there; None where nobody can tell.
+        graph: the other endpoints; None if the dialect has no tokens.
     """
 
     def __init__(
@@ -44,7 +47,7 @@ class Node:
         self.zid = str(session.info.zid())
         self.nid = next(_IDS)
         self.graph = Graph(session, domain) if dialect.has_tokens else None
-        self._looked_s = 0.0
+        self._polled_s = 0.0
         self._endpoints: list[_Declared] = []
         self._token: zenoh.LivelinessToken | None = None
         if dialect.has_tokens:
@@ -52,29 +55,29 @@ class Node:
             self._token = session.liveliness().declare_token(token)
 
     def look(self) -> None:
-        """Take in who came and went; endpoints follow what others call their types."""
+        """Update the graph, and declare endpoints again whose type changed in it."""
         if self.graph is None:
             return
         now_s = time.monotonic()
-        if now_s - self._looked_s < _LOOK_S:
+        if now_s - self._polled_s < _POLL_S:
             return
-        self._looked_s = now_s
+        self._polled_s = now_s
         if self.graph.look():
             for endpoint in self._endpoints:
                 endpoint.settle()
 
     def publisher(self, topic: str, type_name: str, latched: bool = False) -> Publisher:
-        """See `Publisher`."""
+        """Add a publisher; see `Publisher`."""
         return self._add(Publisher(self, topic, type_name, latched))
 
     def subscription(
         self, topic: str, types: Sequence[str], kept: int, latched: bool = False
     ) -> Subscription:
-        """See `Subscription`."""
+        """Add a subscription; see `Subscription`."""
         return self._add(Subscription(self, topic, types, kept, latched))
 
     def client(self, service: str, type_name: str, timeout_s: float) -> Client:
-        """See `Client`."""
+        """Add a service client; see `Client`."""
         return self._add(Client(self, service, type_name, timeout_s))
 
     def close(self) -> None:
@@ -86,7 +89,7 @@ class Node:
             self.graph.close()
 
     def others(self, kind: Kind, topic: str) -> list[Endpoint]:
-        """The endpoints of a topic, but for those of this session; none where nobody can tell."""
+        """Return the endpoints of a topic in other sessions; empty without a graph."""
         return [] if self.graph is None else self.graph.endpoints(kind, topic)
 
     def _add(self, endpoint: Any) -> Any:
@@ -96,17 +99,17 @@ class Node:
 
 
 def open_node(config: Config, session: zenoh.Session, part: str) -> Node:
-    """A node of ours, as `ros2` has it; `part` says whose it is."""
+    """Open a node as `ros2` of the configuration says; `part` is the suffix of its name."""
     settings = config.ros2
     dialect = dialect_of(settings.via, config.zenoh.prefix)
     return Node(session, settings.domain, f"{settings.node}_{part}", dialect)
 
 
 class _Declared:
-    """What all endpoints share: a token, which follows its type's name and hash.
+    """Base of all endpoints: a token that follows the graph's type name and hash.
 
     Attributes:
-        hash: of the type, as it was declared; None before it is known.
+        hash: the declared hash of the type; None before it is known.
     """
 
     def __init__(self, node: Node, kind: Kind, topic: str, type_name: str, qos: str) -> None:
@@ -118,7 +121,7 @@ class _Declared:
         self._gid = bytes(16)
 
     def settle(self) -> None:
-        """Declare, or declare anew, where the graph calls the type otherwise than so far."""
+        """Declare the endpoint, or declare it again if the graph has another type or hash."""
         node, type_name = self.node, self.wanted_type()
         type_hash = "" if node.graph is None else node.graph.hash_of(type_name)
         if type_hash is None or (type_name, type_hash) == (self.type, self.hash):
@@ -140,14 +143,14 @@ class _Declared:
         return self.type
 
     def key(self) -> str:
-        """Where its messages or requests go; the hash must be known."""
+        """Return the key of its messages or requests; the hash must be known."""
         return self.node.dialect.data_key(self.node.domain, self.topic, self.type, self.hash or "")
 
     def declare(self) -> None:
-        """Open what the token promises, in the place of what was open."""
+        """Open the Zenoh entity that the token announces, and close the previous one."""
 
     def attachment(self) -> bytes | None:
-        """For the next message or request."""
+        """Return the attachment of the next message or request."""
         if not self.node.dialect.has_tokens:
             return None
         self._sequence += 1
@@ -162,8 +165,11 @@ class Publisher(_Declared):
     """Publishes payloads of one type.
 
     Args:
-        latched: who subscribes late, as transient local, gets the last message. Beside a bridge or
-            the adapter, these keep it themselves, from when they first heard it.
+        node: the node it belongs to.
+        topic: topic with a leading slash.
+        type_name: ROS 2 name.
+        latched: transient local: a late subscriber gets the last message. The bridge and the
+            adapter keep that message themselves, from the first one they receive.
     """
 
     def __init__(self, node: Node, topic: str, type_name: str, latched: bool) -> None:
@@ -172,14 +178,14 @@ class Publisher(_Declared):
         self._publisher: zenoh.Publisher | ext.AdvancedPublisher | None = None
 
     def put(self, payload: bytes) -> None:
-        """Send; before the type's hash is known, as nobody can be there, it only keeps the last."""
+        """Publish. Before the type's hash is known, a latched publisher only keeps the payload."""
         if self._latched:
             self._last = payload
         if self._publisher is not None:
             self._publisher.put(payload, attachment=self.attachment())
 
     def heard(self) -> bool:
-        """Whether somebody subscribes; of latched topics nobody asks."""
+        """Return True if there is a subscriber; do not use it for latched topics."""
         if self.node.graph is None:
             return self._publisher is not None and self._publisher.matching_status.matching
         return bool(self.node.others("MS", self.topic))
@@ -187,7 +193,7 @@ class Publisher(_Declared):
     def declare(self) -> None:
         self._undeclare()
         key = self.key()
-        # As rmw_zenoh does for what is reliable and keeps the last few.
+        # The settings of rmw_zenoh for reliable topics that keep the last few messages.
         drop = zenoh.CongestionControl.DROP
         if not (self._latched and self.node.dialect.has_tokens):
             self._publisher = self.node.session.declare_publisher(
@@ -212,12 +218,14 @@ class Publisher(_Declared):
 
 
 class Subscription(_Declared):
-    """The newest messages of a topic, of any of some types; best effort, as sensors want it.
+    """The newest messages of a topic, of several types; best effort, as usual for sensors.
 
     Args:
-        types: what is understood; the first is announced as long as nobody publishes another.
+        node: the node it belongs to.
+        topic: topic with a leading slash.
+        types: accepted types. The first is announced until another one has a publisher.
         kept: see `edge.bus.session.Ring`.
-        latched: also what was published before.
+        latched: also receive messages published before.
     """
 
     def __init__(
@@ -231,14 +239,14 @@ class Subscription(_Declared):
 
     @property
     def overruns(self) -> int:
-        """See `edge.bus.session.Ring`."""
+        """Number of overruns; see `edge.bus.session.Ring`."""
         return self._ring.overruns
 
     def take(self) -> list[tuple[str, zenoh.ZBytes]]:
-        """(type, payload) of what came since the last look, oldest first.
+        """Return (type, payload) of the messages since the last poll, oldest first.
 
-        The type is what the key says: any, also one that is not understood. Where keys say
-        nothing, it is the one that is announced.
+        The type comes from the key and may be one that was not asked for. Without types in keys it
+        is the announced type.
         """
         samples = self._ring.take()
         if self.node.graph is None:
@@ -257,7 +265,7 @@ class Subscription(_Declared):
 
 
 class _LatchedRing(Ring):
-    """With what publishers keep for who comes late."""
+    """A ring that also receives the messages that publishers keep for late subscribers."""
 
     def _declare(self, session: zenoh.Session, key: str, ring: Any) -> Any:
         history = ext.HistoryConfig(detect_late_publishers=True)
@@ -265,7 +273,7 @@ class _LatchedRing(Ring):
 
 
 class Client(_Declared):
-    """Asks a service; nothing waits for the answer but who polls it."""
+    """Calls a service without blocking; the caller polls the answer."""
 
     def __init__(self, node: Node, service: str, type_name: str, timeout_s: float) -> None:
         super().__init__(node, "SC", service, type_name, names.RELIABLE)
@@ -273,16 +281,16 @@ class Client(_Declared):
         self._querier: zenoh.Querier | None = None
 
     def served(self) -> bool:
-        """Whether the service is there, and how it is asked."""
+        """Return True if the service has a server and its type is known."""
         if self._querier is None or not self._querier.matching_status.matching:
             return False
         return self.node.graph is None or bool(self.node.others("SS", self.topic))
 
     def ask(self, payload: bytes) -> Answer:
-        """Send a request. Its answer is over at once where the type's hash is unknown."""
+        """Send a request. The answer is over at once if the type's hash is unknown."""
         if self._querier is None:
             return Answer(None)
-        # No ring: its last words are lost when the other side has nothing more to say.
+        # Not a ring: it loses its last replies when the other side finishes.
         channel = zenoh.handlers.FifoChannel(4)
         return Answer(self._querier.get(channel, payload=payload, attachment=self.attachment()))
 
@@ -303,10 +311,10 @@ class Client(_Declared):
 
 
 class Answer:
-    """What a service says to one request.
+    """The pending answer of a service to one request.
 
     Attributes:
-        over: nothing more will come: it was polled, or nobody answered, or with an error.
+        over: True if no more will come: the answer was polled, is an error, or never came.
     """
 
     def __init__(self, replies: Any) -> None:
@@ -317,12 +325,12 @@ class Answer:
         return self._replies is None
 
     def poll(self) -> bytes | None:
-        """The answer, once; never blocks."""
+        """Return the answer, once; never blocks."""
         if self._replies is None:
             return None
         try:
             reply = self._replies.try_recv()
-        except zenoh.ZError:  # all has come that will
+        except zenoh.ZError:  # the channel is closed and empty
             self._replies = None
             return None
         if reply is None:

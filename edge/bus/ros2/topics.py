@@ -1,4 +1,4 @@
-"""What a robot's topics and its action are in ROS 2, by the names that `ros2.topics` has."""
+"""ROS 2 types of a robot's topics and action, by their names in `ros2.topics`."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _SENSORS = (
 _TF = "tf2_msgs/msg/TFMessage"
 _IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 COMPRESSED_ENDINGS = ("/compressed", "/compressedDepth")
-"""Endings of a topic of pictures that image_transport compresses."""
+"""Suffixes of compressed image topics of image_transport."""
 
 HEARD: dict[str, str] = {t.key: full_name(t.type) for t in _SENSORS} | {"tf": _TF, "tf_static": _TF}
-"""The type of each topic that the robot publishes."""
+"""Type of each topic that the robot publishes."""
 SAID: dict[str, str] = {
     "goal": "geometry_msgs/msg/PoseStamped",
     "map": "nav_msgs/msg/OccupancyGrid",
@@ -22,17 +22,18 @@ SAID: dict[str, str] = {
     "trajectory": "nav_msgs/msg/Path",
     "markers": "visualization_msgs/msg/MarkerArray",
 }
-"""The type of each topic that we publish."""
+"""Type of each topic that this service publishes."""
 LATCHED = frozenset({"tf_static", "map", "trajectory"})
-"""Transient local: who comes late gets what was said before."""
+"""Transient local topics: a late subscriber gets the last message."""
 NAVIGATE_TO_POSE = "nav2_msgs/action/NavigateToPose"
 
 
 def heard_types(name: str, ros_name: str) -> tuple[str, ...]:
-    """What is understood of a topic of `HEARD`, the likeliest first.
+    """Return the accepted types of a topic of `HEARD`, the most likely first.
 
     Args:
-        ros_name: those of image_transport say by their ending what they bring.
+        name: key in `HEARD`.
+        ros_name: the topic; its suffix shows if images are compressed by image_transport.
     """
     if HEARD[name] != _IMAGE:
         return (HEARD[name],)

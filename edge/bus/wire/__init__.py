@@ -1,4 +1,4 @@
-"""The binary format on the wire: ROS 2 messages as CDR (see `edge.bus.wire.messages`)."""
+"""Wire format: ROS 2 messages as CDR (see `edge.bus.wire.messages`)."""
 
 from edge.bus.wire.cdr import DecodeError
 

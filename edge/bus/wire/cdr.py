@@ -1,4 +1,4 @@
-"""CDR little-endian (the header `00 01 00 00`), read with bounds checks and written."""
+"""Reader, with bounds checks, and writer of little-endian CDR (header `00 01 00 00`)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ STAMP = struct.Struct("<iI")
 
 
 class DecodeError(ValueError):
-    """A payload that is not what its topic promises; one line."""
+    """A payload does not match its topic's type; the message is one line."""
 
 
 class Reader:
-    """Walks over one payload; whatever lies outside of it is a DecodeError, never memory.
+    """Reads one payload field by field; a read outside the payload raises DecodeError.
 
     >>> Reader(HEADER + U32.pack(7)).read(U32, 4)
     (7,)
@@ -35,7 +35,10 @@ class Reader:
         self._size = len(payload)
 
     def _take(self, size: int, align: int) -> int:
-        """Where the next `size` bytes begin; moves past them. Alignment counts after the header."""
+        """Return the offset of the next `size` bytes and skip them.
+
+        The alignment counts from the end of the header.
+        """
         begin = self.at + (-(self.at - len(HEADER))) % align
         if size > self._size - begin:
             raise DecodeError(f"truncated: {size} bytes wanted at {begin} of {self._size}")
@@ -43,16 +46,16 @@ class Reader:
         return begin
 
     def read(self, layout: struct.Struct, align: int) -> tuple:
-        """The fields of `layout`, which has no padding inside and begins aligned to `align`."""
+        """Return the fields of `layout`, which has no padding and is aligned to `align`."""
         return layout.unpack_from(self.payload, self._take(layout.size, align))
 
     @property
     def left(self) -> int:
-        """Bytes that were not read."""
+        """Number of unread bytes."""
         return self._size - self.at
 
     def skip(self, size: int, align: int) -> None:
-        """Move past a field that nobody asks for."""
+        """Skip a field."""
         self._take(size, align)
 
     def string(self) -> str:
@@ -64,7 +67,7 @@ class Reader:
             raise DecodeError(f"not UTF-8: the string at {begin}") from None
 
     def sequence(self, item_size: int) -> tuple[int, int]:
-        """(count, offset of the first item) of a sequence of numbers; moves past it."""
+        """Return (count, offset of the first item) of a sequence of numbers, and skip it."""
         (count,) = self.read(U32, 4)
         return count, self._take(count * item_size, item_size if count else 1)
 
@@ -75,7 +78,7 @@ class Reader:
         return seconds * 1_000_000_000 + nanoseconds
 
     def header(self) -> tuple[int, str]:
-        """std_msgs/Header as (stamp_ns, frame_id)."""
+        """Read std_msgs/Header as (stamp_ns, frame_id)."""
         return self.stamp_ns(), self.string()
 
 
@@ -109,16 +112,16 @@ class Writer:
         return self.stamp_ns(stamp_ns).string(frame_id)
 
     def block(self, align: int, data: memoryview) -> Writer:
-        """Items that are laid out as the wire has them."""
+        """Append items that are already in wire format."""
         self._buffer += bytes(-(len(self._buffer) - len(HEADER)) % align)
         self._buffer += data
         return self
 
     def floats(self, values: Sequence[float], code: str) -> Writer:
-        """A fixed array of `f` (float32) or `d` (float64)."""
+        """Append a fixed array of `f` (float32) or `d` (float64)."""
         layout = struct.Struct(f"<{len(values)}{code}")
         return self.write(layout, 4 if code == "f" else 8, *values)
 
     def bytes(self, tail: bytes | memoryview = b"") -> bytes:
-        """The payload, `tail` (such as an image's pixels) behind what was written: one copy."""
+        """Return the payload with `tail`, such as image pixels, at its end; makes one copy."""
         return b"".join((self._buffer, tail))

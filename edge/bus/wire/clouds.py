@@ -1,4 +1,4 @@
-"""sensor_msgs/PointCloud2 and LaserScan, decoded into preallocated points."""
+"""Codecs of sensor_msgs/PointCloud2 and LaserScan, decoded into preallocated points."""
 
 from __future__ import annotations
 
@@ -15,19 +15,18 @@ _HEIGHT_WIDTH = struct.Struct("<II")
 _SCAN = struct.Struct("<7f")
 _FLOAT32 = 7
 _MAX_FIELDS = 64
-_FARTHEST_M = 0.5 * FARTHEST_M  # the map takes no end of a beam beyond FARTHEST_M
+_FARTHEST_M = 0.5 * FARTHEST_M  # the map rejects end points of beams beyond FARTHEST_M
 
 
 def encode_point_cloud(stamp_ns: int, frame_id: str, points_m: np.ndarray) -> bytes:
-    """sensor_msgs/PointCloud2 of (n, 3) float32 points: x, y, z and nothing else."""
+    """Encode sensor_msgs/PointCloud2 of (n, 3) float32 points with fields x, y, z only."""
     return b"".join(cloud_parts(stamp_ns, frame_id, points_m))
 
 
 def cloud_parts(
     stamp_ns: int, frame_id: str, points_m: np.ndarray
 ) -> tuple[bytes, memoryview, bytes]:
-    """What `encode_point_cloud` puts together; the second part is the points' memory, if it
-    can be."""
+    """Return the parts of `encode_point_cloud`. The second is a view of the points if possible."""
     points = np.ascontiguousarray(points_m, dtype=np.float32)
     n = len(points)
     writer = Writer().header(stamp_ns, frame_id).write(_HEIGHT_WIDTH, 4, 1, n).write(U32, 4, 3)
@@ -39,11 +38,11 @@ def cloud_parts(
 
 
 def _at_most(n: int) -> str:
-    return f"at most {n} are taken: raise source.max_cloud_points"
+    return f"at most {n} are allowed: raise source.max_cloud_points"
 
 
 def _xyz_offsets(reader: Reader) -> tuple[int, int, int]:
-    """Where x, y and z lie in a point, from the message's list of fields."""
+    """Return the offsets of x, y and z in a point, from the message's list of fields."""
     (count,) = reader.read(U32, 4)
     if count > _MAX_FIELDS:
         raise DecodeError(f"cloud with {count} fields")
@@ -63,13 +62,15 @@ def _xyz_offsets(reader: Reader) -> tuple[int, int, int]:
 def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, whole: bool = False) -> int:
     """Write the points of a sensor_msgs/PointCloud2 into `out_m` (cap, 3) float32.
 
-    Any layout of fields with float32 x, y, z is taken.
+    The message may have any layout of fields with float32 x, y, z.
 
     Args:
-        whole: take points with NaN or inf, too.
+        payload: the message.
+        out_m: the points in metres, in the message's frame.
+        whole: also write points with NaN or inf.
 
     Returns:
-        How many points were written.
+        The number of points written.
 
     Raises:
         DecodeError: malformed, or more points than `cap`.
@@ -110,9 +111,9 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, whole: bool = Fal
 class LaserScan:
     """sensor_msgs/LaserScan; beam i points at angle_min + i * angle_increment, left positive.
 
-    `ranges_m` (n,) float32 is a read-only view of the payload. A hit lies in
-    [range_min, range_max). +inf, range_max and more mean that nothing is within range_max. -inf,
-    NaN and less than range_min are no measurement (REP 117).
+    `ranges_m` (n,) float32 is a read-only view of the payload. A hit is in [range_min, range_max).
+    +inf or range_max and more: no obstacle within range_max. -inf, NaN or less than range_min: no
+    measurement (REP 117).
     """
 
     stamp_ns: int
@@ -132,7 +133,7 @@ def encode_laser_scan(
     range_max_m: float,
     ranges_m: np.ndarray,
 ) -> bytes:
-    """sensor_msgs/LaserScan of (n,) ranges; `range_max_m` or more means no return."""
+    """Encode sensor_msgs/LaserScan of (n,) ranges; `range_max_m` or more means no return."""
     ranges = np.ascontiguousarray(ranges_m, dtype=np.float32)
     last = angle_min_rad + max(len(ranges) - 1, 0) * angle_increment_rad
     writer = Writer().header(stamp_ns, frame_id)
@@ -143,7 +144,7 @@ def encode_laser_scan(
 
 
 def decode_laser_scan(payload: bytes) -> LaserScan:
-    """A sensor_msgs/LaserScan; its intensities are not read."""
+    """Decode a sensor_msgs/LaserScan without its intensities."""
     reader = Reader(payload)
     stamp_ns, frame_id = reader.header()
     first, last, increment, _, _, range_min, range_max = reader.read(_SCAN, 4)
@@ -156,13 +157,15 @@ def decode_laser_scan(payload: bytes) -> LaserScan:
 
 
 def decode_scan_points_into(payload: bytes, out_m: np.ndarray, free: bool = False) -> int:
-    """Write the hits of a sensor_msgs/LaserScan into `out_m` (cap, 3) float32, in its own plane.
+    """Write the hits of a sensor_msgs/LaserScan into `out_m` (cap, 3) float32, in the scan's frame.
 
     Args:
-        free: write beams that met nothing, too, as (x, y, inf): see `kernels.scan_points`.
+        payload: the message.
+        out_m: the points in metres.
+        free: also write beams without a hit, as (x, y, inf): see `kernels.scan_points`.
 
     Returns:
-        How many rows were written.
+        The number of rows written.
 
     Raises:
         DecodeError: malformed, or more beams than `cap`.

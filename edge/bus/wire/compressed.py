@@ -1,7 +1,7 @@
-"""sensor_msgs/CompressedImage: JPEG and PNG pictures, and depth as PNG.
+"""Codec of sensor_msgs/CompressedImage: JPEG and PNG images, and depth as PNG.
 
-How large a picture is stands in its own first bytes: it is read there, and compared with what is
-expected, before a decoder allocates anything for it.
+The image size is read from the first bytes of the JPEG or PNG and compared with the expected size
+before a decoder allocates memory.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _NO_FRAMES = (0xC4, 0xC8, 0xCC)
 _SCAN = 0xDA
 _MOST_SEGMENTS = 64
 _MOST_SCANS = 100
-# What compressed_depth_image_transport puts before the PNG: how depth became 16 bits.
+# compressed_depth_image_transport puts it before the PNG: how depth was quantized to 16 bits.
 _DEPTH_HEADER = struct.Struct("<iff")
 _AS_IT_IS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
@@ -38,13 +38,13 @@ Content = Literal["colour", "16UC1", "inverse"]
 
 @dataclass(frozen=True, slots=True)
 class CompressedHeader:
-    """What a compressed image says of itself.
+    """The header of a compressed image.
 
     Attributes:
-        begin: where the JPEG or PNG begins in the payload; `end` likewise.
-        content: `16UC1`: depth as such; `inverse`: 32FC1, quantized: a value v > 0 stands for
-            `a / (v - b)` metres (compressed_depth_image_transport).
-        is_rgb: the encoder was handed RGB where BGR is meant (`…; jpeg compressed rgb8`).
+        begin: offset of the JPEG or PNG in the payload; `end` likewise.
+        content: `colour`; `16UC1`: plain depth; `inverse`: quantized 32FC1 depth: a value v > 0
+            stands for `a / (v - b)` metres (compressed_depth_image_transport).
+        is_rgb: True if the encoder got RGB in place of BGR (`…; jpeg compressed rgb8`).
     """
 
     stamp_ns: int
@@ -60,13 +60,13 @@ class CompressedHeader:
 
 
 def decode_compressed_header(payload: bytes) -> CompressedHeader:
-    """The header of a sensor_msgs/CompressedImage.
+    """Decode the header of a sensor_msgs/CompressedImage.
 
-    `format` is what image_transport writes: `jpeg`, `png`, `rgb8; jpeg compressed bgr8`,
+    `format` is as image_transport writes it: `jpeg`, `png`, `rgb8; jpeg compressed bgr8`,
     `16UC1; png compressed`, `16UC1; compressedDepth png`, `32FC1; compressedDepth png`.
 
     Raises:
-        DecodeError: malformed, neither JPEG nor PNG (RVL, for one), or depth that is no 16-bit PNG.
+        DecodeError: malformed, neither JPEG nor PNG (such as RVL), or depth that is no 16-bit PNG.
     """
     reader = Reader(payload)
     stamp_ns, frame_id = reader.header()
@@ -91,7 +91,7 @@ def decode_compressed_header(payload: bytes) -> CompressedHeader:
 
 
 def encode_jpeg(stamp_ns: int, frame_id: str, rgb: np.ndarray, quality: int) -> bytes:
-    """sensor_msgs/CompressedImage of (h, w, 3) uint8 RGB."""
+    """Encode (h, w, 3) uint8 RGB as a JPEG in a sensor_msgs/CompressedImage."""
     bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
     _, jpeg = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, quality))
     writer = Writer().header(stamp_ns, frame_id).string("jpeg").write(U32, 4, len(jpeg))
@@ -99,7 +99,7 @@ def encode_jpeg(stamp_ns: int, frame_id: str, rgb: np.ndarray, quality: int) -> 
 
 
 def _size_of(payload: bytes, begin: int, end: int, words: str) -> tuple[int, int, int]:
-    """(height, width, bits a channel) of a JPEG or a PNG, from its own first bytes."""
+    """Return (height, width, bits per channel) of a JPEG or PNG from its first bytes."""
     if payload[begin : begin + 8] == _PNG and end - begin >= 8 + 4 + _IHDR.size:
         name, width, height, bits = _IHDR.unpack_from(payload, begin + 12)
         if name == b"IHDR":
@@ -111,10 +111,10 @@ def _size_of(payload: bytes, begin: int, end: int, words: str) -> tuple[int, int
 
 
 def _check_chunks(payload: bytes, at: int, end: int) -> None:
-    """Raises DecodeError for a PNG whose chunks do not lie in the payload.
+    """Raise DecodeError for a PNG with chunks that exceed the payload, or an animation.
 
-    OpenCV makes room for a chunk as long as it says it is, up to 4 GB, before it looks for it. An
-    animation's frames have sizes of their own.
+    OpenCV allocates the length a chunk declares, up to 4 GB, before it reads the chunk. The frames
+    of an animation have their own sizes.
     """
     while at + _CHUNK.size + _CHECKSUM <= end:
         length, name = _CHUNK.unpack_from(payload, at)
@@ -129,7 +129,7 @@ def _check_chunks(payload: bytes, at: int, end: int) -> None:
 
 
 def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:
-    """See `_size_of`; walks over the segments before the pixels, which must come to an end."""
+    """Return `_size_of` for a JPEG: walk over the segments before the pixels, to their end."""
     size = None
     for _ in range(_MOST_SEGMENTS):
         if at + _SEGMENT.size + _FRAME.size > end:
@@ -143,7 +143,7 @@ def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:
         if kind == _SCAN:
             if size is None or payload.rfind(_JPEG_END, at, end) < 0:
                 break
-            # Each costs as much as the whole picture: a small file can hold enough for minutes.
+            # A scan costs as much as a whole image; a small file can hold minutes of them.
             if payload.count(_JPEG_SCAN, at, end) > _MOST_SCANS:
                 raise DecodeError(f"JPEG of more than {_MOST_SCANS} scans")
             return size
@@ -154,16 +154,19 @@ def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:
 def decode_compressed_into(
     payload: bytes, header: CompressedHeader, out: np.ndarray, unit_m: float | None = None
 ) -> None:
-    """Write the picture into `out`: (h, w, 3) uint8 as RGB, or (h, w) float32 metres, 0 or NaN
-    where there was no return.
+    """Decode an image into `out`: (h, w, 3) uint8 RGB, or (h, w) float32 metres.
+
+    Depth is 0 or NaN if there was no return. The decoder allocates one image of the size of `out`,
+    because OpenCV cannot decode in place.
 
     Args:
+        payload: the message.
+        header: its header.
+        out: array to write.
         unit_m: see `decode_image_into`.
 
-    The decoder allocates a picture of its own, which is as large as `out`: OpenCV offers no other.
-
     Raises:
-        DecodeError: broken, or not what `out` takes.
+        DecodeError: corrupt, or it does not match `out`.
     """
     if out.shape[:2] != (header.height, header.width):
         height, width = out.shape[:2]
@@ -178,7 +181,7 @@ def decode_compressed_into(
     except cv2.error:
         picture = None
     if picture is None or picture.shape != out.shape:
-        raise DecodeError(f"broken picture of {len(data)} bytes")
+        raise DecodeError(f"corrupt image of {len(data)} bytes")
     if colour:
         if header.is_rgb:
             np.copyto(out, picture)
@@ -194,7 +197,7 @@ def decode_compressed_into(
 
 
 def _pixels_of(header: CompressedHeader) -> ImageHeader:
-    """The header of the picture as it lies in memory."""
+    """Return an `ImageHeader` of the decoded image in memory."""
     h, w = header.height, header.width
     return ImageHeader(
         header.stamp_ns, header.frame_id, h, w, "16UC1", 2 * w, 0, sys.byteorder == "big"

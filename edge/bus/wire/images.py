@@ -1,4 +1,4 @@
-"""sensor_msgs/Image, decoded straight into preallocated arrays."""
+"""Codec of sensor_msgs/Image, decoded directly into preallocated arrays."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from edge.bus.wire.cdr import U8, U32, DecodeError, Reader, Writer
 
 _HEIGHT_WIDTH = struct.Struct("<II")
 
-# Encoding: bytes a pixel, and channels.
+# Encoding: bytes per pixel, and channels.
 _LAYOUTS = {
     "rgb8": (3, 3), "bgr8": (3, 3), "rgba8": (4, 4), "bgra8": (4, 4), "mono8": (1, 1),
     "16UC1": (2, 1), "mono16": (2, 1), "32FC1": (4, 1),
@@ -27,13 +27,15 @@ _TO_RGB = {
 _ENCODING_OF = {("uint8", 3): "rgb8", ("uint16", 2): "16UC1", ("float32", 2): "32FC1"}
 M_PER_MM = 0.001
 _NO_DEPTH = np.uint16(64_000)
-"""16-bit numbers from here on measure nothing, in any unit: many drivers send 65535 for no return,
-and time-of-flight sensors number their faults from 64001 on."""
+"""16-bit depth from this value on is invalid, in any unit.
+
+Many drivers send 65535 for no return; time-of-flight sensors use 64001 and more for errors.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class ImageHeader:
-    """What an image message says of itself, checked against the payload's size."""
+    """The header of an image message, checked against the payload's size."""
 
     stamp_ns: int
     frame_id: str
@@ -46,16 +48,22 @@ class ImageHeader:
 
 
 def encode_image(stamp_ns: int, frame_id: str, array: np.ndarray) -> bytes:
-    """sensor_msgs/Image of (h, w, 3) uint8 (rgb8), (h, w) uint16 (16UC1) or float32 (32FC1).
+    """Encode (h, w, 3) uint8 (rgb8), (h, w) uint16 (16UC1) or float32 (32FC1) as sensor_msgs/Image.
 
     Raises:
-        ValueError: an array of another kind.
+        ValueError: the array has another type or shape.
+
+    Example:
+        >>> payload = encode_image(0, "camera", np.zeros((2, 3), np.uint16))
+        >>> header = decode_image_header(payload)
+        >>> header.encoding, header.height, header.width
+        ('16UC1', 2, 3)
     """
     return b"".join(image_parts(stamp_ns, frame_id, array))
 
 
 def image_parts(stamp_ns: int, frame_id: str, array: np.ndarray) -> tuple[bytes, memoryview]:
-    """What `encode_image` puts together; the second part is the array's memory, if it can be."""
+    """Return the parts of `encode_image`. The second is a view of the array if possible."""
     encoding = _ENCODING_OF.get((array.dtype.name, array.ndim))
     if encoding is None or (array.ndim == 3 and array.shape[2] != 3):
         raise ValueError(f"no image encoding for {array.dtype} {array.shape}")
@@ -69,7 +77,7 @@ def image_parts(stamp_ns: int, frame_id: str, array: np.ndarray) -> tuple[bytes,
 
 
 def decode_image_header(payload: bytes) -> ImageHeader:
-    """The header of a sensor_msgs/Image; the pixels are known to lie inside the payload."""
+    """Decode the header of a sensor_msgs/Image and check that the pixels are in the payload."""
     reader = Reader(payload)
     stamp_ns, frame_id = reader.header()
     height, width = reader.read(_HEIGHT_WIDTH, 4)
@@ -81,7 +89,7 @@ def decode_image_header(payload: bytes) -> ImageHeader:
     if layout is None:
         raise DecodeError(f"image encoding {encoding[:20]!r} (known: {', '.join(_LAYOUTS)})")
     row = width * layout[0]
-    if height * row == size:  # no padding: the step must be right, or does not matter
+    if height * row == size:  # no padding: the step is redundant, ignore a wrong one
         step = row
     if step < row or height * step > size:
         raise DecodeError(
@@ -94,16 +102,17 @@ def decode_image_header(payload: bytes) -> ImageHeader:
 def decode_image_into(
     payload: bytes, header: ImageHeader, out: np.ndarray, unit_m: float | None = None
 ) -> None:
-    """Write the pixels into `out`, converted; nothing as large as an image is allocated.
+    """Write the pixels into `out`, converted; allocates no array of the image's size.
 
     Args:
-        payload: what `decode_image_header` was given.
-        out: (h, w, 3) uint8 takes rgb8, bgr8, rgba8, bgra8, mono8 as RGB; (h, w) float32 takes
-            16UC1 and 32FC1 as metres, 0 = no return; (h, w) uint16 takes 16UC1 as it is.
-        unit_m: metres of one step of depth; None: 0.001 for integers, 1 for floats (REP 118).
+        payload: the message.
+        header: from `decode_image_header`.
+        out: (h, w, 3) uint8 for rgb8, bgr8, rgba8, bgra8, mono8 as RGB; (h, w) float32 for 16UC1
+            and 32FC1 in metres, 0 = no return; (h, w) uint16 for raw 16UC1.
+        unit_m: metres per unit of depth; None: 0.001 for integers, 1 for floats (REP 118).
 
     Raises:
-        DecodeError: the encoding or the size does not fit `out`.
+        DecodeError: the encoding or the size does not match `out`.
     """
     encoding = header.encoding
     if out.shape[:2] != (header.height, header.width):
@@ -133,10 +142,13 @@ def decode_image_into(
 def integers_into(
     data: bytes | np.ndarray, header: ImageHeader, out: np.ndarray, unit_m: float | None
 ) -> None:
-    """Write 16-bit depth into `out`, (h, w) float32 metres; `_NO_DEPTH` and above becomes 0.
+    """Write 16-bit depth into `out`, (h, w) float32 metres; `_NO_DEPTH` and above become 0.
 
     Args:
-        data: the bytes that the header describes; its pixels lie inside.
+        data: the bytes that the header describes.
+        header: of an image that is inside `data`.
+        out: array to write.
+        unit_m: metres per unit; None: 0.001.
     """
     pixels = np.frombuffer(data, np.uint8)
     pixels.flags.writeable = False  # the kernel is compiled for read-only bytes
@@ -147,13 +159,13 @@ def integers_into(
 
 
 def drop_beyond(depth_m: np.ndarray, farthest_m: float) -> None:
-    """Set depth beyond `farthest_m` to 0, no return, in place; NaN stays."""
+    """Set depth beyond `farthest_m` to 0 (no return) in place; NaN stays."""
     if depth_m.size:
         cv2.threshold(depth_m, farthest_m, 0.0, cv2.THRESH_TOZERO_INV, dst=depth_m)
 
 
 def _pixels(payload: bytes, header: ImageHeader, code: str) -> np.ndarray:
-    """The pixels as a view of the payload, row padding left out."""
+    """Return the pixels as a view of the payload, without row padding."""
     bytes_px, channels = _LAYOUTS[header.encoding]
     dtype = np.dtype((">" if header.big_endian else "<") + code)
     shape = (header.height, header.width)

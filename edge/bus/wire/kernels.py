@@ -1,4 +1,4 @@
-"""Numba kernels of the codecs. They know arrays only."""
+"""Numba kernels of the codecs."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ def _loaded(data: Any, at: Any, word: Any, bits: int) -> Any:
 
 @intrinsic
 def _word(typing: Any, data: Any, at: Any) -> Any:
-    """Four bytes of a uint8 array as a uint32, wherever they lie: `data[at : at + 4]`.
+    """Load four bytes of a uint8 array, `data[at : at + 4]`, as a uint32, at any alignment.
 
-    Put together from four loads it would cost three times as much.
+    Four single loads would be three times as slow.
     """
     return _loaded(data, at, types.uint32, 32)
 
 
 @intrinsic
 def _half(typing: Any, data: Any, at: Any) -> Any:
-    """Two bytes of a uint8 array as a uint16, like `_word`."""
+    """Load two bytes of a uint8 array as a uint16, like `_word`."""
     return _loaded(data, at, types.uint16, 16)
 
 
@@ -60,17 +60,25 @@ def cloud_points(
     big_endian: bool,
     out: np.ndarray,
 ) -> int:
-    """The points without NaN or inf of a cloud in `data` (n,) uint8, which may lie at any byte.
+    """Copy the points of a cloud that have no NaN or inf, at any alignment, in their order.
 
     Args:
-        out: (cap, 3) float32 points as uint32; `cap` is at least height * width, and all of the
-            cloud lies inside `data`.
+        data: (n,) uint8 payload, read-only.
+        begin: offset of the first point.
+        height: rows of the cloud.
+        width: points in a row.
+        row_step: bytes from row to row.
+        point_step: bytes from point to point.
+        offsets: of x, y and z in a point.
+        big_endian: True to swap bytes.
+        out: (cap, 3) float32 points viewed as uint32. `cap` must be at least height * width; the
+            cloud must be inside `data`.
 
     Returns:
-        How many there are; their order is kept.
+        The number of points written.
     """
     kept = U0
-    # Indices without a sign: with one, each might count from the end, and each load asks.
+    # Unsigned indices: numba checks signed ones for negative values at each load.
     x_at, y_at, z_at = np.uintp(offsets[0]), np.uintp(offsets[1]), np.uintp(offsets[2])
     step = np.uintp(point_step)
     for row in range(height):
@@ -98,15 +106,20 @@ def scan_points(
     free_m: float,
     out_m: np.ndarray,
 ) -> int:
-    """Write the beams of a planar scan that hit something as points (x, y, 0).
+    """Write the hits of a planar scan as points (x, y, 0).
 
     Args:
-        free_m: a beam that read `range_max_m` or more, or +inf, met nothing so far: it is written
-            as (x, y, inf), its end being (x, y, 0). 0: such beams are left out.
-        out_m: (cap, 3) float32.
+        ranges_m: (n,) float32.
+        angle_min_rad: angle of the first beam.
+        angle_increment_rad: angle between beams.
+        range_min_m: shorter ranges are invalid.
+        range_max_m: ranges from here on, and +inf, are beams without a hit.
+        free_m: write a beam without a hit as (x, y, inf), with (x, y, 0) at this range. 0: skip
+            these beams.
+        out_m: (cap, 3) float32; `cap` must be at least n.
 
     Returns:
-        How many rows were written; `cap` must be at least the number of beams.
+        The number of rows written.
     """
     n = 0
     for i in range(ranges_m.shape[0]):
@@ -135,11 +148,15 @@ def depth_of_integers(
     least_invalid: int,
     out_m: np.ndarray,
 ) -> None:
-    """Write 16-bit depth, which may lie at any byte of `data` (n,) uint8, as metres.
+    """Convert 16-bit depth, at any alignment, to metres.
 
     Args:
-        unit_m: float32, metres of one step.
-        least_invalid: uint16; from here on numbers measure nothing and become 0.
+        data: (n,) uint8, read-only.
+        begin: offset of the first pixel.
+        row_step: bytes from row to row.
+        big_endian: True to swap bytes.
+        unit_m: float32, metres per unit.
+        least_invalid: uint16; values from here on become 0.
         out_m: (h, w) float32.
     """
     for v in range(out_m.shape[0]):
@@ -154,14 +171,14 @@ def depth_of_integers(
 
 @njit(nogil=True, cache=True)
 def exact_millimetres(depth_m: np.ndarray, out_mm: np.ndarray) -> bool:
-    """Whether depth is exactly so many thousandths of a metre everywhere, as a camera's is.
+    """Return True if all depth is an exact multiple of 1 mm, as from a depth camera.
 
     Args:
         depth_m: (n,) float32.
-        out_mm: (n,) uint16, so many: times float32(0.001) they are `depth_m`, where it is.
+        out_mm: (n,) uint16, written: millimetres. If exact, depth_m is out_mm * float32(0.001).
     """
     others = 0
-    for i in range(len(depth_m)):  # without a branch it is done eight pixels at a time
+    for i in range(len(depth_m)):  # without a branch, so that it is vectorized by eight
         mm = np.int32(depth_m[i] * np.float32(1000.0) + np.float32(0.5)) & np.int32(0xFFFF)
         others += np.float32(mm) * np.float32(0.001) != depth_m[i]
         out_mm[i] = mm
@@ -169,7 +186,7 @@ def exact_millimetres(depth_m: np.ndarray, out_mm: np.ndarray) -> bool:
 
 
 def warmup() -> None:
-    """Compile the kernels for what the codecs hand them (a payload is read-only)."""
+    """Compile the kernels for the argument types of the codecs (payloads are read-only)."""
     exact_millimetres(np.zeros(1, np.float32), np.zeros(1, np.uint16))
     points_m = np.zeros((2, 3), np.float32)
     ranges_m = np.frombuffer(bytes(8), np.float32)

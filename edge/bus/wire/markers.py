@@ -1,4 +1,4 @@
-"""visualization_msgs/MarkerArray: what RViz and Foxglove draw into the map."""
+"""Codec of visualization_msgs/MarkerArray, which RViz and Foxglove draw."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class Marker:
     """One visualization_msgs/Marker.
 
     Attributes:
-        group: its namespace; with `id` it is unique.
+        group: its namespace; unique together with `id`.
         kind: `ARROW`, `CUBE`, `SPHERE_LIST` or `TEXT`.
-        scale_m: along x, y, z; a text's height is its z, a list's spheres have all three.
-        colour: 0 to 1.
-        points_m: (n, 3), of a list.
+        scale_m: size along x, y, z; for a text z is its height, for a list all are the diameter.
+        colour: red, green, blue, alpha, 0 to 1.
+        points_m: (n, 3) centres of a list.
     """
 
     group: str
@@ -48,7 +48,7 @@ class Marker:
 
 
 def encode_markers(stamp_ns: int, frame_id: str, markers: Sequence[Marker]) -> bytes:
-    """visualization_msgs/MarkerArray that takes the place of all that was sent before."""
+    """Encode a visualization_msgs/MarkerArray that replaces all markers sent before."""
     writer = Writer().write(U32, 4, 1 + len(markers))
     clear = Marker("", 0, ARROW, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
     _write(writer, stamp_ns, frame_id, clear, _DELETE_ALL)
@@ -63,12 +63,12 @@ def _write(writer: Writer, stamp_ns: int, frame_id: str, marker: Marker, action:
     writer.write(_IDS, 4, marker.id, marker.kind, action)
     writer.write(_POSE, 8, *T[:3, 3], *quaternion_of(T)).write(_SCALE, 8, *marker.scale_m)
     writer.write(_COLOUR, 4, *marker.colour)
-    writer.write(STAMP, 4, 0, 0).write(U8, 1, 0)  # lasts; is not locked to a frame
+    writer.write(STAMP, 4, 0, 0).write(U8, 1, 0)  # unlimited lifetime; not frame-locked
     points = np.ascontiguousarray(marker.points_m, "<f8").reshape(-1)
     writer.write(U32, 4, len(points) // 3)
     if len(points):
         writer.block(8, memoryview(points.view(np.uint8)))
-    writer.write(U32, 4, 0).string("")  # colours of points; texture
-    writer.header(0, "").string("").write(U32, 4, 0)  # the texture's picture
-    writer.write(U32, 4, 0).string(marker.text)  # where it lies; the text
-    writer.string("").string("").write(U32, 4, 0).write(U8, 1, 0)  # a mesh: none
+    writer.write(U32, 4, 0).string("")  # colors; texture_resource
+    writer.header(0, "").string("").write(U32, 4, 0)  # texture
+    writer.write(U32, 4, 0).string(marker.text)  # uv_coordinates; text
+    writer.string("").string("").write(U32, 4, 0).write(U8, 1, 0)  # no mesh

@@ -1,10 +1,9 @@
-"""The ROS 2 messages that cross the wire, encoded and decoded (CDR little-endian).
+"""Encoders and decoders of ROS 2 messages (CDR little-endian).
 
-Every decoder raises `DecodeError` with one line for a payload that is not what it says; sizes
-are checked against the payload before anything is touched, so that a lying one allocates nothing.
-Layouts: sensor_msgs, nav_msgs and geometry_msgs of ROS 2 Humble to Jazzy (they are equal).
-Images and clouds are in `images`, `compressed` and `clouds`, tf and paths in `transforms`, Nav2's
-action in `navigation`, what RViz draws in `markers`.
+Decoders raise `DecodeError` with one line for a malformed payload. Sizes are checked against the
+payload first, so a wrong size allocates nothing. Layouts: sensor_msgs, nav_msgs and geometry_msgs
+of ROS 2 Humble to Jazzy (they are equal). Images and clouds are in `images`, `compressed` and
+`clouds`, tf and paths in `transforms`, Nav2's action in `navigation`, RViz markers in `markers`.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ __all__ = [
 MAP_FRAME = "map"
 BASE_FRAME = "base_link"
 
-# A sensor on a robot here still lies where the map takes it.
+# Sensors of a robot at this distance are still inside the map's limit.
 _FARTHEST_M = 0.9 * FARTHEST_M
 _POSE = struct.Struct("<7d")
 _TWIST = struct.Struct("<6d")
@@ -92,12 +91,12 @@ _IDENTITY_3 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def peek_stamp_ns(payload: bytes) -> int:
-    """The stamp of any message that begins with a std_msgs/Header."""
+    """Return the stamp of any message that begins with a std_msgs/Header."""
     return Reader(payload).stamp_ns()
 
 
 def peek_header(payload: bytes) -> tuple[int, str]:
-    """(stamp_ns, frame_id) of any message that begins with a std_msgs/Header."""
+    """Return (stamp_ns, frame_id) of any message that begins with a std_msgs/Header."""
     return Reader(payload).header()
 
 
@@ -108,12 +107,12 @@ def _finite(values: tuple[float, ...], what: str) -> tuple[float, ...]:
 
 
 def write_pose(writer: Writer, T: np.ndarray) -> Writer:
-    """geometry_msgs/Pose of a (4, 4) transform."""
+    """Write a (4, 4) transform as geometry_msgs/Pose."""
     return writer.write(_POSE, 8, *T[:3, 3], *quaternion_of(T))
 
 
 def read_pose(reader: Reader) -> np.ndarray:
-    """geometry_msgs/Pose as a (4, 4) transform."""
+    """Read a geometry_msgs/Pose as a (4, 4) transform."""
     values = _finite(reader.read(_POSE, 8), "pose")
     if max(map(abs, values[:3])) >= _FARTHEST_M:
         raise DecodeError(
@@ -128,9 +127,10 @@ def read_pose(reader: Reader) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
-    """nav_msgs/Odometry: where the base is in `map`, and how it moves in its own frame.
+    """nav_msgs/Odometry: pose of the base in `map`, and twist in the base frame.
 
-    The frames are what the message calls these two, which may be others: see `edge.sources.ros2`.
+    `frame_id` and `child_frame_id` are the message's own names and may differ: see
+    `edge.sources.ros2`.
     """
 
     stamp_ns: int
@@ -142,7 +142,7 @@ class Odometry:
 
 
 def encode_odometry(stamp_ns: int, T_map_base: np.ndarray, v_mps: float, w_radps: float) -> bytes:
-    """nav_msgs/Odometry; covariances are zero (unknown)."""
+    """Encode nav_msgs/Odometry with zero covariances (unknown)."""
     writer = Writer().header(stamp_ns, MAP_FRAME).string(BASE_FRAME)
     write_pose(writer, T_map_base).write(_COVARIANCE, 8, *(0.0,) * 36)
     writer.write(_TWIST, 8, v_mps, 0.0, 0.0, 0.0, 0.0, w_radps)
@@ -150,7 +150,7 @@ def encode_odometry(stamp_ns: int, T_map_base: np.ndarray, v_mps: float, w_radps
 
 
 def decode_odometry(payload: bytes) -> Odometry:
-    """nav_msgs/Odometry; forward speed and turn rate of the twist only."""
+    """Decode nav_msgs/Odometry; of the twist, only forward speed and turn rate."""
     reader = Reader(payload)
     stamp_ns, frame_id = reader.header()
     child_frame_id = reader.string()
@@ -162,25 +162,25 @@ def decode_odometry(payload: bytes) -> Odometry:
 
 
 def encode_pose_stamped(stamp_ns: int, pose: SE2, frame_id: str = MAP_FRAME) -> bytes:
-    """geometry_msgs/PoseStamped, on the ground."""
+    """Encode geometry_msgs/PoseStamped with z = 0."""
     return write_pose(Writer().header(stamp_ns, frame_id), pose.matrix()).bytes()
 
 
 def decode_pose_stamped(payload: bytes) -> tuple[int, SE2]:
-    """(stamp_ns, the planar part of the pose) of a geometry_msgs/PoseStamped."""
+    """Decode geometry_msgs/PoseStamped as (stamp_ns, planar pose)."""
     reader = Reader(payload)
     stamp_ns, _ = reader.header()
     return stamp_ns, se2_of(read_pose(reader))
 
 
 def encode_twist_stamped(stamp_ns: int, v_mps: float, w_radps: float) -> bytes:
-    """geometry_msgs/TwistStamped in the base's frame."""
+    """Encode geometry_msgs/TwistStamped in the base frame."""
     writer = Writer().header(stamp_ns, BASE_FRAME)
     return writer.write(_TWIST, 8, v_mps, 0.0, 0.0, 0.0, 0.0, w_radps).bytes()
 
 
 def decode_twist_stamped(payload: bytes) -> tuple[int, float, float]:
-    """(stamp_ns, forward m/s, turn rad/s) of a geometry_msgs/TwistStamped."""
+    """Decode geometry_msgs/TwistStamped as (stamp_ns, forward m/s, turn rad/s)."""
     reader = Reader(payload)
     stamp_ns, _ = reader.header()
     twist = _finite(reader.read(_TWIST, 8), "twist")
@@ -188,7 +188,7 @@ def decode_twist_stamped(payload: bytes) -> tuple[int, float, float]:
 
 
 def encode_camera_info(stamp_ns: int, frame_id: str, camera: CameraModel) -> bytes:
-    """sensor_msgs/CameraInfo of an undistorted camera."""
+    """Encode sensor_msgs/CameraInfo of a camera without distortion."""
     fx, fy, cx, cy = camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
     writer = Writer().header(stamp_ns, frame_id)
     writer.write(_HEIGHT_WIDTH, 4, camera.height_px, camera.width_px).string("plumb_bob")
@@ -200,12 +200,12 @@ def encode_camera_info(stamp_ns: int, frame_id: str, camera: CameraModel) -> byt
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """sensor_msgs/CameraInfo, of images as they are sent: binning and roi are applied.
+    """sensor_msgs/CameraInfo for the images as they are sent, with binning and roi applied.
 
     Attributes:
-        camera: of the rectified image: the projection matrix P, or K if P is zero.
-        lens: distortion of the raw image; None: all coefficients are zero.
-        cut: binning and roi as text; empty: whole images are sent.
+        camera: rectified camera: from the projection matrix P, or K if P is zero.
+        lens: distortion of the raw image; None if all coefficients are zero.
+        cut: binning and roi as text; empty if whole images are sent.
     """
 
     stamp_ns: int
@@ -257,7 +257,7 @@ def decode_camera_info(payload: bytes) -> Calibration:
 
 
 def encode_occupancy_grid(stamp_ns: int, grid: Grid, frame_id: str = MAP_FRAME) -> bytes:
-    """nav_msgs/OccupancyGrid of a grid of int8."""
+    """Encode nav_msgs/OccupancyGrid of an int8 grid."""
     h, w = grid.cells.shape
     writer = Writer().header(stamp_ns, frame_id).stamp_ns(stamp_ns)
     writer.write(_GRID_INFO, 4, grid.resolution_m, w, h)
@@ -267,10 +267,10 @@ def encode_occupancy_grid(stamp_ns: int, grid: Grid, frame_id: str = MAP_FRAME) 
 
 
 def decode_occupancy_grid(payload: bytes) -> tuple[int, Grid]:
-    """(stamp_ns, grid) of a nav_msgs/OccupancyGrid.
+    """Decode nav_msgs/OccupancyGrid as (stamp_ns, grid).
 
-    Its cells, int8, are a read-only view of the payload. The resolution is the shortest decimal
-    that its float32 stands for (0.05, not 0.0500000007), so that cells do not creep.
+    The int8 cells are a read-only view of the payload. The resolution is the shortest decimal of
+    its float32 (0.05, not 0.0500000007), so that cell positions do not drift.
     """
     reader = Reader(payload)
     stamp_ns, _ = reader.header()

@@ -1,7 +1,7 @@
-"""nav2_msgs/NavigateToPose, as an action is on the wire: three services and two topics.
+"""Codec of the action nav2_msgs/NavigateToPose: three services and two topics.
 
-`send_goal`, `get_result` and `cancel_goal` are services, `feedback` and `status` topics, all below
-`<action>/_action/`. A goal is named by 16 bytes that its client draws.
+`send_goal`, `get_result` and `cancel_goal` are services, `feedback` and `status` are topics, all
+below `<action>/_action/`. The client chooses a random 16-byte id for each goal.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ SETTLED = (SUCCEEDED, CANCELED, ABORTED)
 def encode_send_goal(
     goal_id: bytes, stamp_ns: int, pose: SE2, frame_id: str = MAP_FRAME, tree: str = ""
 ) -> bytes:
-    """NavigateToPose_SendGoal_Request; `tree` is Nav2's behavior tree, "" its default one."""
+    """Encode NavigateToPose_SendGoal_Request; `tree`: behavior tree, "" for Nav2's default."""
     writer = Writer().write(_UUID, 1, goal_id).header(stamp_ns, frame_id)
     return write_pose(writer, pose.matrix()).string(tree).bytes()
 
 
 def decode_send_goal(payload: bytes) -> tuple[bytes, int, SE2, str]:
-    """(goal_id, stamp_ns, pose, frame_id) of a NavigateToPose_SendGoal_Request."""
+    """Decode NavigateToPose_SendGoal_Request as (goal_id, stamp_ns, pose, frame_id)."""
     reader = Reader(payload)
     (goal_id,) = reader.read(_UUID, 1)
     stamp_ns, frame_id = reader.header()
@@ -42,19 +42,19 @@ def decode_send_goal(payload: bytes) -> tuple[bytes, int, SE2, str]:
 
 
 def decode_send_goal_answer(payload: bytes) -> bool:
-    """Whether the goal was accepted."""
+    """Return True if the goal was accepted."""
     (accepted,) = Reader(payload).read(U8, 1)
     return bool(accepted)
 
 
 def encode_get_result(goal_id: bytes) -> bytes:
-    """NavigateToPose_GetResult_Request."""
+    """Encode NavigateToPose_GetResult_Request."""
     return Writer().write(_UUID, 1, goal_id).bytes()
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """How a goal ended: its `status` and what Nav2 says of it (0 and "" where it says nothing)."""
+    """The end of a goal: its `status`, and Nav2's error code and message (0 and "" if none)."""
 
     status: int
     error_code: int = 0
@@ -62,10 +62,10 @@ class Result:
 
 
 def decode_result(payload: bytes) -> Result:
-    """NavigateToPose_GetResult_Response of any distribution.
+    """Decode NavigateToPose_GetResult_Response of any distribution.
 
-    Humble's result is empty; then came an error's code; then its words as well. Each is longer than
-    the one before, so what there is says which it is.
+    Humble's result is empty, later ones have an error code, the newest also a message. The length
+    shows which it is.
     """
     reader = Reader(payload)
     (status,) = reader.read(_I8, 1)
@@ -76,19 +76,19 @@ def decode_result(payload: bytes) -> Result:
 
 
 def encode_cancel(goal_id: bytes) -> bytes:
-    """action_msgs/CancelGoal_Request of one goal."""
+    """Encode action_msgs/CancelGoal_Request of one goal."""
     return Writer().write(_UUID, 1, goal_id).write(STAMP, 4, 0, 0).bytes()
 
 
 def decode_cancel_answer(payload: bytes) -> tuple[int, list[bytes]]:
-    """(return code, goals that are being cancelled); 0: none was refused."""
+    """Decode (return code, goals being cancelled); code 0: accepted."""
     reader = Reader(payload)
     (code,) = reader.read(_I8, 1)
     return code, [goal_id for goal_id, _ in _goals(reader, status=False)]
 
 
 def decode_goal_statuses(payload: bytes) -> list[tuple[bytes, int]]:
-    """(goal_id, status) of an action_msgs/GoalStatusArray."""
+    """Decode action_msgs/GoalStatusArray as (goal_id, status) of each goal."""
     return _goals(Reader(payload), status=True)
 
 
@@ -106,7 +106,7 @@ def _goals(reader: Reader, status: bool) -> list[tuple[bytes, int]]:
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
-    """NavigateToPose_FeedbackMessage: how far a goal is from its end."""
+    """NavigateToPose_FeedbackMessage: progress of a goal."""
 
     goal_id: bytes
     pose: SE2
@@ -116,7 +116,7 @@ class Feedback:
 
 
 def decode_feedback(payload: bytes) -> Feedback:
-    """NavigateToPose_FeedbackMessage; what later distributions append is not read."""
+    """Decode NavigateToPose_FeedbackMessage without fields that later distributions append."""
     reader = Reader(payload)
     (goal_id,) = reader.read(_UUID, 1)
     reader.header()

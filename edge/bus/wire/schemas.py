@@ -1,6 +1,6 @@
-"""Definitions of the messages on the wire, as text (`ros2msg`), for recordings.
+"""Message definitions as text (`ros2msg`), for recordings.
 
-Constants and comments of the originals are left out; fields and their order are all that counts.
+Fields and their order are complete; constants and comments of the originals are left out.
 """
 
 from __future__ import annotations
@@ -77,13 +77,13 @@ DEFINITIONS: dict[str, str] = {
 
 
 def full_name(type_name: str) -> str:
-    """`nav_msgs/Odometry` as ROS 2 writes it: `nav_msgs/msg/Odometry`."""
+    """Return the ROS 2 name of `nav_msgs/Odometry`: `nav_msgs/msg/Odometry`."""
     package, name = type_name.split("/")
     return f"{package}/msg/{name}"
 
 
 def schema_text(type_name: str) -> str:
-    """A message's definition and, behind it, those of all that it is made of.
+    """Return a message's definition, followed by those of all types it contains.
 
     >>> schema_text("std_msgs/Header").splitlines()[0]
     'builtin_interfaces/Time stamp'

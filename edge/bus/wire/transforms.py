@@ -1,4 +1,4 @@
-"""tf2_msgs/TFMessage and nav_msgs/Path."""
+"""Codecs of tf2_msgs/TFMessage and nav_msgs/Path."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Transform:
 
 
 def decode_transforms(payload: bytes) -> list[Transform]:
-    """The transforms of a tf2_msgs/TFMessage; a frame's leading slash (ROS 1) is left out."""
+    """Decode tf2_msgs/TFMessage; the leading slash of a frame (ROS 1) is removed."""
     reader = Reader(payload)
     (count,) = reader.read(U32, 4)
     if count > min(MOST_TRANSFORMS, len(payload) // _SMALLEST):
@@ -37,7 +37,7 @@ def decode_transforms(payload: bytes) -> list[Transform]:
 
 
 def encode_transforms(transforms: Sequence[Transform]) -> bytes:
-    """tf2_msgs/TFMessage."""
+    """Encode tf2_msgs/TFMessage."""
     writer = Writer().write(U32, 4, len(transforms))
     for t in transforms:
         writer.header(t.stamp_ns, t.parent).string(t.child)
@@ -61,10 +61,13 @@ def _read_transform(reader: Reader) -> Transform:
 def encode_path(
     stamp_ns: int, frame_id: str, poses: np.ndarray, z_m: np.ndarray | float = 0.0
 ) -> bytes:
-    """nav_msgs/Path of (n, 3) poses: x and y in metres, yaw in radians, all of one stamp.
+    """Encode nav_msgs/Path of (n, 3) poses (x and y in metres, yaw in radians) with one stamp.
 
     Args:
-        z_m: their height, one for all or (n,).
+        stamp_ns: stamp of the path and of all poses.
+        frame_id: frame of the poses.
+        poses: (n, 3).
+        z_m: height, one for all or (n,).
     """
     n = len(poses)
     writer = Writer().header(stamp_ns, frame_id).write(U32, 4, n)
@@ -74,7 +77,7 @@ def encode_path(
     values[:, :2], values[:, 2] = poses[:, :2], z_m
     values[:, 5], values[:, 6] = np.sin(0.5 * poses[:, 2]), np.cos(0.5 * poses[:, 2])
     first = writer.header(stamp_ns, frame_id).write(_TRANSFORM, 8, *values[0]).bytes()
-    # A pose ends at a multiple of eight, so all that follow are laid out alike.
+    # A pose ends at a multiple of eight bytes, so all later poses have the same layout.
     again = Writer().header(stamp_ns, frame_id).write(_TRANSFORM, 8, *values[0]).bytes()
     rest = np.tile(np.frombuffer(again[len(HEADER) :], np.uint8), (n - 1, 1))
     rest[:, -_TRANSFORM.size :] = values[1:].astype("<f8", copy=False).view(np.uint8)

@@ -1,11 +1,11 @@
-// What is asked of the service. The token, where there is one, is kept for this tab alone.
+// Requests to the service. The token, if there is one, is stored for this tab only.
 
 const TOKEN = "edge-token";
 
 export class Refused extends Error {
   constructor(status, why, bearer, readings) {
     super(why);
-    this.readings = readings; // of an instruction that can be read in several ways
+    this.readings = readings; // possible meanings of an ambiguous instruction
     this.status = status;
     this.bearer = bearer; // the token that was sent
   }
@@ -43,7 +43,7 @@ async function ask(path, options, limit_ms) {
 
 const tags = new Map();
 
-// The newest of a resource; undefined where it is what was told before.
+// Returns the newest version of a resource; undefined if it has not changed.
 export async function get(path) {
   const tag = tags.get(path);
   const answer = await ask(path, { headers: tag ? { "If-None-Match": tag } : {} }, 5000);

@@ -1,4 +1,4 @@
-// The mission's automaton as a graph: columns by the longest way from the start.
+// Draws the mission's automaton as a graph: columns by the longest path from the start.
 
 import { $, make, once, say } from "./dom.js";
 
@@ -31,7 +31,7 @@ function heads() {
   return make("svg:defs", {}, ...kinds);
 }
 
-// Longest way from the first node, arrows back left out; then rows near those of neighbours.
+// Columns by the longest path from the first node, without back edges; rows near those of neighbours.
 function layOut(nodes, arrows) {
   const rank = nodes.map(() => 0);
   const back = arrowsBack(nodes, arrows);
@@ -75,7 +75,7 @@ const neighbours = (i, arrows) =>
 const mean = (values, otherwise) =>
   values.length ? values.reduce((a, b) => a + b) / values.length : otherwise;
 
-// Draws an arrow; gives its label, which goes on top of all.
+// Draws an arrow and returns its label, which is drawn on top.
 function way(drawing, arrow, places, arrows) {
   const [x0, y0] = places[arrow.source];
   const [x1, y1] = places[arrow.target];

@@ -1,4 +1,4 @@
-// The camera's image with boxes, and the letters of the choice scorer.
+// Draws the camera image with boxes and the letters of the choice scorer.
 
 import { $, colour, colourOf, fitted, picture, say } from "./dom.js";
 
@@ -42,7 +42,7 @@ export function draw() {
   const most = x0 + w;
   for (const box of boxes.filter((b) => !b.wanted)) frame(context, box, "#ffffffa0", 1, most);
   for (const box of boxes.filter((b) => b.wanted)) frame(context, box, colourOf(box.label, targets), 2.5, most);
-  let last = -Infinity; // from left to right: none over the one before
+  let last = -Infinity; // from left to right, so that none covers the previous one
   for (const [letter, u, v] of shot.letters) {
     last = Math.max(x0 + u * w, last + 21);
     disc(context, letter, last, y0 + v * h);

@@ -1,4 +1,4 @@
-// What is asked of the robot: only who knows the token can.
+// Commands to the robot; they need the token.
 
 import { post, token } from "./api.js";
 import { $, make, say } from "./dom.js";
@@ -37,7 +37,7 @@ const mission = (verb) => ask("mission/request", { do: verb });
 
 $("pause").addEventListener("click", () => mission(paused ? "resume" : "pause"));
 
-// Twice, so that no slip ends a mission.
+// Needs two clicks, so that one by mistake does not end a mission.
 let sure = 0;
 $("cancel").addEventListener("click", () => {
   clearTimeout(sure);
@@ -55,7 +55,7 @@ $("lock").addEventListener("click", () => {
 $("swap").addEventListener("submit", (event) => {
   event.preventDefault();
   const model = $("model").value.trim();
-  ask("models/request", { do: "use", model }, `Loading ${model}; the present one goes on meanwhile.`);
+  ask("models/request", { do: "use", model }, `Loading ${model}; the current model runs until then.`);
   $("model").value = "";
 });
 
@@ -84,12 +84,11 @@ function settle() {
   $("readings").replaceChildren();
 }
 
-// Where the words can be read in several ways, or it is not sure that they mean one, whoever wrote
-// them chooses.
+// If an instruction is ambiguous or its meaning uncertain, the user chooses.
 function offer(said, readings) {
   say("new-error", readings.length > 1
     ? "This can be read in several ways. Which one do you mean?"
-    : "It is not sure that this is meant. Is it?");
+    : "Is this what you mean?");
   $("readings").replaceChildren(...readings.map((text, i) => {
     const button = make("button", { text: `${i + 1}. ${text}`, type: "button" });
     button.addEventListener("click", () => begin({ ...said, reading: i + 1 }));
@@ -107,7 +106,7 @@ async function begin(said) {
     const answer = await post("mission/request", { do: "new", ...said });
     $("words").value = "";
     dialog.close();
-    toast(`Begun: ${answer.english ?? answer.instruction}`);
+    toast(`Started: ${answer.english ?? answer.instruction}`);
   } catch (error) {
     if (error.readings?.length) offer(said, error.readings);
     else say("new-error", error.message);

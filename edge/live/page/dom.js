@@ -1,4 +1,4 @@
-// Elements. What comes from outside is only ever set as text.
+// Helpers for elements. Data from outside are only set as text, never as HTML.
 
 export const $ = (id) => document.getElementById(id);
 
@@ -17,7 +17,7 @@ export function say(id, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-// Calls `show` only when what it shows has changed.
+// Calls `show` only when its argument has changed.
 export function once(show) {
   let before;
   return (said) => {
@@ -32,7 +32,7 @@ export function once(show) {
 export const colour = (name) =>
   getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
-// A canvas at the screen's own resolution; gives its size in CSS pixels.
+// Sets a canvas to the screen's resolution; returns its size in CSS pixels.
 export function fitted(canvas) {
   const ratio = window.devicePixelRatio || 1;
   const { clientWidth: width, clientHeight: height } = canvas;
@@ -48,7 +48,7 @@ export function picture(kind, base64) {
   return new Promise((resolve, reject) => {
     const image = new Image();
     image.onload = () => resolve(image);
-    image.onerror = () => reject(new Error(`an image that is no ${kind}`));
+    image.onerror = () => reject(new Error(`not a valid ${kind} image`));
     image.src = `data:image/${kind};base64,${base64}`;
   });
 }

@@ -1,4 +1,4 @@
-// Asks for what is new, as often as it is worth it, and has it shown.
+// Polls the service, each resource at its own rate, and shows the data.
 
 import { forget, get, Refused, token } from "./api.js";
 import * as automaton from "./automaton.js";
@@ -11,9 +11,9 @@ import * as task from "./task.js";
 
 const [NOW_MS, MAP_MS, STORY_MS, GONE_MS] = [200, 500, 1000, 1000];
 const state = { seen_ms: 0, now: null, layers: [] };
-const failed = new Map(); // by round, what was answered in place of what it asked for
+const failed = new Map(); // error message by round
 
-// One round after the other, never two at a time; none while the page is hidden.
+// Runs a round periodically, never twice at a time, and not while the page is hidden.
 function every(period_ms, round) {
   const again = async () => {
     const begun = performance.now();
@@ -34,7 +34,7 @@ function every(period_ms, round) {
 
 function lost(error, round) {
   if (error instanceof Refused && error.status === 401) {
-    // An answer to the token before this one asks for no other.
+    // An answer to a previous token must not ask for a new one.
     if (error.bearer === token.get()) controls.askForToken(error.bearer !== null);
   } else if (error instanceof Refused) {
     failed.set(round, error.message);
@@ -59,7 +59,7 @@ async function now() {
   map.update({ now: told.moment, radius_m: told.radius_m });
 }
 
-// What was written is long: it is asked for when there is another.
+// The script is long: get it only when it has changed.
 async function scripts() {
   const number = state.now?.moment?.task?.number;
   if (number === undefined || number === task.number()) return;

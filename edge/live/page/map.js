@@ -1,13 +1,13 @@
-// The map: what is known, the robot, where it could go and where it goes.
+// Draws the map: occupancy, robot, candidates and goal.
 
 import { disc } from "./camera.js";
 import { $, colour, colourOf, fitted, once, picture, say } from "./dom.js";
 
 const MARGIN_M = 0.6;
 const NEAR_PX = 16;
-const TOLD = 6; // so many frontiers, the best, have their scores beside them
-const [LEAST, MOST] = [4, 400]; // px a metre
-// Viridis, from nothing to all.
+const TOLD = 6; // number of best frontiers that are shown with scores
+const [LEAST, MOST] = [4, 400]; // px per metre
+// Viridis, from low to high.
 const RAMP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 
 const canvas = $("map");
@@ -39,7 +39,7 @@ export async function showMap(grid) {
   draw();
 }
 
-// With new colours of the page, the same map.
+// Draws the same map in new colours of the page.
 export const recolour = () => shown.grid && showMap(shown.grid);
 
 export async function showLayer(grid) {
@@ -71,7 +71,7 @@ function ramp(share) {
   return RAMP[i].map((low, k) => Math.round(low + (at - i) * (RAMP[i + 1][k] - low)));
 }
 
-// -- where it lies on the screen ----------------------------------------------------------------
+// -- view ----------------------------------------------------------------
 
 const toScreen = ([x, y]) => [
   canvas.clientWidth / 2 + (x - view.x) * view.scale,
@@ -118,7 +118,7 @@ export function follow(on) {
   draw();
 }
 
-// -- what is drawn ------------------------------------------------------------------------------
+// -- drawing ------------------------------------------------------------------------------
 
 function paint() {
   const now = shown.now;
@@ -152,7 +152,7 @@ function sheet(context, of, smooth) {
   context.restore();
 }
 
-// A jump of the pose is no way that was driven.
+// A jump of the pose is not drawn as a driven path.
 function trail(now) {
   const places = now?.pose ? [...shown.trail, now.pose] : shown.trail;
   return places.map((at, i) => {
@@ -162,7 +162,7 @@ function trail(now) {
   });
 }
 
-// As it was written, and as it is driven: what is behind the robot is pale.
+// Draws the coarse and the refined trajectory; the driven part is pale.
 function trajectory(context, { coarse, refined }, index) {
   const places = refined.map(toScreen);
   line(context, coarse.map(toScreen), colour("coarse"), 2, [3, 5]);
@@ -269,7 +269,7 @@ function scaleBar(context, height) {
   label(context, `${metres} m`, x + 4, y - 10, colour("muted"));
 }
 
-// -- hands --------------------------------------------------------------------------------------
+// -- input --------------------------------------------------------------------------------------
 
 const fingers = new Map();
 
@@ -317,7 +317,7 @@ new ResizeObserver(() => (view.fitted ? fit() : draw())).observe(canvas);
 
 const tip = once((text) => say("tip", text));
 
-// What lies under the pointer, in words.
+// Describes what is under the pointer.
 function tell(px, py) {
   const now = shown.now;
   const things = now ? [...now.instances, ...now.candidates.filter((c) => c.kind !== "instance")] : [];
@@ -337,7 +337,7 @@ const ofThing = (t) => `${t.label} #${t.id}: ${t.state}\nconfidence ${t.score?.t
 
 function ofCandidate(c) {
   const score = c.score === null ? "no score" : `score ${c.score.toPrecision(3)}`;
-  const way = c.path_m === null ? "no way there" : `${c.path_m.toFixed(1)} m away`;
+  const way = c.path_m === null ? "no path" : `${c.path_m.toFixed(1)} m away`;
   const letter = c.letter ? `\n${c.letter}: probability ${c.p.toFixed(2)}` : "";
-  return `${c.kind} #${c.id}${c.blocked ? " (left alone)" : ""}\n${score}, ${way}${letter}`;
+  return `${c.kind} #${c.id}${c.blocked ? " (blocked)" : ""}\n${score}, ${way}${letter}`;
 }

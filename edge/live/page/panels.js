@@ -1,8 +1,8 @@
-// Header, banner, mission, latency, log and health.
+// Draws header, banner, mission, latency, log and health.
 
 import { $, clock, make, once, say } from "./dom.js";
 
-// Nothing is to be done, or was ever given.
+// True if there is no mission, or it has ended.
 export const isDone = (moment) => !moment || ["idle", "reached", "failed"].includes(moment.phase);
 
 function badge(kind, text) {
@@ -36,7 +36,7 @@ function duration(s) {
   return s >= 3600 ? `${Math.floor(s / 3600)}:${pad((s / 60) % 60)}:${pad(s % 60)}` : `${Math.floor(s / 60)}:${pad(s % 60)}`;
 }
 
-// What a person has to know first, in order of weight.
+// Shows the most important problem.
 export function tellState({ service, silent_s, moment }, fault) {
   const why = service.why.join("; ");
   if (service.state === "starting") return banner("info", `Starting: ${why.replace(/^starting:? ?/, "") || "…"}`);
@@ -44,12 +44,12 @@ export function tellState({ service, silent_s, moment }, fault) {
   if (service.state === "stopping") return banner("warn", "The service is stopping.");
   if (silent_s !== null && silent_s > 3) return banner("bad", `The loop has been silent for ${silent_s.toFixed(0)} s.`);
   if (!service.ready) return banner("warn", `Not ready: ${why}.`);
-  if (moment?.paused && !isDone(moment)) return banner("info", "Paused: the robot stands until the mission is resumed.");
+  if (moment?.paused && !isDone(moment)) return banner("info", "Paused: the robot holds its position until the mission is resumed.");
   if (moment && !moment.controlled && moment.goal) return banner("warn", "No motion controller answers: a goal counts as reached when the robot stops there.");
   banner("", "");
 }
 
-// It answers, but not with what it was asked for; `blind`: nothing is known of now.
+// The service answers with an error; `blind`: there are no current data.
 export function faulty(why, blind) {
   if (blind) stale("error");
   banner("bad", `The service answered with an error: ${why}`);
@@ -72,11 +72,11 @@ export function pairs(id, rows) {
   ]));
 }
 
-// While none was given, there is one that the detector was made ready for; it is not to be done. That
-// of a task only says what is to be found for it: `task.js` shows the task.
+// While idle there is a mission that only prepares the detector; it is not shown. The mission of a task
+// only has its targets: `task.js` shows the task.
 export const mission = once(({ mission: m, steps, done, idle, driven }) => {
   say("what", driven ? "Task" : "Mission");
-  say("english", idle ? "The robot stands until it is given a mission." : driven ? "" : m.english);
+  say("english", idle ? "The robot waits for a mission." : driven ? "" : m.english);
   say("formula", idle || driven ? "" : m.formula);
   say("translated", idle ? "" : driven ? "" : `state ${m.state} of ${m.states}, by ${m.translated_by}`);
   const rows = done || driven ? [] : [["plan", m.plan.join(" → ") || "nothing left to reach"], ["why", m.why]];
@@ -99,11 +99,11 @@ export const log = once(({ events, n_events }) => {
 });
 
 export function latency({ stages, tick, deadline_ms, slowdown }) {
-  const limit = slowdown === null ? "deadline" : "budget"; // of a stage: once this computer was calibrated
+  const limit = slowdown === null ? "deadline" : "budget"; // budgets of stages exist once this computer is calibrated
   const head = ["", "", "p95", limit, "drops"].map((text) => make("th", { text }));
   const rows = [...Object.entries(stages), ["tick", tick]].map(([name, row]) => {
     const cells = [
-      make("td", { text: row.in_tick ? name : `${name} *`, title: row.in_tick ? "" : "beside the tick" }),
+      make("td", { text: row.in_tick ? name : `${name} *`, title: row.in_tick ? "" : "in the background" }),
       make("td", { class: "gauge" }, ...(row.budget_ms === null ? [] : [gauge(row)])),
       make("td", { text: row.n ? ms(row.p95_ms) : "–", class: row.verdict === "over" ? "bad" : "" }),
       make("td", { text: row.budget_ms === null ? "–" : ms(row.budget_ms) }),
@@ -115,7 +115,7 @@ export function latency({ stages, tick, deadline_ms, slowdown }) {
   say("latency-note", `ms; ${tick.overruns} of ${tick.count} ticks over ${deadline_ms} ms`);
 }
 
-// Its budget lies at two thirds.
+// The budget is at two thirds of the width.
 function gauge(row) {
   const share = (value) => `${(100 * Math.min(value / row.budget_ms, 1.5)) / 1.5}%`;
   const bars = [["", row.p95_ms], ["p50", row.p50_ms]].map(([kind, value]) => {
@@ -134,17 +134,17 @@ export const health = once(({ service, health: h, controlled }) => {
   for (const [name, input] of Object.entries(inputs?.topics ?? {})) rows.push([name, ...inputOf(input)]);
   for (const [name, message] of Object.entries(plausibility?.failed ?? {})) rows.push([name, message, "warn"]);
   rows.push(["detector", `${detector.model}: ${detector.state}${detector.detail ? `, ${detector.detail}` : ""}`, level(detector.state)]);
-  rows.push(["images", `${detector.done} searched, ${detector.failed} failed, ${detector.replaced} passed over`]);
+  rows.push(["images", `${detector.done} searched, ${detector.failed} failed, ${detector.replaced} skipped`]);
   rows.push(["loop", `${loop.state}, ${loop.failed} faults${loop.last_error ? `: ${loop.last_error}` : ""}`, level(loop.state)]);
   rows.push(["controller", controlled ? "answers" : "silent", controlled ? "ok" : "warn"]);
   if (swap?.state && swap.state !== "idle") rows.push(["model swap", `${swap.state} ${swap.detail ?? ""}`]);
-  if (governor) rows.push(["governor", governor.rung ? governor.why : governor.distress || "nothing given up", governor.rung ? "warn" : "ok"]);
+  if (governor) rows.push(["governor", governor.rung ? governor.why : governor.distress || "nothing reduced", governor.rung ? "warn" : "ok"]);
   for (const [name, scorer] of Object.entries(scorers ?? {})) rows.push([name, scorer.model ?? "asked"]);
   if (checkpoint) rows.push(["checkpoint", Object.values(checkpoint).filter((v) => typeof v === "string").join(", ")]);
   pairs("health", rows);
 });
 
-// What an input brings, or why it brings nothing.
+// Describes an input, or why it has no data.
 function inputOf({ name, where, needed, state, why, hz, age_s, dropped }) {
   const said = {
     ok: hz ? `${hz.toFixed(hz < 10 ? 1 : 0)} Hz` : `${age_s?.toFixed(0)} s ago`,

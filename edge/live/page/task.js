@@ -1,4 +1,4 @@
-// A task in free words: what was asked and understood, what a model wrote, how far it is driven.
+// Draws a task: instruction, its meaning, the model's answers, and progress.
 
 import { $, make, once, say } from "./dom.js";
 import * as map from "./map.js";
@@ -8,7 +8,7 @@ let script = null;
 
 export const number = () => script?.number;
 
-// `at`: what changes all the time; null: no task is under way.
+// `at`: data that change all the time; null: no task.
 export function show(at) {
   $("task").hidden = !at;
   for (const kind of ["coarse", "refined"]) {
@@ -40,15 +40,15 @@ function rowsOf(at, s) {
   const rows = [["written by", s.writer]];
   if (s.steps.length > 1) rows.push(...s.steps.map((step) => [step.state, step.said]));
   if (s.missing.length) rows.push(["not seen yet", s.missing.join(", ")]);
-  if (s.refined.length) rows.push(["driven", `${at.driven_m.toFixed(1)} of ${s.length_m.toFixed(1)} m of it, ${s.time_s.toFixed(0)} s in all`]);
-  if (s.refinements > 1) rows.push(["refined anew", `${s.refinements - 1} times: the map had changed`]);
+  if (s.refined.length) rows.push(["driven", `${at.driven_m.toFixed(1)} of ${s.length_m.toFixed(1)} m, ${s.time_s.toFixed(0)} s in total`]);
+  if (s.refinements > 1) rows.push(["refined again", `${s.refinements - 1} times: the map has changed`]);
   return [...rows, ...s.notes.map((note) => ["note", note, "warn"])];
 }
 
-// The newest is unfolded.
+// Shows the answers; the newest is open.
 const rounds = once((all) => {
   $("rounds").replaceChildren(...all.map((round, i) => {
-    const outcome = round.error ? make("span", { class: "bad", text: "refused" }) : make("span", { class: "ok", text: "taken" });
+    const outcome = round.error ? make("span", { class: "bad", text: "rejected" }) : make("span", { class: "ok", text: "accepted" });
     const parts = [
       round.said && make("p", { text: round.said }),
       round.code && make("pre", { class: "code", text: round.code }),

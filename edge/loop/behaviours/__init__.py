@@ -1,1 +1,1 @@
-"""Behaviours: ways to carry out a mission. Each gathers candidates, plans and selects a goal."""
+"""Behaviours that carry out a mission. Each gathers candidates, plans, and selects a goal."""

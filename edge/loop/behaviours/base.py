@@ -1,4 +1,4 @@
-"""The interface of a behaviour: one way to carry out a mission."""
+"""The interface of behaviours."""
 
 from __future__ import annotations
 
@@ -14,43 +14,44 @@ from edge.types import Goal, Instance
 
 
 class Behaviour(Protocol):
-    """One way to carry out one mission; the loop's thread calls it.
+    """A way to carry out one mission. The loop's thread calls it.
 
-    It holds the mission, the semantic map and the goals that it was made with, and nothing of the
-    sensors: each tick's observation comes in the `Context`.
-
+    A behaviour keeps the mission, the semantic map and the goal tracker, but no sensor data. The
+    observation of each tick comes in the `Context`.
     """
 
     @property
     def searching(self) -> bool:
-        """Whether the active target is looked for, so the time counts as searching it."""
+        """True while the behaviour searches for the active target. The time counts as search."""
 
     def gather(self) -> Sequence[Instance]:
-        """Stage 5: return the objects that are candidates in this tick, next to the frontiers."""
+        """Stage 5: return the objects that are candidates in this tick, like the frontiers."""
 
     def plan(self, context: Context, images: int) -> None:
-        """Stage 7: handle what was seen and what became of the goal; advance the mission.
+        """Stage 7: handle the detections and the goal's progress; advance the mission.
 
         Args:
-            images: how many the detector has searched so far.
+            context: Observation, candidates and time of the tick.
+            images: Number of images that the detector has processed so far.
         """
 
     def select(self, context: Context, scores: np.ndarray, images: int) -> Goal | None:
-        """Stage 8: return the goal of this tick, or None to stand. The mission is under way.
+        """Stage 8: return the goal of this tick, or None to stand still. The mission is active.
 
         Args:
-            scores: float32 (n,), of `context.candidates`.
-            images: how many the detector has searched so far.
+            context: Observation, candidates and time of the tick.
+            scores: (n,) float32, scores of `context.candidates`.
+            images: Number of images that the detector has processed so far.
         """
 
     def facts(self) -> TaskFacts | None:
-        """Return what is known of a trajectory; None for a behaviour that follows none."""
+        """Return the state of the trajectory; None for a behaviour without one."""
 
     def reconfigure(self, config: Config) -> None:
         """Use another configuration from the next tick on."""
 
     def forget(self) -> None:
-        """Drop what is held in the old frame: the pose jumped."""
+        """Drop all data in the old frame, after a pose jump."""
 
     def close(self) -> None:
-        """Stop work in the background: the mission is replaced, or the service ends."""
+        """Stop background work: the mission is replaced, or the service ends."""

@@ -1,4 +1,4 @@
-"""How a task's trajectory is written and refined, in the background (see `follow.py`)."""
+"""Background planner of a task's trajectory: it writes and refines it (see `follow.py`)."""
 
 from __future__ import annotations
 
@@ -27,26 +27,30 @@ from edge.types import Detections, Instance, Observation
 log = logging.getLogger("edge.loop.behaviours.draft")
 
 NEARER_M = 0.15
-"""Getting less near to a thing is not worth starting again."""
+"""Smallest approach to an object that is worth another trajectory."""
 AGAIN_M = 3.0
-"""What was found anew so near to where the robot stopped at a thing is that thing."""
+"""An object of the same label this near to the robot is taken as the object that it stopped at, if
+the old id is gone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Draft:
-    """What came of writing or refining, beside the loop.
+    """The result of writing or refining a trajectory.
 
     Attributes:
-        refined: the trajectory; None: there is none, and `error` says why in one line.
-        hopeless: whatever else comes to be known, there will be none.
-        mistakable: ids of the things of which one was named, and it may be any.
-        coarse_m: (n, 2) float64 in `map`, as it was written; None: it was not.
-        speed_mps: that was asked for; None: none was.
-        stops_at: number and label of the thing that it ends at; see `edge.tasks.write.Written`.
-        stops: numbers and labels of the things that the robot stops at with each step, the last of
-            them step `upto`; empty of a model.
-        upto: so many of the task's steps are driven where it ends.
-        understood, prompt, rounds: see `edge.tasks.facts.TaskFacts`.
+        refined: The trajectory; None if there is none.
+        error: Reason why there is no trajectory, one line.
+        hopeless: True if no later try can succeed, even with more objects seen.
+        mistakable: Ids of the objects that a name may mean, if it is ambiguous.
+        coarse_m: (n, 2) float64 in `map`, the trajectory as written; None if none was written.
+        speed_mps: Speed that the instruction asks for; None if it asks for none.
+        stops_at: Id and label of the object at its end; see `edge.tasks.write.Written`.
+        stops: Ids and labels of the objects at the stop of each step; the last is that of step
+            `upto`. Empty if a model wrote the trajectory.
+        upto: Number of steps of the task that are done at its end.
+        understood: See `edge.tasks.facts.TaskFacts`.
+        prompt: See `edge.tasks.facts.TaskFacts`.
+        rounds: See `edge.tasks.facts.TaskFacts`.
     """
 
     refined: Refined | None = None
@@ -65,7 +69,7 @@ class Draft:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """A picture with boxes, whose frame is held, for an object map."""
+    """A request to add the boxes of an image, whose frame is held, to an object map."""
 
     found: Detections
     objects: ObjectMap
@@ -74,17 +78,26 @@ class Look:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Order:
-    """What the worker is to do, with all that it needs: the loop goes on.
+    """A request to the worker to write or refine a trajectory, with all data that it needs.
 
     Attributes:
-        first: so many steps of the instruction were driven; `ends`: up to how many a trajectory may
-            be written now, the most first; `n_steps`: how many there are.
-        before: what was written before; its trajectory is to be refined again, from `index` on.
-            None: one has to be written.
-        why: another one has to be written; "" where it is the first.
-        nearer_to: the thing that the robot stopped at, which may be got nearer to on the map that
-            there is by now; None: it is under way.
-        rounds: a model's, as they end.
+        config: The configuration.
+        instruction: Instruction of the task.
+        first: Number of steps of the instruction that were driven.
+        ends: Numbers of steps that a trajectory may cover now, the largest first.
+        n_steps: Total number of steps.
+        view: The map.
+        observation: Observation with the robot's pose.
+        instances: Objects of the targets.
+        objects: Object map of the task.
+        found: Detections of the image for a model; None if it gets none.
+        before: Earlier result, whose trajectory is refined again from `index` on. None: write a
+            new trajectory.
+        index: Index of the pose to refine from.
+        why: Reason for a new trajectory; "" for the first.
+        nearer_to: Id and label of the object that the robot stopped at, to drive nearer to it on
+            the current map; None for other requests.
+        rounds: Answers of a model, added as they end.
     """
 
     config: Config
@@ -105,19 +118,19 @@ class Order:
 
 
 def told(draft: Draft, refined: Refined, order: Order) -> str:
-    """Return a line on a draft's trajectory, for the mission's log."""
+    """Return a line about a trajectory for the mission log."""
     length_m = float(np.hypot(*np.diff(refined.poses[:, :2], axis=0).T).sum())
     what = draft.understood or "written by the model"
     if order.before is not None:
         what = "refined again"
     elif order.nearer_to is not None:
-        what = "nearer to where it ends"
+        what = "to get nearer to the object at its end"
     notes = "".join(f"; {note}" for note in refined.notes)
     return f"trajectory of {length_m:.1f} m: {what}{notes}"
 
 
 def carried_out(order: Look | Order) -> Draft | None:
-    """What comes of an order, whatever goes wrong: a task waits for it."""
+    """Carry out a request. Never raise, because the task waits for a result."""
     if isinstance(order, Look):
         try:
             add_found(order.objects, order.found, order.range_m)
@@ -134,16 +147,17 @@ def carried_out(order: Look | Order) -> Draft | None:
         return Draft(error=str(error), hopeless=isinstance(error, TranslationError))
     except Exception as error:
         log.exception("writing a trajectory")
-        return Draft(error=f"a fault of edge itself: {type(error).__name__}: {error}")
+        return Draft(error=f"a bug in edge: {type(error).__name__}: {error}")
 
 
 def let_go(item: Look | Order) -> None:
+    """Release the frame of a request."""
     if isinstance(item, Look):
         item.found.observation.release()
 
 
 def _written(order: Order) -> Draft:
-    """A trajectory for as many steps as one can be written for."""
+    """Write a trajectory for as many steps as possible."""
     scene, draft = _scene(order), Draft()
     for upto in order.ends:
         draft = _written_up_to(upto, order, scene)
@@ -185,7 +199,7 @@ def _written_up_to(upto: int, order: Order, scene: Scene) -> Draft:
 
 
 def _refined(order: Order, before: Draft, refined: Refined) -> Draft:
-    """The rest of the trajectory of a draft, refined on the map that there is by now."""
+    """Refine the rest of an earlier trajectory on the current map."""
     config = order.config
     limits = _limits(config, before)
     refined = refine_again(_scene(order), refined, order.index, _body(config), limits)
@@ -193,8 +207,10 @@ def _refined(order: Order, before: Draft, refined: Refined) -> Draft:
 
 
 def _nearer(order: Order, thing: tuple[int, str]) -> Draft:
-    """The rest of the way to a thing that was far off, or hidden, when the trajectory was written;
-    none where that is hardly any."""
+    """Write a trajectory nearer to an object that was far away, or hidden, before.
+
+    The result has no trajectory if the approach is below `NEARER_M`.
+    """
     scene = _scene(order)
     found = _found_again(thing, scene)
     if found is None:
@@ -210,7 +226,7 @@ def _nearer(order: Order, thing: tuple[int, str]) -> Draft:
 
 
 def _found_again(thing: tuple[int, str], scene: Scene) -> SceneObject | None:
-    """The thing of that number; where what was seen since made another of it, that."""
+    """Return the object with this id. If it is gone, return the nearest object of its label."""
     number, label = thing
     if number in scene.objects:
         return scene.objects[number]
@@ -231,7 +247,10 @@ def _scene(order: Order) -> Scene:
 
 
 def _tasks(config: Config) -> Tasks:
-    """No nearer to anything than the map inflates it by: there, the way counts as blocked."""
+    """Return the task settings, with a clearance of at least the map's inflation.
+
+    A path inside the inflated cells would count as blocked.
+    """
     tasks, trajectory = config.tasks, config.tasks.trajectory
     clearance_m = max(trajectory.clearance_m, config.mapping.inflation_m)
     trajectory = trajectory.model_copy(update={"clearance_m": clearance_m})

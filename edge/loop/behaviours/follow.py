@@ -1,13 +1,15 @@
-"""A task under way: what it names is looked for, its trajectory is written, refined and driven.
+"""Follow behaviour: find the objects of a task, then write, refine and drive its trajectory.
 
-As many of its steps as can be written are driven; what a later one names is looked for as they are,
-and searched for once nothing more can be driven. Writing and refining take from a tenth of a second
-to minutes, so they are done in the background (`draft.py`); the robot stands meanwhile. A
-trajectory means something in the frame in which it was written, and from where the robot stood
-then: where the pose jumps, and after a restart, a new one is written for the steps that are left.
-It is written about things that may have been seen from far off only, so what it stops at is made
-sure of from there, as a mission's target is; what is none after all is left, and another is looked
-for.
+The robot drives as many steps as a trajectory can be written for. The objects of later steps may be
+seen during the drive. If no further step can be driven, the robot searches for them.
+
+Writing and refining take from 0.1 s to minutes. They run in the background (`draft.py`), and the
+robot stands still until they end. A trajectory is valid only in its frame and from the robot's
+place. After a pose jump or a restart, a new one is written for the remaining steps.
+
+A trajectory may refer to objects that were seen only from afar. At each stop the robot therefore
+verifies the objects, like a target of a mission. It rejects a wrong object and searches for another
+one.
 """
 
 from __future__ import annotations
@@ -38,30 +40,34 @@ from edge.text import one_line
 from edge.types import Detections, Goal, Instance, Observation
 
 AHEAD_M = 1.5
-"""How far the goal moves ahead of the robot, and `APART_M` from where it was before it is sent."""
+"""Distance of the goal ahead of the robot on the trajectory."""
 APART_M = 0.3
+"""The goal is sent again when it has moved by this distance."""
 LOOK_NS = 500_000_000
-"""How often the path ahead is looked at."""
+"""Period of the check for obstacles on the path ahead."""
 AGAIN_NS = 2_000_000_000
-"""How often it is tried to write a trajectory that what was seen so far did not allow."""
+"""Period of new tries to write a trajectory that was not possible with the objects seen so far."""
 TURNS = 3
-"""On the spot, in which a model's robot comes round once before the trajectory is written."""
+"""Number of turns in a full circle, which the robot does before a model writes the trajectory."""
 FACING_RAD = math.radians(25.0)
-"""The robot looks at a thing that lies no farther off the direction that it faces."""
+"""The robot faces an object if the angle to it is not larger than this."""
 SAME_PLACE_M = 0.5
-"""A robot that is held up twice within this distance is not helped by the same trajectory."""
+"""If the robot is blocked twice within this distance, a new trajectory is written."""
 _REASON_CHARS = 300
 
 
 class FollowBehaviour:
-    """One task, from what it names to the end of its trajectory; for one thread, the loop's.
+    """A behaviour that carries out one task; for the loop's thread.
 
     Args:
-        mission: keeps time, limits and the log of steps.
-        journal: records what the worker found.
+        mission: The mission of the task. It has the time, the limits and the log.
+        config: The configuration.
+        here: The semantic map.
+        goals: The goal tracker.
+        journal: Input log, which records the worker's results.
 
     Attributes:
-        phase: what is done now.
+        phase: Current phase of the task.
     """
 
     def __init__(
@@ -78,28 +84,28 @@ class FollowBehaviour:
             "task", carried_out, inline=config.loop.lockstep, drop=let_go
         )
         self._worker: Any = journal.beside(TASK, self._side)
-        self._objects = ObjectMap()  # the worker's
+        self._objects = ObjectMap()  # only the worker uses it
         self._begin()
 
     def _begin(self) -> None:
-        """With the first step that was not driven."""
+        """Begin with the first step that was not driven."""
         self.phase: TaskPhase = "looking"
         self._turns = TURNS if self._by_model else 0
         self._turning: SE2 | None = None
         self._draft = Draft()
         self._index = self._refinements = 0
-        self._order: Order | None = None  # that the worker is at
-        self._why = ""  # a trajectory before this one could not be driven on
-        self._refused = ""  # why none can be written from what was seen so far
-        self._unsure: tuple[int, ...] = ()  # instances of which it may be any
-        self._all_seen = False
-        self._held_up_at: SE2 | None = None
+        self._order: Order | None = None  # request that the worker handles
+        self._why = ""  # reason why an earlier trajectory was abandoned
+        self._refused = ""  # reason why no trajectory can be written with the objects seen so far
+        self._unsure: tuple[int, ...] = ()  # instances that an ambiguous name may mean
+        self._all_seen = False  # the last try was made with an exhausted search
+        self._blocked_at: SE2 | None = None
         self._looked_ns = 0
-        self._sure = self._mission.state  # at the stops of so many steps were the things named
-        self._halt: tuple[int, int] | None = None  # the next stop: its step, the index of its pose
-        self._unproven: list[tuple[int, str]] = []  # things of the stop that the robot is at
-        self._proven: set[int] = set()  # instances that were found to be the others
-        self._images = 0  # since it looks at the first of them, from `_stopped_ns` on
+        self._sure = self._mission.state  # number of steps whose stops were verified
+        self._halt: tuple[int, int] | None = None  # next stop: its step, the index of its pose
+        self._unverified: list[tuple[int, str]] = []  # objects to verify at this stop
+        self._verified: set[int] = set()  # instances that were verified at this stop
+        self._images = 0  # number of images since `_stopped_ns`
         self._stopped_ns = 0
 
     @property
@@ -108,18 +114,17 @@ class FollowBehaviour:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What the steps that were not driven name, and has to be seen yet."""
+        """Targets of the remaining steps that were not seen yet."""
         return self._mission.plan.steps
 
     @property
     def missed(self) -> bool:
-        """Whether nothing more can be driven before something is seen that it names."""
+        """True if no step can be driven until another target is seen."""
         return self.phase == "looking" and not self._ends
 
     @property
     def searching(self) -> bool:
-        """Whether the robot searches, as for a mission's target: for what it names, or for ground
-        that a trajectory can lead over."""
+        """True while the robot explores, for a missing target or for space to drive through."""
         return self.missed or (self.phase == "looking" and bool(self._refused))
 
     @property
@@ -128,7 +133,7 @@ class FollowBehaviour:
 
     @property
     def _ends(self) -> tuple[int, ...]:
-        """Up to how many steps a trajectory may be written now, the most first."""
+        """Numbers of steps that a trajectory may cover now, the largest first."""
         steps, unseen, first = self._steps, set(self.missing), self._mission.state
         if self._by_model:
             return (len(steps),)
@@ -139,15 +144,15 @@ class FollowBehaviour:
     # -- in each tick -----------------------------------------------------------------------
 
     def gather(self) -> Sequence[Instance]:
-        """Return the objects of which one was named, and that are not confirmed yet."""
+        """Return the unconfirmed objects that an ambiguous name may mean."""
         found = [self._map.tracker.get(number) for number in self._unsure]
         return [one for one in found if one is not None and one.state == "seen"]
 
     def plan(self, context: Context, images: int) -> None:
-        """Advance the task; start in the background what takes long."""
+        """Advance the task. Slow work is started in the background."""
         mission, goals, now_ns = self._mission, self._goals, context.now_ns
         targets, sure = mission.brief.targets, not self._config.policy.instances
-        # What is driven past may get out of sight, and is not looked for again.
+        # An object that the robot drives past may get lost, but is not searched for again.
         seen = newest_ids(self._map.tracker, targets, sure, doubted=False)
         mission.see(seen, now_ns, keep=self.phase != "looking")
         if not (goals.follows(mission) and mission.active):
@@ -158,17 +163,18 @@ class FollowBehaviour:
             mission.give_up(goals.why_in_vain(mission, self._map.grid), now_ns)
 
     def select(self, context: Context, scores: np.ndarray, images: int) -> Goal | None:
-        """Choose by score while something is looked for; else move the goal along the path."""
+        """Choose a goal by score during a search; otherwise move the goal along the trajectory."""
         if self.searching:
             return self._goals.choose(context, self._map.grid, scores, images)
         self._lead(context.pose, context.now_ns)
         return self._goals.goal
 
     def _step(self, context: Context, stuck: bool) -> None:
-        """Take one step of the present phase.
+        """Do one step of the current phase.
 
         Args:
-            stuck: the robot was to drive and stands still.
+            context: Observation, detections and time of the tick.
+            stuck: True if the robot should drive but stands still.
         """
         observation, detections = context.observation, context.detections
         pose, now_ns = context.pose, context.now_ns
@@ -185,7 +191,7 @@ class FollowBehaviour:
         if self.phase == "writing" and self._order is None and not self._mission.done:
             if not self._by_model:
                 self._ask(observation, None)
-            elif detections is not None:  # with the picture that the boxes are in
+            elif detections is not None:  # with the image of the boxes
                 self._ask(detections.observation, detections)
         elif self.phase == "driving":
             self._drive(observation, stuck, now_ns)
@@ -193,7 +199,7 @@ class FollowBehaviour:
             self._verify(pose, stuck, now_ns)
 
     def _lead(self, pose: SE2, now_ns: int) -> None:
-        """Where the robot goes now, in place of a candidate: on the trajectory, or to stand."""
+        """Set the goal ahead on the trajectory, or a turn, or none, so that the robot stands."""
         refined = self._draft.refined
         if self.phase == "driving" and refined is not None:
             until = None if self._halt is None else self._halt[1]
@@ -213,18 +219,18 @@ class FollowBehaviour:
         self._config = config
 
     def forget(self) -> None:
-        """The frame is another: what was written means nothing in it."""
+        """Begin again after a pose jump. The trajectory is invalid in the new frame."""
         self._worker.forget()
         self._objects = ObjectMap()
         self._begin()
 
     def close(self) -> None:
-        """Nobody waits any more for what is under way."""
+        """Drop the running request and stop the worker."""
         self._worker.forget()
         self._worker.stop()
 
     def facts(self) -> TaskFacts:
-        """See `edge.loop.result.TickResult.task`."""
+        """Return the state of the task; see `edge.loop.result.TickResult.task`."""
         mission, draft, planner = self._mission, self._draft, self._config.tasks.planner
         outcome = mission.status("searching").phase
         return TaskFacts(
@@ -244,7 +250,7 @@ class FollowBehaviour:
         )
 
     def steps(self) -> Iterator[StepFacts]:
-        """How each step stands; any thread may ask."""
+        """Yield the state of each step; for any thread."""
         mission, order, missing = self._mission, self._order, set(self.missing)
         upto = self._draft.upto if order is None else order.ends[0]
         for n, step in enumerate(self._steps):
@@ -262,7 +268,7 @@ class FollowBehaviour:
     # -- inside -----------------------------------------------------------------------------
 
     def _look_round(self, pose: SE2, stuck: bool) -> None:
-        """All that has to be seen was seen; before a model writes, the robot turns once."""
+        """Turn once on the spot for a model, then start to write. All targets were seen."""
         answer = self._goals.answer
         ended = answer is not None and answer.state in ("reached", "failed")
         if self._turning is not None and not (stuck or ended):
@@ -274,7 +280,7 @@ class FollowBehaviour:
             self._turning, self.phase = None, "writing"
 
     def _look_on(self, observation: Observation, now_ns: int) -> None:
-        """Try again now and then while the map grows, and once it does no more."""
+        """Try again every `AGAIN_NS` while the map grows, and a last time when it is explored."""
         if self._order is not None:
             return
         if self._all_seen:
@@ -286,7 +292,7 @@ class FollowBehaviour:
             self._ask(observation, None)
 
     def _see(self, found: Detections) -> None:
-        """What the targets look like all round is gathered beside the loop."""
+        """Add the detections to the object map, in the background."""
         perception, seen = self._config.perception, found.observation
         found = found.above(perception.tau_det)
         ranged = seen.depth_m is not None or seen.cloud_m is not None
@@ -301,9 +307,9 @@ class FollowBehaviour:
         before: Draft | None = None,
         nearer_to: tuple[int, str] | None = None,
     ) -> None:
-        """Have a trajectory written, or `before`'s refined again; see `Order`.
+        """Request a new trajectory, or refine that of `before` again; see `Order`.
 
-        A copy of the picture costs less than a frame that is held while a model is asked.
+        The image is copied, so that its frame is not held while a model runs.
         """
         rgb = seen.rgb if self._by_model and before is None else None
         still = replace(
@@ -340,16 +346,16 @@ class FollowBehaviour:
         order: Order,
         now_ns: int,
     ) -> None:
-        """Drive what was found; where nothing was, have another written, or give up."""
+        """Start to drive the new trajectory. If there is none, write another or fail."""
         mission, self._order = self._mission, None
         self._unsure = draft.mistakable
         unsure = self.gather()
-        for n, said in enumerate(draft.rounds, start=1):
-            if said.error and order.before is None:
-                mission.tell(_line(f"answer {n} of the model: {said.error}"), now_ns)
+        for n, answer in enumerate(draft.rounds, start=1):
+            if answer.error and order.before is None:
+                mission.tell(_line(f"answer {n} of the model: {answer.error}"), now_ns)
         if draft.refined is not None:
             refined = draft.refined
-            if order.nearer_to is not None:  # the task's trajectory is still the one before
+            if order.nearer_to is not None:  # other facts stay those of the task's trajectory
                 draft = replace(self._draft, refined=refined, stops_at=None)
             self._draft, self._index, self._looked_ns = draft, 0, 0
             self._refinements += 1
@@ -362,11 +368,11 @@ class FollowBehaviour:
             self._write_again(draft.error, now_ns)
         elif unsure or not (draft.hopeless or self._why or self._by_model):
             if not self._refused:
-                mission.tell(_line(f"{draft.error}: looking further"), now_ns)
+                mission.tell(_line(f"{draft.error}: exploring further"), now_ns)
             self.phase, self._refused, self._looked_ns = "looking", draft.error, now_ns
         else:
             self._draft = draft
-            after = f"{self._why}; written again: " if self._why else ""
+            after = f"{self._why}; no new trajectory: " if self._why else ""
             mission.fail(_line(f"{after}{draft.error}"), now_ns)
 
     def _drive(
@@ -375,7 +381,7 @@ class FollowBehaviour:
         stuck: bool,
         now_ns: int,
     ) -> None:
-        """See whether the robot is there, and whether it can go on."""
+        """Check whether the robot has arrived, is blocked, or has an obstacle ahead."""
         refined, goal, answer = self._draft.refined, self._goals.goal, self._goals.answer
         assert refined is not None
         pose, state = observation.pose, None if answer is None else answer.state
@@ -392,10 +398,10 @@ class FollowBehaviour:
         elif state == "reached" and goal is not None:
             self._index = index_at_goal(refined, goal.pose, self._index)
         elif stuck or state == "failed":
-            why = "the robot is held up"
+            why = "the robot is blocked"
             if answer is not None and not stuck:
                 why = f"the controller failed: {answer.reason}"
-            before, self._held_up_at = self._held_up_at, pose
+            before, self._blocked_at = self._blocked_at, pose
             if before is not None and pose.distance_to(before.x_m, before.y_m) < SAME_PLACE_M:
                 self._write_again(why, now_ns)
             else:
@@ -404,11 +410,11 @@ class FollowBehaviour:
             self._looked_ns = now_ns
             away_m = blocked_ahead_m(refined, self._map.view, self._index)
             if away_m is not None:
-                why = f"something is in the way, {away_m:.1f} m ahead"
+                why = f"obstacle on the path {away_m:.1f} m ahead"
                 self._refine_again(why, observation, now_ns)
 
     def _driven(self, refined: Refined) -> int:
-        """How many steps lie behind the robot, each of which the rules made one segment."""
+        """Return the number of driven steps. The rules write one segment for each step."""
         ahead = refined.legs[refined.leg[self._index] :]
         driven = max(self._draft.upto - sum(leg.ends_segment for leg in ahead), 0)
         while self._steps[driven].joined:
@@ -416,7 +422,7 @@ class FollowBehaviour:
         return driven
 
     def _next_halt(self, refined: Refined) -> tuple[int, int] | None:
-        """The next step that stops at things, and the index of the pose where it does."""
+        """Return the next step that stops at objects, and the index of the pose of the stop."""
         ends = [k for k, leg in enumerate(refined.legs) if leg.ends_segment]
         upto, stops = self._draft.upto, self._draft.stops
         for step, leg in zip(range(upto - len(ends), upto), ends, strict=True):
@@ -425,23 +431,25 @@ class FollowBehaviour:
         return None
 
     def _stop(self, now_ns: int) -> None:
-        """At a stop, or at the end of a trajectory, as near to a thing there as one gets."""
+        """Handle the arrival at a stop, or at the end of a trajectory: verify the objects there."""
         if self._halt is None:
             self._go_on(now_ns)
             return
-        self._unproven = list(self._draft.stops[self._halt[0] - self._draft.upto])
-        self._proven.clear()
+        self._unverified = list(self._draft.stops[self._halt[0] - self._draft.upto])
+        self._verified.clear()
         self.phase, self._stopped_ns, self._images = "verifying", now_ns, 0
 
     def _verify(self, pose: SE2, stuck: bool, now_ns: int) -> None:
-        """Whether what the robot stopped at is what the task names; from afar there is no telling,
-        and it is taken for it."""
-        (number, label), perception = self._unproven[0], self._config.perception
+        """Verify the next object of the stop.
+
+        An object that is too far away to verify is accepted.
+        """
+        (number, label), perception = self._unverified[0], self._config.perception
         here = [
             one
             for one in self._map.tracker.of(label)
             if one.distance_m(pose.x_m, pose.y_m) <= min(AGAIN_M, perception.confirm_range_m)
-            and one.id not in self._proven
+            and one.id not in self._verified
         ]
         here.sort(key=lambda one: (one.id != number, one.distance_m(pose.x_m, pose.y_m)))
         thing = self._map.tracker.get(number)
@@ -449,13 +457,13 @@ class FollowBehaviour:
         away = thing is not None and thing.state != "refuted" and not here
         if thing is not None and away and not self._map.tracker.confirmed(thing):
             away_m = thing.distance_m(pose.x_m, pose.y_m)
-            said = f"{label} {number} is {away_m:.1f} m away: too far to make sure that it is one"
-            self._mission.tell(_line(said), now_ns)
+            text = f"{label} {number} is {away_m:.1f} m away: too far to verify, accepted"
+            self._mission.tell(_line(text), now_ns)
         if away or found is not None:
-            self._proven.add(number if found is None else found.id)
+            self._verified.add(number if found is None else found.id)
             self._turning, self._stopped_ns, self._images = None, now_ns, 0
-            self._unproven.pop(0)
-            if not self._unproven:
+            self._unverified.pop(0)
+            if not self._unverified:
                 self._leave(now_ns)
             return
         if here and not self._faces(here[0], pose, stuck):
@@ -464,16 +472,16 @@ class FollowBehaviour:
             self._images >= MIN_IMAGES
             and (now_ns - self._stopped_ns) * 1e-9 > self._config.mission.verify_s
         ):
-            if here:  # it may have got another number
+            if here:  # the object may have got another id
                 number = here[0].id
             self._map.tracker.refute(number)
-            said = f"{label} {number} is none, as seen from near by: looking further"
-            self._mission.tell(_line(said), now_ns)
+            text = f"{label} {number} was not confirmed from near by, rejected: exploring further"
+            self._mission.tell(_line(text), now_ns)
             self._begin()
             self._goals.set_out(self._mission)
 
     def _faces(self, thing: Instance, pose: SE2, stuck: bool) -> bool:
-        """Whether the robot looks at a thing; if not, it turns to it, once."""
+        """Return True if the robot faces an object, or its turn has ended; else turn it, once."""
         bearing_rad = pose.bearing_to(*thing.center_m[:2].tolist())
         if self._turning is None:
             if abs(bearing_rad) <= FACING_RAD:
@@ -485,7 +493,7 @@ class FollowBehaviour:
         return ended or stuck
 
     def _leave(self, now_ns: int) -> None:
-        """All things of a stop are what the task names: drive on, or end."""
+        """Drive on after all objects of a stop were verified, or end the trajectory."""
         refined = self._draft.refined
         assert refined is not None
         assert self._halt is not None
@@ -497,23 +505,23 @@ class FollowBehaviour:
         self._halt = self._next_halt(refined)
 
     def _go_on(self, now_ns: int) -> None:
-        """At the end of a trajectory: with the steps that come after it, if any do."""
+        """Continue with the remaining steps at the end of a trajectory, if there are any."""
         self._mission.drove(self._draft.upto, now_ns)
         if not self._mission.done:
             self._begin()
             self._goals.set_out(self._mission)
 
     def _refine_again(self, why: str, observation: Observation, now_ns: int) -> None:
-        self._mission.tell(_line(f"{why}: the rest is refined again"), now_ns)
+        self._mission.tell(_line(f"{why}: refining the rest again"), now_ns)
         self._ask(observation, None, self._draft)
 
     def _write_again(self, why: str, now_ns: int) -> None:
-        """Once; who is asked for the same again and again helps no one."""
+        """Write a new trajectory, once. The second time, the mission fails."""
         if self._why:
             self._mission.fail(_line(why), now_ns)
             return
         self.phase, self._why = "writing", why
-        self._mission.tell(_line(f"{why}: written again from here"), now_ns)
+        self._mission.tell(_line(f"{why}: writing a new trajectory from here"), now_ns)
 
 
 def _is_at(pose: SE2, refined: Refined, index: int) -> bool:

@@ -1,4 +1,4 @@
-"""Go to the active target, and look for it first if need be (VL-Nav alg. 2, ViTL alg. 1)."""
+"""Search behaviour: explore, find the active target and go to it (VL-Nav alg. 2, ViTL alg. 1)."""
 
 from __future__ import annotations
 
@@ -18,10 +18,14 @@ from edge.types import Goal, Instance
 
 
 class SearchBehaviour:
-    """Go to the best candidate: a frontier, or an object that may be the active target.
+    """A behaviour that goes to the best candidate: a frontier or an object of the active target.
 
     Args:
-        surveyor: measures distances between targets, if the planner weighs by them.
+        mission: The mission.
+        config: The configuration.
+        here: The semantic map.
+        goals: The goal tracker.
+        surveyor: Estimates travel costs between targets; None if the planner does not use them.
     """
 
     searching = True
@@ -50,7 +54,7 @@ class SearchBehaviour:
         return self._map.tracker.of(self._mission.target, sure, doubted=doubted)
 
     def plan(self, context: Context, images: int) -> None:
-        """Judge the goal, and give up a target that was searched for everywhere."""
+        """Check the goal; fail the target if the search for it is exhausted."""
         mission, grid, goals = self._mission, self._map.grid, self._goals
         pose, now_ns = context.pose, context.now_ns
         sure = not self._config.policy.instances
@@ -66,20 +70,20 @@ class SearchBehaviour:
                 mission.give_up(goals.why_in_vain(mission, grid), now_ns)
 
     def select(self, context: Context, scores: np.ndarray, images: int) -> Goal | None:
-        """Choose by score, or go to the place."""
+        """Choose the goal by the candidates' scores, or go to the place."""
         if (place := self._place) is not None:
             target, grid = self._mission.target, self._map.grid
             return self._goals.go_to_place(context, grid, place, target, images)
         return self._goals.choose(context, self._map.grid, scores, images)
 
     def facts(self) -> None:
-        """Return None: no trajectory is followed."""
+        """Return None, since there is no trajectory."""
 
     def reconfigure(self, config: Config) -> None:
         self._config = config
 
     def forget(self) -> None:
-        """Do nothing: map and goals hold all that depends on the frame."""
+        """Do nothing: the map and the goal tracker hold all data in the frame."""
 
     def close(self) -> None:
         """Do nothing: the surveyor belongs to the service."""
@@ -88,6 +92,13 @@ class SearchBehaviour:
 def newest_ids(
     tracker: InstanceTracker, targets: Sequence[str], sure: bool, doubted: bool = True
 ) -> dict[str, int]:
-    """Return the highest object id for each target of which an object is known."""
+    """Return the highest object id of each target that has a known object.
+
+    Args:
+        tracker: The instance tracker.
+        targets: The targets.
+        sure: Count only confirmed objects.
+        doubted: Count objects that were more often detected as another class, too.
+    """
     known = {label: tracker.of(label, sure, doubted) for label in targets}
     return {label: max(i.id for i in found) for label, found in known.items() if found}

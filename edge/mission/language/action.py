@@ -1,4 +1,4 @@
-"""What a clause does: its verb, what it goes through, and what it reaches."""
+"""Parser of the action of a clause: its verb, the objects it passes, and the objects it reaches."""
 
 from __future__ import annotations
 
@@ -25,7 +25,13 @@ _MOTION = ("go", "come", "walk", "move", "head", "run", "drive", "travel", "retu
 
 
 def is_passing(reader: Reader, ahead: int = 0, any_way: bool = False) -> bool:
-    """Whether a way without a verb comes: ", then past the sofa"; with or without a thing."""
+    """Return True if a path without a verb comes: ", then past the sofa".
+
+    Args:
+        reader: the token reader.
+        ahead: position of the token.
+        any_way: True also accepts it without an object.
+    """
     token = reader.peek(ahead)
     if token.text == "back":
         return reader.sees("to", ahead=ahead + 1) or reader.peek(ahead + 1).text in UP
@@ -34,15 +40,15 @@ def is_passing(reader: Reader, ahead: int = 0, any_way: bool = False) -> bool:
 
 
 def goes_on_to(reader: Reader) -> bool:
-    """Whether "go on the third floor" comes, which is no "go on until"."""
+    """Return True if "go on the third floor" comes, but not "go on until"."""
     return reader.peek().text == "go on" and starts_things(reader, 1)
 
 
 def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
-    """`go to a`, `avoid a`, `go through a to b`, `do not skip a`: a verb and what it is about.
+    """Parse a verb and its objects: `go to a`, `avoid a`, `go through a to b`, `do not skip a`.
 
     Raises:
-        TranslationError: nothing that it could be about follows.
+        TranslationError: no object of the verb follows.
     """
     doubly = False
     if clause.negated and reader.sees("avoid") and "anywhere" in reader.peek().text:
@@ -52,7 +58,7 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.negated = not clause.negated
         clause.verb = avoid.text
         if reader.sees("you"):  # "go anywhere but you finish at the bed"
-            reader.refuse("say it in two sentences", avoid)
+            reader.refuse("use two sentences", avoid)
         says = Clause(avoid)
         take_mood(reader, says)
         if says.negated:
@@ -74,16 +80,16 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     if reader.take("neither"):
         clause.negated = True
     elif reader.tokens[reader.at - 1].text in _MOTION and not _plainly_named(reader):
-        reader.refuse("no thing that is known; if it is one, say 'to the …'")
+        reader.refuse("not a known object; if it is one, say 'to the …'")
     last = reader.tokens[reader.at - 1]
     warns = clause.verb in ("watch", "look") and reader.tokens[reader.at - 2].text == "out"
     if warns or clause.verb == "starts":  # "watch out for a", "the robot starts in a"
-        reader.refuse("only reaching things can be asked for", last)
+        reader.refuse("the robot can only go to objects", last)
     if last.text in ("off", "out", "with") and clause.verb in _LEAVES:
-        reader.refuse("only reaching things can be asked for", last)
+        reader.refuse("the robot can only go to objects", last)
     passes = last.text.split(" ")[-1] in PASSING or clause.verb.startswith(_PASSES)
     if clause.negated and clause.verb.split()[:1] in _MANNERS and not passes:
-        reader.deny("how to go cannot be told, only where", last)
+        reader.deny("how to go cannot be chosen; say only where to go", last)
     if reader.sees("only") and is_passing(reader, 1, any_way=True):
         reader.at += 2  # "go only through a"
         clause.only = passes = True
@@ -102,7 +108,7 @@ def take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         if doubly and clause.things:
             clause.things = each_of(clause.things)
         if clause.negated and reader.sees("or") and reader.sees("verb", ahead=1):
-            reader.deny("how far does the ban reach? say it in a sentence of its own")
+            reader.deny("unclear what is forbidden; use a separate sentence")
     elif clause.returns and memory.asked and clause.negated:
         clause.things = memory.asked  # "never go back"
     elif not clause.negated or not clause.verb.startswith("stop"):
@@ -135,26 +141,29 @@ def take_passed(
     passes: bool = True,
     verb: Token | None = None,
 ) -> None:
-    """Things, and what one goes on to: "through a and into b", "from a to b to c", "a or b, to c".
+    """Parse objects and the objects after them: "through a and into b", "from a to b to c".
 
     Args:
-        passes: they lie on the way.
-        verb: the last word before them.
+        reader: the token reader.
+        memory: antecedents of pronouns.
+        clause: the clause; the result is written here.
+        passes: True if the first objects lie on the way to others.
+        verb: the last token before the objects.
     """
     if clause.negated and clause.verb not in AVOIDING and reader.peek().text in _ALL_OF:
-        reader.deny("none of them, or not all? say it of each", reader.peek())
+        reader.deny("unclear: none of them, or not all? say it for each one", reader.peek())
     if clause.negated and verb and verb.text == "from":
-        reader.deny("which of them not to reach?", verb)
+        reader.deny("unclear which one to avoid; say 'avoid …'", verb)
     things = take_things(reader, memory, banned=clause.negated, way=passes)
     if clause.negated and clause.verb.startswith((*_CARRIES, "move")) and _onto_thing(reader):
-        reader.deny("only reaching things can be asked for", verb)
+        reader.deny("the robot can only go to objects", verb)
     rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, things.names))
     clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
     if clause.verb.startswith("follow") and not rides and not clause.verb.endswith(_ALONG):
-        reader.refuse("only a way can be followed", verb)
+        reader.refuse("the robot can only follow a path", verb)
     across = verb is not None and verb.text == "across" and reader.sees("to")
     if across and things.names[-1].split()[-1] in _STREETS:
-        reader.deny("'across …' says how to go; say only where to, or 'through …'", verb)
+        reader.deny("'across …' is unclear; say only where to go, or 'through …'", verb)
     if verb and verb.text == "from":
         reader.deny(REASONS["origin"], verb)
     while _onward(reader, clause):
@@ -164,7 +173,7 @@ def take_passed(
         further = take_things(reader, memory)
         if clause.verb == "pass" and nouns.PEOPLE.intersection(further.names):
             # "pass the cup to the guest"
-            reader.deny("only reaching things can be asked for", token)
+            reader.deny("the robot can only go to objects", token)
         if clause.route and len(clause.things.groups[-1]) > 1:
             reader.refuse("say it in two sentences: 'go through a to b, or through c to d'", token)
         if clause.negated:  # "do not go through a to b"
@@ -179,7 +188,7 @@ def _onto_thing(reader: Reader) -> bool:
 
 
 def _onward(reader: Reader, clause: Clause) -> bool:
-    """Whether "to b" may go on from there."""
+    """Return True if "to b" may follow here."""
     ahead = 1 if reader.sees("and") else 0
     onto = reader.peek(ahead + (reader.peek(ahead).text == "out")).text in _INTO
     if not clause.through and (onto or reader.sees("to")):
@@ -195,20 +204,23 @@ LEADING = nouns.listed(
 
 
 def _refuse_leading(reader: Reader, clause: Clause, ahead: int) -> None:
-    """`go to the door to the kitchen`, `move the cup to the table`: one thing, or two?"""
+    """Refuse `go to the door to the kitchen` and `move the cup to the table` as ambiguous."""
     said = reader.tokens[: reader.at]
     verb = max((i for i, token in enumerate(said) if token.text == clause.verb), default=0)
     moves = clause.verb in (*_MOTION, "get")
     moved = moves and said[verb + 1].kind in ("article", "word", "quoted")
     carried = moved or clause.verb.startswith(_CARRIES)
     if carried and not all(map(nouns.is_place, clause.things.names)):
-        reader.deny("only reaching things can be asked for", reader.peek(ahead))
+        reader.deny("the robot can only go to objects", reader.peek(ahead))
     if clause.things.names[-1].split()[-1] in LEADING:
-        reader.deny("what leads there, or one after the other? say 'then to …'", said[verb])
+        reader.deny(
+            "unclear: one thing that leads to the other, or both in turn? say 'then to …'",
+            said[verb],
+        )
 
 
 def _take_onward(reader: Reader) -> bool:
-    """Passes "to", "and into" before a thing; False, and nothing taken, when there is none."""
+    """Skip "to" or "and into" before an object; return False if it does not come."""
     ahead = 1 if reader.sees("and") else 0
     ahead += reader.peek(ahead).text in ("out", "on")
     if reader.peek(ahead).text == "through":
@@ -220,7 +232,7 @@ def _take_onward(reader: Reader) -> bool:
 
 
 def take_until(reader: Reader, memory: Memory, clause: Clause) -> None:
-    """`keep going until you reach a`: it asks for a, after what came before."""
+    """Parse `keep going until you reach a`: the clause asks for a, after the clauses before it."""
     token = reader.take("onward")
     assert token is not None
     if clause.negated:
@@ -233,7 +245,7 @@ def take_until(reader: Reader, memory: Memory, clause: Clause) -> None:
 
 
 def _plainly_named(reader: Reader) -> bool:
-    """Whether what follows is no unknown word without an article ("upstairs")."""
+    """Return True unless an unknown word without an article follows ("upstairs")."""
     token = reader.peek()
     if token.kind != "word" or len(token.text) == 1 or token.text in PASSING:
         return True
@@ -241,4 +253,5 @@ def _plainly_named(reader: Reader) -> bool:
 
 
 def each_of(things: Things) -> Things:
+    """Return the names as separate groups, so that each of them is meant."""
     return Things(tuple((name,) for name in things.names))

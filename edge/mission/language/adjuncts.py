@@ -1,4 +1,4 @@
-"""What may follow a verb and its object: orders, counts, conditions, things to avoid."""
+"""Parser of what may follow a verb and its object: orders, counts, conditions, objects to avoid."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from edge.mission.language.words import Reader, Token
 
 
 def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
-    """Takes one more part of the clause; False at its end."""
+    """Parse one more part of the clause; return False at its end."""
     token, start = reader.peek(), reader.at
     if token.kind == "always":
         clause.always = token
@@ -38,7 +38,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         clause.next_step = True
         reader.at += 1
     elif clause.negated and _by_way(reader):
-        reader.deny("which way not to take is said so: 'go to … without going through …'", token)
+        reader.deny("to exclude a path, say 'go to … without going through …'", token)
     elif token.text == "now" and clause.negated:
         reader.deny("say until when", token)
     elif token.kind in ("filler", "happen") or (token.kind == "forever" and clause.negated):
@@ -71,7 +71,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         clause.count = narrower(reader, clause.count, count, token)
         several = clause.things is not None and len(clause.things.groups) > 1
         if several and reader.tokens[reader.at - 1].text.endswith(("in total", "overall")):
-            reader.deny("each so often, or all of them together?", token)
+            reader.deny("unclear: this number for each, or for all together?", token)
     elif token.kind == "first" and not (reader.sees("verb", ahead=1) or starts_things(reader, 1)):
         clause.first = True
         reader.at += 1
@@ -117,7 +117,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
             return False  # "visit a if you saw b then visit c": of the next clause
         after = condition.kind == "after" and clause.negated
         if (when or after) and reader.sees("verb", "ensure", "you", "avoid"):
-            reader.deny("of which part is this said? put a comma", condition.token)
+            reader.deny("unclear which part this belongs to; add a comma", condition.token)
         clause.conditions.append(condition)
     else:
         return False
@@ -125,7 +125,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
 
 
 def _by_way(reader: Reader) -> bool:
-    """Whether "through a", "except through a" comes, which a ban may be of or not."""
+    """Return True if "through a" or "except through a" comes, which may belong to a ban or not."""
     ahead = 1 if reader.peek().text in ("except", "but") else 0
     token = reader.peek(ahead)
     passes = token.kind == "via" or token.text in PASSING
@@ -137,7 +137,7 @@ def _ends_sentence(reader: Reader, ahead: int) -> bool:
 
 
 def _whichever(reader: Reader) -> bool:
-    """Takes ", whichever you like" where there was a choice."""
+    """Skip ", whichever you like" after a choice; return False if it does not come."""
     ahead = 1 if reader.sees("comma") else 0
     choice = any(token.kind in ("or", "either") for token in reader.tokens[: reader.at])
     if not (choice and reader.sees("whichever", ahead=ahead) and _ends_sentence(reader, ahead + 1)):
@@ -151,7 +151,7 @@ def _of_every(clause: Clause) -> bool:
 
 
 def _denied(reader: Reader, count: Count, token: Token) -> Count:
-    """A count whose clause turns out to be forbidden: "visiting a more than once is prohibited"."""
+    """Return the count of a clause that is forbidden: "visiting a more than once is prohibited"."""
     if count.least == count.most:  # "more or less than once"
         return count
     rest = count.negated()
@@ -161,7 +161,7 @@ def _denied(reader: Reader, count: Count, token: Token) -> Count:
 
 
 def _count_ahead(reader: Reader, clause: Clause) -> bool:
-    """Takes "but at most twice"."""
+    """Parse "but at most twice"; return False if it does not come."""
     begin, token = reader.at, reader.peek()
     reader.skip("but", "comma")
     reader.take("all of")
@@ -177,7 +177,7 @@ def _count_ahead(reader: Reader, clause: Clause) -> bool:
 
 
 def narrower(reader: Reader, old: Count | None, new: Count, token: Token) -> Count:
-    """Both counts at once."""
+    """Return the intersection of two counts."""
     if old is None:
         return new
     most = min((m for m in (old.most, new.most) if m is not None), default=None)
@@ -188,7 +188,7 @@ def narrower(reader: Reader, old: Count | None, new: Count, token: Token) -> Cou
 
 
 def _trails(reader: Reader) -> bool:
-    """Whether "after that" ends a clause here, and does not begin the next."""
+    """Return True if "after that" ends this clause instead of beginning the next one."""
     if reader.peek().text in ("then", "and then", "followed by", "finally", "and finally"):
         return False
     if reader.sees("filler", ahead=1):
@@ -199,7 +199,10 @@ def _trails(reader: Reader) -> bool:
 
 
 def _condition_ahead(reader: Reader, clause: Clause) -> bool:
-    """Whether a condition of this clause follows, maybe behind "but", "only", "not"."""
+    """Skip to a condition of this clause, also after "but", "only" or "not".
+
+    Return False if none comes.
+    """
     ahead = 1 if reader.sees("comma") else 0
     if reader.sees("but", "and", ahead=ahead):
         ahead += 1
@@ -210,7 +213,7 @@ def _condition_ahead(reader: Reader, clause: Clause) -> bool:
     if not reader.sees(*CONDITIONS, ahead=ahead):
         return False
     if joined and not limited:
-        return False  # ", and before that …" begins a clause of its own
+        return False  # ", and before that …" begins the next clause
     if not limited and _leads(reader, clause):
         return False
     reader.at += ahead - (1 if limited else 0)
@@ -218,7 +221,7 @@ def _condition_ahead(reader: Reader, clause: Clause) -> bool:
 
 
 def _leads(reader: Reader, clause: Clause) -> bool:
-    """Whether the condition here belongs to the next clause: "visit a before that visit b"."""
+    """Return True if this condition belongs to the next clause: "visit a before that visit b"."""
     return (
         reader.sees("before", "after", "until")
         and reader.sees("pronoun", ahead=1)
@@ -228,7 +231,10 @@ def _leads(reader: Reader, clause: Clause) -> bool:
 
 
 def _avoided_aside(reader: Reader, memory: Memory, clause: Clause) -> bool:
-    """Takes ", avoiding x," before ", then y"; at the end it may go with all that was said."""
+    """Parse ", avoiding x," before ", then y"; return False, and take nothing, for anything else.
+
+    At the end of a sentence it may belong to all clauses before it.
+    """
     avoid = reader.peek(1)
     if avoid.kind != "avoid" or not avoid.text.endswith("ing") or not clause.things:
         return False
@@ -246,7 +252,7 @@ _EVER = ("ever", "at any point", "at any time", "at any point in time", "at all"
 
 
 def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
-    """`while avoiding x`, `without visiting x`, `while not going to x`, `without revisiting x`."""
+    """Parse `while avoiding x`, `without visiting x`, `while not going to x` and the like."""
     token = reader.take("while", "without", "avoid")
     assert token is not None
     denied = token.kind != "while"
@@ -254,7 +260,7 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     begin = reader.at
     take_mood(reader, says)
     if any(done.text in ("have", "has") for done in reader.tokens[begin : reader.at]):
-        reader.refuse("say what is not to be reached before what", token)
+        reader.refuse("say 'do not visit … before …'", token)
     avoid = reader.take("avoid")
     denied = denied or says.negated or avoid is not None
     skips = avoid is not None and avoid.text == "skipping"
@@ -270,19 +276,19 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     if not starts_things(reader):
         reader.refuse("expected the name of a thing here")
     if token.kind == "without" and reader.peek().text in ("both", "both of"):
-        reader.deny("none of them, or not both? say it of each", reader.peek())
+        reader.deny("unclear: none of them, or not both? say it for each one", reader.peek())
     if token.text == "with no" and not says.verb:
         reader.deny("say 'without …'", token)  # "the room with no window"
     things = take_things(reader, memory, banned=not clause.negated, way=True)
     said = [t.kind for t in reader.tokens[begin : reader.at]]
     if len(things.groups) == 2 and ("comma", "and") in itertools.pairwise(said):
-        reader.deny("is that to be avoided as well? say it in two sentences", token)
+        reader.deny("unclear if this is to be avoided too; use two sentences", token)
     while denied and reader.sees("or", "and") and another_participle(reader):
         skip_particles(reader, says)
         more = take_things(reader, memory, banned=True)
         things = Things(things.groups + more.groups)  # "without entering a or touching b"
     if denied and not things.every and take_count(reader, negated=False) is not None:
-        reader.deny("how often? say it in a sentence of its own", token)
+        reader.deny("unclear how often; use a separate sentence", token)
     if (reader.take("first") or says.first) and not clause.negated:
         if denied:  # "go to a without visiting b first"
             clause.not_first.append(things)
@@ -294,11 +300,11 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     if not denied and things.every:
         count = take_count(reader, negated=False)
         if count is None:
-            reader.refuse("say how often at most", token)
+            reader.refuse("say 'at most … times'", token)
         clause.each = count.most or count.least  # "while only visiting each place once"
         return
     if not denied:
-        reader.refuse("only 'while avoiding …' can be told; say what to reach first", token)
+        reader.refuse("only 'while avoiding …' is possible; say what to visit first", token)
     if things.every and (skips or says.again):
         clause.order = "strict order" if skips else clause.order
         clause.each = 1 if says.again else clause.each

@@ -1,4 +1,4 @@
-"""The bans of an instruction that the rules can read, to hold a model's formula against."""
+"""The bans of an instruction that the grammar finds, to check a model's formula."""
 
 from __future__ import annotations
 

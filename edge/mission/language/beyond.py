@@ -1,8 +1,8 @@
-"""What no mission of things to reach can say: recognised by its words, wherever it stands.
+"""Refusal of instructions that no formula over reached objects can express, recognised by words.
 
-An instruction is searched before it is parsed. A part that is left out or misread here would turn a
-ban into its opposite ("never go out of the yard") or send the robot to a thing that nobody meant
-("guard the gate"), so no other translator may guess at it either.
+The whole instruction is searched before it is parsed. Otherwise a parser or a model could leave out
+or misread a part. Then a ban could become its opposite ("never go out of the yard"), or the robot
+could go to an object that nobody meant ("guard the gate").
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from edge.mission.language.naming import is_indefinite, is_letter
 from edge.mission.language.routes import RIDDEN
 from edge.mission.language.words import REASONS, Reader, Token
 
-_WHERE = "things are told apart by kind, colour and size, not by where they are; name it alone"
-_WHICH = "which one that is cannot be seen in one picture; say its kind, colour or size"
-_SPOT = "only things can be reached, no spots near them; name the thing"
-_EXPLORE = "only going to things can be asked for, not searching a place; say what to find there"
-_TIME = "times and distances cannot be told, only what to reach"
+_WHERE = "objects differ by kind, colour and size, not by place; give only the name"
+_WHICH = "the camera cannot see which one this is; give its kind, colour or size"
+_SPOT = "the robot can reach objects, not places near them; name the object"
+_EXPLORE = "the robot cannot search a place; say which object to find there"
+_TIME = "times and distances cannot be used; say only what to reach"
 _AT_TIMES = ("for", "in", "after", "before", "at", "within", "until")
-_RIDE = "how to go cannot be told, only where"
-_IF_POSSIBLE = "say whether or not to do it"
-_DENIED = "only reaching things can be forbidden"
+_RIDE = "how to go cannot be chosen; say only where to go"
+_IF_POSSIBLE = "unclear if it must be done; leave out the condition"
+_DENIED = "only reaching objects can be forbidden"
 _THAT = "say 'after the …'"
 _NOWHERE = "say what to visit, and what to avoid"
 _NOR = "'nor' needs 'not' or 'neither' before it"
 _STAY = REASONS["stay"]
 _ROUND_IT = "say what to avoid, or what to go through"
 _LEFT_OUT = "say 'avoid …', or where to go"
-_LAST = "which one is the last cannot be seen; say its kind, colour or size"
-_ASKED = "no order; say for example 'visit the bed'"
-_OTHERS = "what others do is no order"
-_SHUN = "avoid it, or visit it? say which"
-_HOW_LONG = "how long is it to be avoided? say it in a sentence of its own"
-_EACH = "say the whole name of each, as in 'gate a or gate b'"
+_LAST = "the camera cannot see which one is the last; give its kind, colour or size"
+_ASKED = "not an instruction; say for example 'visit the bed'"
+_OTHERS = "not an instruction for the robot"
+_SHUN = "unclear: avoid it or visit it? say which"
+_HOW_LONG = "unclear how long to avoid it; use a separate sentence"
+_EACH = "give the full name of each, as in 'gate a or gate b'"
 
 _LEAVE = nouns.listed(
     """leave leaves leaving exit exits exiting depart departs departing quit quits quitting vacate
@@ -50,7 +50,7 @@ _HANDLED = (
     *_OPENS, "mov", "pick", "grab", "collect", "bring", "fetch", "take", "taking", "load",
     "unload", "empty", "fill", "start", "turn", "switch", "roll",
 )  # fmt: skip
-"""Beginnings of verbs that do something with a thing: a ban on that is none on reaching it."""
+"""Beginnings of verbs that handle an object: a ban on handling is no ban on reaching it."""
 _CAUSES = ("make", "making", "get", "getting")
 _KEPT_BY = ("at", "by", "along", "with", "within", "to")
 _DENYING = ("not", "without", "avoid", "neither")
@@ -104,7 +104,7 @@ def refuse_beyond(reader: Reader) -> None:
 
 
 def _found(reader: Reader, denied: bool) -> str:
-    """Return why the token here cannot be understood; "" where it may be."""
+    """Return why the token here cannot be understood; "" if it may be understood."""
     token, after, before = reader.peek(), reader.peek(1), _before(reader)
     if token.kind in ("quoted", "end"):
         return ""
@@ -115,7 +115,7 @@ def _found(reader: Reader, denied: bool) -> str:
     if token.text == "nowhere" and after.kind == "but":
         return _NOWHERE
     if token.kind == "around" and denied:
-        return _ROUND_IT  # to go around it is to avoid it
+        return _ROUND_IT  # "go around it" means "avoid it"
     if hint := _handles(reader, denied) or _is_no_order(reader):
         return hint
     if token.kind == "avoid" and after.kind == "neither":
@@ -146,7 +146,7 @@ def _found(reader: Reader, denied: bool) -> str:
 
 
 def _handles(reader: Reader, denied: bool) -> str:
-    """Why "do not move the chair", "pass up the sofa" is not understood, or ""."""
+    """Return why "do not move the chair" or "pass up the sofa" is refused; "" for other tokens."""
     token = reader.peek()
     if token.kind == "word":
         did = reader.at > 1 and reader.tokens[reader.at - 2].kind == "do"
@@ -166,13 +166,13 @@ def _handles(reader: Reader, denied: bool) -> str:
 
 
 def _is_thing(reader: Reader, ahead: int) -> bool:
-    """Return whether an article and the name of what is no place come there."""
+    """Return True if an article and a known name that is no place come there."""
     article = reader.sees("article", ahead=ahead) or reader.peek(ahead).text in ("a", "an")
     return article and bool(_named(reader, ahead)) and not _is_place(reader, ahead)
 
 
 def _is_no_order(reader: Reader) -> str:
-    """Why "can you see the lamp?", "there is a lamp", "let me go" is not understood, or ""."""
+    """Return why "can you see the lamp?" or "let me go" is refused; "" for other tokens."""
     token, after, before = reader.peek(), reader.peek(1), _before(reader)
     if token.text == "let" and after.text == "me":
         return _OTHERS
@@ -190,7 +190,7 @@ def _is_no_order(reader: Reader) -> str:
 
 
 def _is_lone_letter(reader: Reader) -> bool:
-    """Return whether the letter of "gate a or b", or of "rooms a and b", comes."""
+    """Return True if the letter of "gate a or b", or of "rooms a and b", comes."""
     if not _is_letter(reader.peek()) or is_indefinite(reader):
         return False
     said = reader.tokens[: reader.at]
@@ -222,7 +222,7 @@ def _trails(reader: Reader) -> bool:
 
 
 def _is_soft(reader: Reader) -> bool:
-    """Return whether "if you can", "if possible", or "every time" with nothing behind it comes."""
+    """Return True if "if you can", "if possible", or "every time" without a continuation comes."""
     if not reader.sees("when"):
         return False
     willing = reader.sees("you", ahead=1) and reader.peek(2).text in ("can", "could", "want")
@@ -238,7 +238,7 @@ def _ends(reader: Reader, ahead: int) -> bool:
 
 
 def _leaves(reader: Reader, denied: bool) -> bool:
-    """See whether "out of a", "off a", "away from a", "beyond a", or a denied "leave a" comes."""
+    """Return True if "out of a", "off a", "away from a", "beyond a" or a denied "leave a" comes."""
     token, after, before = reader.peek(), reader.peek(1), _before(reader)
     joins = before is not None and before.kind in ("and", "or")
     if token.text == "out" and denied and after.kind == "article" and _is_place(reader, 1):
@@ -253,7 +253,7 @@ def _leaves(reader: Reader, denied: bool) -> bool:
 
 
 def _leads(reader: Reader) -> bool:
-    """Return whether what is named behind this word is a door or the like."""
+    """Return True if the name after this word is a door or something similar."""
     return _named(reader, 1).split()[-1] in LEADING
 
 
@@ -298,7 +298,7 @@ def _says_where(reader: Reader, ahead: int) -> bool:
 
 
 def _name_before(reader: Reader) -> Token | None:
-    """Return the first word of the name that ends before this token; None where none does."""
+    """Return the first token of the name that ends before this token; None if there is none."""
     begin = reader.at
     before = _before(reader)
     if before is None:
@@ -314,13 +314,13 @@ def _name_before(reader: Reader) -> Token | None:
 
 
 def _is_place(reader: Reader, ahead: int) -> bool:
-    """Return whether the name that begins there is a place's."""
+    """Return True if the name that begins there is the name of a place."""
     name = _named(reader, ahead)
     return bool(name) and nouns.is_place(name)
 
 
 def _named(reader: Reader, ahead: int) -> str:
-    """Return the known name that begins there, maybe behind an article; "" where none does."""
+    """Return the known name that begins there, after an optional article; "" if there is none."""
     while reader.sees("article", "all of", ahead=ahead) or reader.peek(ahead).text in ("a", "an"):
         ahead += 1
     words: list[str] = []

@@ -1,4 +1,4 @@
-"""One clause of an instruction: who must (not) do what, how often, under which conditions.
+"""Parser of one clause: who must (not) do what, how often, under which conditions.
 
 clause    = { condition [","] } { mood } ( action | passive | bare ) { adjunct }
 action    = verb { verb } particles things | avoid [verb] things
@@ -56,7 +56,7 @@ _OPENINGS = ("no return", "quota", "onward", "opener", "origin", "on the way", "
 
 
 def starts_clause(reader: Reader, ahead: int = 0) -> bool:
-    """Whether a clause can begin at that token."""
+    """Return True if a clause can begin at that token."""
     if reader.sees("to", ahead=ahead):
         ahead += 1
     if starts_things(reader, ahead) or is_passing(reader, ahead):
@@ -75,13 +75,15 @@ def starts_clause(reader: Reader, ahead: int = 0) -> bool:
 
 
 def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
-    """The clause that begins here.
+    """Parse the clause that begins here.
 
     Args:
-        bare: whether it may do without a verb: always, if it names known things, or never.
+        reader: the token reader.
+        memory: antecedents of pronouns.
+        bare: "yes" allows a clause without a verb, "known" only if it names known objects.
 
     Raises:
-        TranslationError: it is none.
+        TranslationError: no clause begins here.
     """
     clause = Clause(reader.peek())
     begin, starts = reader.at, reader.at == 0 or reader.sees("stop", ahead=-1)
@@ -121,7 +123,7 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         clause.verb = "be"
         reader.at += 2 if reader.peek().text == "over" else 1
         if clause.negated and reader.sees("all of"):
-            reader.deny("none of them, or not all? say it of each")
+            reader.deny("unclear: none of them, or not all? say it for each one")
         clause.things = take_things(reader, memory, banned=clause.negated)
     elif reader.sees("quota"):
         take_quota(reader, memory, clause)
@@ -130,7 +132,7 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     elif starts_things(reader):
         _take_passive(reader, memory, clause, bare)
     elif before.kind == "be" and reader.peek().text in _PLACED:
-        reader.deny("where something is asks for nothing", clause.token)
+        reader.deny("this describes a place; say where to go", clause.token)
     elif before.text.endswith(("done", "finished")) and reader.peek().text in _PLACED:
         reader.deny("say 'after …'", before)
     elif bare == "yes" and reader.peek().text in ("at", "in") and starts_things(reader, 1):
@@ -166,15 +168,15 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         for condition in clause.conditions:
             condition.recurring = True
     if clause.always and not (clause.negated or clause.avoiding or clause.conditions):
-        reader.deny("a mission ends, so nothing can be asked for always", clause.always)
+        reader.deny("a mission ends, so 'always' is not possible for a visit", clause.always)
     if gerund and not any(t.kind in ("banned", "must") for t in reader.tokens[begin : reader.at]):
-        reader.refuse("no order; say for example 'visit the bed'", clause.token)
+        reader.refuse("not an instruction; say for example 'visit the bed'", clause.token)
     refuse_unclear(clause, reader)
     if clause.negated and clause.first and not clause.conditions and not clause.count:
         own = clause.things.names if clause.things else ()
         others = [name for name in asked.names if name not in own] if asked else []
         if not others:
-            reader.refuse("say before what it is not to be reached", clause.token)
+            reader.refuse("say 'do not visit … before …'", clause.token)
         one = Things((tuple(others),))
         clause.conditions.append(Condition("before", clause.token, one))  # "not b first"
         clause.first = False
@@ -189,7 +191,7 @@ def _is_over(reader: Reader) -> bool:
 
 
 def _is_there(reader: Reader) -> bool:
-    """Whether what follows "be", "i want you" or "you are not allowed" is where: "in the hall"."""
+    """Return True if a place follows "be", "i want you" or "you are not allowed": "in the hall"."""
     before, token = reader.tokens[reader.at - 1], reader.peek()
     if reader.at and before.text.endswith(" from") and before.kind == "not":
         return starts_things(reader)
@@ -202,7 +204,11 @@ def _is_there(reader: Reader) -> bool:
 
 
 def _take_restriction(memory: Memory, clause: Clause) -> bool:
-    """`…, without entering x`, `…, without going back`, `…, but only after x`: of all before it."""
+    """Turn a clause without an action into a restriction of all clauses before it.
+
+    Examples are `…, without entering x`, `…, without going back` and `…, but only after x`. Return
+    False if the clause is no restriction.
+    """
     avoided = [*clause.avoiding, *clause.never]
     clause.negated = True
     clause.things = Things(tuple(group for things in avoided for group in things.groups))
@@ -211,7 +217,7 @@ def _take_restriction(memory: Memory, clause: Clause) -> bool:
 
 
 def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
-    """Passes what may stand before a clause: an order, conditions."""
+    """Parse what may stand before a clause: an order, conditions."""
     while True:
         token = reader.peek()
         if token.kind == "all of" and reader.sees("without", "while", ahead=1):
@@ -261,11 +267,11 @@ def _counts(reader: Reader, ahead: int) -> bool:
 
 
 def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) -> None:
-    """`a and b must be visited`; or just names."""
+    """Parse `a and b must be visited`, or only names."""
     start = reader.peek()
     begin = reader.at
     if clause.negated and start.kind == "all of":
-        reader.deny("none of them, or not all? say it of each", start)
+        reader.deny("unclear: none of them, or not all? say it for each one", start)
     things = take_things(reader, memory, subject=True, banned=clause.negated)
     if start.text in _ANY_VISIT and _take_consequence(reader, memory, clause, start, things):
         return
@@ -278,9 +284,9 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         return
     done = "been" in said_before and not {"must", "should", "shall"} & set(said_before)
     if "been" in said_before and any(c.kind == "when" for c in clause.conditions):
-        reader.deny("say what must be reached before what", start)
+        reader.deny("say 'visit … before …'", start)
     if done and not clause.conditions:
-        reader.deny("what has happened asks for nothing", start)  # "the hall has been mopped"
+        reader.deny("this describes the past; say what to do", start)  # "the hall has been mopped"
     barred = any(token.kind == "banned" for token in reader.tokens[begin : reader.at])
     if things.listed and bare == "yes" and (barred or said & AUXILIARIES):
         reader.at = begin  # "…, then a, the hallway is off limits"
@@ -290,18 +296,18 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     if start.kind == "either" and (avoid or says.negated):
         reader.deny("say which to avoid", start)
     if "be" in said and reader.peek().text in STATES:
-        reader.deny("how a thing is cannot be told, only that it is reached", start)
+        reader.deny("the state of an object cannot be used, only that it is reached", start)
     verb = avoid or reader.take("verb", "happen")
     if barred and verb is not None:  # "the cat is forbidden to enter the kitchen"
-        reader.deny("only one robot is spoken to", start)
+        reader.deny("an instruction is for one robot only", start)
     if "be" in said and reader.peek().text in _PLACED:
-        reader.deny("only reaching things can be asked for", start)  # "the dog must be in b"
+        reader.deny("the robot can only go to objects", start)  # "the dog must be in b"
     if barred and verb is None:  # "the hallway is off limits"
         clause.negated, clause.verb = clause.negated != says.negated, "be"
         clause.things = each_of(things)
         return
     if avoid and says.mood == "can" and not says.negated:
-        reader.deny("what may be left out asks for nothing", start)
+        reader.deny("this is optional and asks for nothing; leave it out", start)
     if verb is not None and (said & AUXILIARIES or verb.kind == "happen"):
         clause.mood = says.mood if says.mood != "do" else clause.mood
         clause.negated = clause.negated != (says.negated != bool(avoid))
@@ -314,10 +320,10 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     if not (named and (bare == "yes" or clause.negated)) and not (
         bare == "known" and _well_known(reader, memory)
     ):
-        reader.refuse("no verb that is known", start)
+        reader.refuse("unknown verb", start)
     clause.things = take_things(reader, memory, banned=clause.negated)
     if reader.sees("not") and reader.peek().text.endswith(("allowed", "permitted")):
-        reader.deny("only one robot is spoken to", start)  # "guests are not allowed in b"
+        reader.deny("an instruction is for one robot only", start)  # "guests are not allowed in b"
     if reader.sees("verb") and reader.peek().text.split()[0].endswith("s"):
         reader.deny("say what to do, as in 'visit the bed'", start)  # "the path goes through b"
 
@@ -330,7 +336,7 @@ _ANY_VISIT = tuple(
 def _take_consequence(
     reader: Reader, memory: Memory, clause: Clause, start: Token, things: Things
 ) -> bool:
-    """Takes `any visit to a must be followed by a visit to b`."""
+    """Parse `any visit to a must be followed by a visit to b`; return False if it does not come."""
     begin = reader.at
     reader.skip("must", "to", "be", "always")
     clause.next_step = bool(reader.take("immediately"))
@@ -346,7 +352,7 @@ def _take_consequence(
 
 
 def _well_known(reader: Reader, memory: Memory) -> bool:
-    """Whether the names that follow can be nothing but names, so that they need no verb."""
+    """Return True if the following names can only be names, so that they need no verb."""
     begin = reader.at
     things = take_things(reader, memory)
     reader.at = begin

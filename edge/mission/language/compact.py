@@ -1,9 +1,9 @@
-"""Formulas as the small translator writes them: tokens in prefix notation, of which each but names
-has a fixed number of operands, so that every prefix can be completed and none need be parsed twice.
+"""Prefix notation of formulas, as the network writes them.
 
-Beside the operators of `logic.ltl` there are a few of its own, for what takes many of those:
-`>=n x`, `<=n x` and `=n x` count separate visits to x, and `O x y` is at most one visit to x, and
-then y, before y for the first time.
+Each token except names has a fixed number of operands. So every prefix can be completed, and no
+prefix needs to be parsed twice. In addition to the operators of `logic.ltl` there are
+abbreviations: `>=n x`, `<=n x` and `=n x` count separate visits to x. `O x y` is at most one visit
+to x before the first y.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from edge.mission.logic.ltl import (
 
 MOST_NAMES = 8
 NAMES = tuple(f"<{i}>" for i in range(MOST_NAMES))
-"""What stands for the things of an instruction, in the order in which they are first named."""
+"""Placeholders of the objects of an instruction, in the order of their first mention."""
 COUNTS = range(1, 6)
 REFUSED = "<refused>"
-"""In the place of a formula: none says this."""
+"""Output instead of a formula, if no formula expresses the instruction."""
 
 
 def _options(f: Formula) -> tuple[str, ...]:
-    """The names of a proposition, or of a disjunction of propositions."""
+    """Return the names of a proposition, or of a disjunction of propositions."""
     return tuple(part.name for part in (f.args if f.op == "|" else (f,)))
 
 
@@ -70,19 +70,26 @@ OPERATORS: dict[str, tuple[int, Callable[..., Formula]]] = {
     for sign, made in ((">=", _at_least), ("<=", _at_most), ("=", _exactly))
     for n in COUNTS
 }  # fmt: skip
-"""Token → how many operands it has, and what it makes of them."""
+"""Token → number of operands, and the function that makes a formula of them."""
 _OF_NAMES = {"!", "O"} | {token for token in OPERATORS if token[-1].isdigit()}
-"""Tokens whose operands are names, or choices among names."""
+"""Tokens whose operands are names or choices of names."""
 
 
 def arity(token: str) -> int:
-    """How many formulas follow the token."""
+    """Return the number of operands of the token."""
     return OPERATORS[token][0] if token in OPERATORS else 0
 
 
 def allowed(written: Sequence[str], names: int, most: int) -> Iterator[str]:
-    """The tokens that may come next, so that a formula over so many names and at most so many
-    tokens can be completed; none when it is complete."""
+    """Yield the tokens that may come next, so that the formula can be completed within the limits.
+
+    None is yielded when the formula is complete.
+
+    Args:
+        written: the tokens so far.
+        names: number of names that the formula may use.
+        most: largest number of tokens.
+    """
     open_, narrow = 1, [False]
     for token in written:
         inside = narrow.pop()
@@ -102,10 +109,14 @@ def allowed(written: Sequence[str], names: int, most: int) -> Iterator[str]:
 
 
 def formula_of(tokens: Sequence[str], names: Sequence[str]) -> Formula:
-    """The formula that tokens write, `NAMES[i]` being `names[i]`.
+    """Return the formula of tokens, in which `NAMES[i]` stands for `names[i]`.
 
     Raises:
-        ValueError: they write none.
+        ValueError: the tokens are no formula.
+
+    Example:
+        >>> str(formula_of(["F", "&", "<0>", "F", "<1>"], ["bed", "sofa"]))
+        'F (bed & F sofa)'
     """
     done: list[Formula] = []
     for token in reversed(tokens):

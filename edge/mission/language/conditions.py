@@ -1,4 +1,4 @@
-"""Conditions: `until the bed is reached`, `once you have visited it`, `before that`."""
+"""Parser of conditions: `until the bed is reached`, `once you have visited it`, `before that`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from edge.mission.language.words import Reader, Token
 
 
 def take_condition(reader: Reader, memory: Memory, clause: Clause) -> Condition:
-    """`until the bed is reached`, `once you have visited it`, `before that`."""
+    """Parse `until the bed is reached`, `once you have visited it`, `before that`."""
     only = denied = False
     if limit := reader.take("only", "not"):
         only, denied = limit.kind == "only", limit.kind == "not"
@@ -40,7 +40,7 @@ def take_condition(reader: Reader, memory: Memory, clause: Clause) -> Condition:
 
 
 def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None:
-    """`you have visited a`, `a is visited`, `visiting a`, `a`, `that`, `then`."""
+    """Parse the event of a condition: `you have visited a`, `a is visited`, `visiting a`."""
     says = Clause(reader.peek())
     said = take_mood(reader, says)
     inside = reader.peek().text in ("in", "inside", "at", "on") and starts_things(reader, 1)
@@ -52,7 +52,7 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         return
     been = reader.sees("to") and reader.tokens[reader.at - 1].text == "been"
     if condition.kind == "unless" and reader.peek().text.startswith("going"):
-        reader.deny("say 'only to get to …' in two sentences", condition.token)
+        reader.deny("use two sentences for 'only to get to …'", condition.token)
     if been or reader.sees("verb"):
         participle = reader.peek().text.split()[0].endswith("ing")
         condition.going = condition.token.text == "when" and participle
@@ -78,14 +78,14 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         condition.things = memory.asked  # "do not go to b before": before what was asked
         condition.referred = True
     else:
-        reader.refuse("expected what must have happened here", condition.token)
+        reader.refuse("expected a condition here", condition.token)
     _refuse_denied(reader, condition, says)
     condition.denied = condition.denied or says.negated
     first = bool(reader.take("first")) or says.first
     if first and reader.sees("then") and not reader.sees("end", ahead=1):
-        reader.deny("say it in two sentences", condition.token)
+        reader.deny("use two sentences", condition.token)
     if first and condition.recurring:
-        reader.deny("before what? say it in two sentences", condition.token)
+        reader.deny("unclear before what; use two sentences", condition.token)
     reader.skip("filler", "first")
     condition.count = take_count(reader, negated=False)
 
@@ -97,7 +97,10 @@ def _refuse_denied(reader: Reader, condition: Condition, says: Clause) -> None:
 
 
 def another_participle(reader: Reader) -> bool:
-    """Takes "and passing", as "after crossing a and passing b" goes on."""
+    """Skip "and passing", which continues "after crossing a and passing b".
+
+    Return False, and take nothing, if it does not come.
+    """
     verb = reader.peek(1)
     participle = verb.kind == "verb" and verb.text.split()[0].endswith("ing")
     goes_on = reader.sees("and", "or") and participle
@@ -107,30 +110,30 @@ def another_participle(reader: Reader) -> bool:
 
 
 def _ends(reader: Reader) -> bool:
-    """Whether a phrase is over here."""
+    """Return True if the phrase ends here."""
     return reader.sees("comma", "stop", "end", "and", "or", "but", "then", "filler", "first")
 
 
 def _asked(reader: Reader, memory: Memory, token: Token) -> Things:
     things = memory.asked
     if things is None:
-        reader.refuse(f"nothing was named before that {token.text!r} could mean", token)
+        reader.refuse(f"{token.text!r} refers to nothing that was named before", token)
     return things
 
 
 def _take_predicate(reader: Reader, says: Clause) -> bool:
-    """`has been visited`, `occurs`; False, and nothing taken, when there is none."""
+    """Skip `has been visited` or `occurs`; return False, and take nothing, if it does not come."""
     begin, negated = reader.at, says.negated
     said = take_mood(reader, says, PREDICATE)
     if reader.take("happen"):
         return True
     if said & AUXILIARIES and reader.sees("verb"):
         if said <= {"be", "not"} and reader.peek().text in STATES:
-            reader.deny("how a thing is cannot be told, only that it is reached")
+            reader.deny("the state of an object cannot be used, only that it is reached")
         reader.take("verb")
         return True
     if "be" in said and not _ends(reader):
-        reader.deny("how a thing is cannot be told, only that it is reached")
+        reader.deny("the state of an object cannot be used, only that it is reached")
     reader.at, says.negated = begin, negated
     return False
 
@@ -139,4 +142,4 @@ STATES = (
     "open", "closed", "close", "locked", "empty", "clean", "shut", "unlocked", "blocked", "broken",
     "mopped",
 )  # fmt: skip
-"""Verb forms that also say how a thing is."""
+"""Verb forms that also describe the state of an object."""

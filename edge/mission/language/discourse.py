@@ -1,4 +1,4 @@
-"""What an instruction asks for, clause after clause and sentence after sentence."""
+"""Parser of a whole instruction, clause by clause and sentence by sentence."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ from edge.mission.language.words import (
 )
 from edge.mission.logic.ltl import TRUE, Formula, postorder
 
-_IN_TURN = "say the steps in the order in which they come"
+_IN_TURN = "give the steps in their order"
 MAX_NODES = 20_000
-"""A formula's largest size; "a and b, then c and d, then …" doubles it with every step."""
+"""Largest size of a formula. "a and b, then c and d, then …" doubles the size with every step."""
 
 
 def _size(formula: Formula) -> int:
-    """Nodes of the formula as a tree; parts that it shares count each time, as in its text."""
+    """Return the number of nodes of the formula as a tree; shared parts count each time."""
     sizes: dict[int, int] = {}
     for f in postorder(formula):
         sizes[id(f)] = 1 + sum(sizes[id(arg)] for arg in f.args)
@@ -60,7 +60,7 @@ def _size(formula: Formula) -> int:
 
 
 def _does_besides(reader: Reader) -> bool:
-    """Whether ", visiting b" comes, of which nobody knows when; ", ending at b" says so."""
+    """Return True if ", visiting b" comes without its time; ", ending at b" has one."""
     verb = reader.peek().text
     if not reader.sees("verb") or verb.startswith((*ENDING, "swing", "bring ")):
         return False
@@ -79,26 +79,28 @@ def _both(first: Meaning | None, second: Meaning) -> Meaning:
 
 @dataclass(slots=True)
 class Discourse:
-    """A cursor on the instruction, and what was said so far.
+    """The state of the parser for one instruction.
 
     Attributes:
-        goal: what is to be achieved.
-        rules: what holds throughout, whichever alternative is taken.
-        ordered: something was asked for without an upper limit.
+        reader: the token reader.
+        memory: antecedents of pronouns.
+        goal: the goal so far.
+        rules: rules that hold throughout, in every alternative.
+        ordered: True if something was asked for without an upper limit.
         times: how often each name was asked for.
-        last: what the last clause asked for.
-        first: the last goal was said to come first, so what follows comes after it.
-        clauses: how many there were.
-        flow: what the last clause did.
-        elsewhere: where only what is left out was named ("go anywhere but to a").
-        halted: where it was said to stop.
-        waits: what is not to be reached before what.
-        detour: where this sentence was said to be on the way to the one before.
-        shuns: something was to be avoided, not only to wait for something else.
-        number: of the last step that had one ("second, …").
-        listed: an order stood right behind "do not …" and a comma.
-        each: how often at most each place may be visited, and where that was said.
-        strictly: where it was said that nothing comes out of turn.
+        last: objects of the last clause with a goal.
+        first: True if the last goal must come first, so that later goals come after it.
+        clauses: number of clauses so far.
+        flow: facts about the last clause.
+        elsewhere: token of a clause that names only exceptions ("go anywhere but to a").
+        halted: token of the place where the robot must stop.
+        detour: token of a sentence that is on the way to the goal of the sentence before.
+        shuns: True if something must be avoided, not only until something else is reached.
+        waits: pairs of names, and of the objects that must be reached before them.
+        number: number of the last numbered step ("second, …").
+        listed: True if an order followed "do not …" and a comma.
+        each: largest number of visits to each place, and the token of that limit.
+        strictly: token of a ban on visits out of turn.
     """
 
     reader: Reader
@@ -122,7 +124,10 @@ class Discourse:
     strictly: Token | None = None
 
     def formula(self) -> Formula:
-        """Sentence after sentence; "then" at the start of one goes on from the one before."""
+        """Parse all sentences and return the formula.
+
+        A sentence that begins with "then" continues the one before it.
+        """
         reader = self.reader
         reader.skip("comma", "stop")
         while not reader.sees("end"):
@@ -142,7 +147,9 @@ class Discourse:
             reader.skip("comma", "stop")
         if self.first and self.clauses > 1:
             said = [token for token in reader.tokens if token.kind in ("first", "opener")]
-            reader.refuse("say in one sentence what comes after it", said[-1] if said else None)
+            reader.refuse(
+                "say in the same sentence what comes after it", said[-1] if said else None
+            )
         parts = [] if self.goal is None else [self.goal]
         parts += [sequence_goal([rule], reader) for rule in self.rules]
         if self.goal is None and self.elsewhere:
@@ -152,14 +159,17 @@ class Discourse:
         parts += self._of_all(Every(tuple(part for part in parts if letters(part))))
         formula = formula_of(Every(tuple(parts)))
         if _size(formula) > MAX_NODES:
-            reader.refuse("its formula would be too large; ask for less at once", reader.tokens[0])
+            reader.refuse("the formula would be too large; ask for less at once", reader.tokens[0])
         if formula == TRUE:
             hint = "nothing is asked for; say for example 'visit the bed, then the chair'"
             reader.refuse(hint, reader.tokens[0])
         return formula
 
     def _asked_after_all(self) -> list[Goal]:
-        """`do not go to b until a` and only rules beside: a, or both, may be asked for as well."""
+        """Return additional goals if the instruction has only rules.
+
+        `Do not go to b until a` may ask for a, or for both.
+        """
         if not self.waits:
             return []
         if self.goal is None and not self.shuns and (chain := chained(self.waits)):
@@ -171,7 +181,7 @@ class Discourse:
         return [visits(things) for things in asked]
 
     def _of_all(self, goal: Every) -> list[Goal]:
-        """What was said of all that is asked for, whichever clause said it."""
+        """Return the rules that apply to all goals of the instruction."""
         rules: list[Formula] = []
         said = self.strictly or (self.each and self.each[1])
         if said and not goal.goals:
@@ -183,13 +193,16 @@ class Discourse:
         return [Every((), tuple(rules))] if rules else []
 
     def _ends(self, clause: Clause) -> None:
-        """What comes in the end comes after all that was asked for, and nothing after it."""
+        """Note that this clause is the end: it comes after all other goals."""
         if clause.negated:
             self.reader.refuse("say it in one sentence, with 'then'", clause.token)
         self.halted = clause.token
 
     def _halts(self) -> bool:
-        """Takes "and stay there" at the end: a mission ends where its last goal is reached."""
+        """Skip "and stay there" at the end: a mission ends where its last goal is reached.
+
+        Return False if it does not come.
+        """
         reader = self.reader
         bare = reader.peek().text in ("stop", "halt")
         if not (bare or reader.sees("halt")) or not reader.sees("stop", "end", ahead=1):
@@ -201,7 +214,7 @@ class Discourse:
         return True
 
     def _sentence(self, joint: Token | None) -> None:
-        """Sequences with "or" between them."""
+        """Parse a sentence: sequences with "or" between them."""
         reader = self.reader
         either = reader.peek()
         self.detour, self.listed = None, False
@@ -229,7 +242,7 @@ class Discourse:
             sequences.append(sequence)
         said = reader.tokens[reader.tokens.index(either) : reader.at]
         if either.text == "either" and not any(token.kind == "or" for token in said):
-            reader.refuse("either that, or what?", either)
+            reader.refuse("'either' needs a second choice", either)
         if loose:
             self.rules.append(loose)
         single = all(len(sequence) == 1 for sequence in sequences[:-1])
@@ -238,11 +251,11 @@ class Discourse:
         )
         tight = tight or (pause and (short or (either.text == "either" and len(sequences) > 1)))
         if tight and single and len(sequences[-1]) > 1:
-            reader.deny("what comes after which of them? say it in two sentences", start)
+            reader.deny("unclear what comes after which; use two sentences", start)
         if len(sequences) > 1 and any(step.commas for step in sequences[0]):
-            reader.deny("one of them, or some and then one? say 'either … or …'", start)
+            reader.deny("unclear what the alternatives are; say 'either … or …'", start)
         if len(sequences) > 1 and (self.listed or any(step.bans for step in sequences[-1])):
-            reader.deny("how far does the ban reach? say it in a sentence of its own", start)
+            reader.deny("unclear what is forbidden; use a separate sentence", start)
         if len(sequences) > 1 and not all(
             any(step.goals for step in sequence) for sequence in sequences
         ):
@@ -264,7 +277,7 @@ class Discourse:
             self.goal = steps([self.goal, goal]) if after else Every((self.goal, goal))
 
     def _alternative_ahead(self) -> int | None:
-        """Tokens up to the next alternative ("; or reach …"); None when there is none."""
+        """Return the number of tokens up to the next alternative ("; or reach …"), or None."""
         ahead = 1 if self.reader.sees("comma", "stop") else 0
         if not self.reader.sees("or", ahead=ahead):
             return None
@@ -272,7 +285,7 @@ class Discourse:
         return ahead if starts_clause(self.reader, ahead) else None
 
     def _sequence(self, joint: Token | None) -> tuple[list[Meaning], Meaning | None]:
-        """Steps with "then" between them, and the rules that end them."""
+        """Parse a sequence of steps with "then" between them; return it and its final rules."""
         sequence: list[Meaning] = []
         loose: Meaning | None = None
         ordered: Token | None = None
@@ -286,7 +299,7 @@ class Discourse:
                 if loose is not None:
                     forbidden = {name for names in loose.bans for name in names}
                     if not sequence and kind == "and" and forbidden & set(meaning.things.names):
-                        hint = "the same is forbidden and asked for"
+                        hint = "the same object is forbidden and asked for"
                         self.reader.refuse(hint, clause.token)
                     if not sequence:
                         loose.limit_for_good()
@@ -304,12 +317,12 @@ class Discourse:
                 return sequence, loose
 
     def _named_before(self, clause: Clause) -> bool:
-        """Whether all that a clause names was asked for before it."""
+        """Return True if all names of a clause were asked for before."""
         known = set(self.times) | set(self.last.names if self.last else ())
         return clause.things is not None and set(clause.things.names) <= known
 
     def _numbered(self, joint: Token | None) -> None:
-        """Notes that this step is the second or third, which has to be its turn."""
+        """Check that a numbered step ("second", "third") comes in its turn, and note its number."""
         said = joint.text.split() if joint else []
         number = next((i for i, word in enumerate(nouns.NUMERALS[:-1], 1) if word in said), None)
         if joint and self.number == 1 and not self.clauses and said[-1] in ("lastly", "finally"):
@@ -320,15 +333,15 @@ class Discourse:
             return
         bare = self.reader.sees("word") and len(self.reader.peek().text) > 1
         if number <= self.number or (bare and joint.text in nouns.ORDINALS):
-            self.reader.deny("which step is that? say 'then the …'", joint)
+            self.reader.deny("unclear which step this is; say 'then the …'", joint)
         self.number = number
 
     def _returned(self, clause: Clause, meaning: Meaning, sequence: list[Meaning]) -> None:
-        """Make "…, and later visit it again" a second visit."""
+        """Turn "…, and later visit it again" into a second visit."""
         again = clause.things and self.last and clause.things.groups == self.last.groups
-        anew = clause.again and clause.verb and meaning.follows and not clause.returns
-        anew = anew and not clause.conditions
-        if not anew or clause.negated or not meaning.goals or not again or not sequence:
+        revisits = clause.again and clause.verb and meaning.follows and not clause.returns
+        revisits = revisits and not clause.conditions
+        if not revisits or clause.negated or not meaning.goals or not again or not sequence:
             return
         count = clause.count or Count(1)
         most = None if count.most is None else count.most + 1
@@ -338,12 +351,12 @@ class Discourse:
         meaning.repeats = True
 
     def _clause(self, joint: Token | None, sequence: list[Meaning]) -> tuple[Clause, Meaning]:
-        """The next clause, and what it means after those before it."""
+        """Parse the next clause; return it and its meaning after the clauses before it."""
         bare: Bare = "known" if not self.clauses else "no"
         if self.clauses and joint and joint.kind and not self.flow.denied:
             bare = "yes"
         if self.halted:
-            self.reader.refuse("it ends where it is said to stop; say so last", self.halted)
+            self.reader.refuse("the mission ends where the robot stops; say this last", self.halted)
         clause = take_clause(self.reader, self.memory, bare)
         self.listed = self.listed or self.flow.lists(clause, joint)
         then = self._comes_after(clause, joint, sequence)
@@ -356,13 +369,13 @@ class Discourse:
             if several := self.memory.several.get(name):
                 self.reader.deny(ONE_OF_A_KIND, several)
         if then and self.flow.barred and meaning.goals and not sequence and joint:
-            self.reader.deny("never one after the other? say it in two sentences", clause.token)
+            self.reader.deny("unclear what is forbidden; use two sentences", clause.token)
         self.flow.note(clause, meaning)
         self._note(clause, meaning)
         return clause, meaning
 
     def _comes_after(self, clause: Clause, joint: Token | None, sequence: list[Meaning]) -> bool:
-        """Whether it comes after all that was asked for before it."""
+        """Return True if a clause comes after everything that was asked for before it."""
         if self.flow.permitted and not clause.conditions and clause.mood == "must":
             goes_on = joint is not None and joint.kind in THEN
             clause.trails = clause.trails or clause.next_step or goes_on
@@ -377,18 +390,22 @@ class Discourse:
             then = then or bool(sequence) or asked
         stays = clause.returns and then and not clause.negated
         if stays and clause.things == self.last:
-            self.reader.deny("that is where the robot is then; say where to", clause.token)
+            self.reader.deny(
+                "the robot is already there at that time; say where to go", clause.token
+            )
         return then
 
     def _settle(self, clause: Clause, joint: str, then: bool, sequence: list[Meaning]) -> None:
-        """What a clause leaves open that those before it tell."""
+        """Resolve what a clause leaves open, from the clauses before it."""
         if clause.elsewhere:
             self.elsewhere = clause.token
         one = clause.things is not None and len(clause.things.groups) + len(clause.route) == 1
         if one and sequence and clause.order == "strict order" and not clause.negated:
             clause.order, self.strictly = "", clause.token  # "a, then b in this exact order"
         if clause.count_aside and sequence:
-            self.reader.deny("all so often, or the last? say it in two sentences", clause.token)
+            self.reader.deny(
+                "unclear: this number for all, or for the last one? use two sentences", clause.token
+            )
         allowed = then and clause.mood == "can" and not clause.negated
         if allowed and (joint == "only then" or self.reader.pick(clause.token, 2) == 0):
             clause.mood = "do"  # "visit a, then you can go to b" may ask for b
@@ -397,14 +414,14 @@ class Discourse:
             clause.mood = "can"  # "visit a or b, but b only after c"
 
     def _relate(self, clause: Clause, meaning: Meaning, sequence: list[Meaning]) -> None:
-        """Puts what a clause means in relation to what the ones before it asked for."""
+        """Relate the meaning of a clause to the goals before it."""
         then = meaning.follows
         if then and meaning.bans and not meaning.goals and not clause.things.every:
             if self.last is None:
-                self.reader.deny("say first what it comes after", clause.token)
+                self.reader.deny("say first what comes before it", clause.token)
             meaning.ban_after(self.last)  # "…. After that, avoid b and go to c"
         if then and clause.negated and clause.conditions:
-            self.reader.deny("say it in a sentence of its own, without 'then'", clause.token)
+            self.reader.deny("use a separate sentence, without 'then'", clause.token)
         ends = clause.ends or (clause.verb.startswith(ENDING) and not clause.negated)
         if ends and meaning.goals and sequence:
             put_last(meaning, sequence)
@@ -417,7 +434,7 @@ class Discourse:
             and not (then or self.first)
             and self.times.keys() & set(meaning.things.names)
         ):
-            hint = "it was asked for before; say in one sentence what comes after what"
+            hint = "it was already asked for; give the order in one sentence"
             self.reader.refuse(hint, clause.token)
         anchored(meaning, sequence, self.times, then or self.first)
         plain = not (clause.count or clause.again or clause.conditions or clause.avoiding)
@@ -427,7 +444,7 @@ class Discourse:
         self._returned(clause, meaning, sequence)
 
     def _note(self, clause: Clause, meaning: Meaning) -> None:
-        """Remembers what later clauses may refer to."""
+        """Store what later clauses may refer to."""
         if meaning.each:
             self.each = (meaning.each, clause.token)
         self.strictly = clause.token if meaning.strictly else self.strictly
@@ -443,14 +460,14 @@ class Discourse:
                 self.memory.note([visit.options])
 
     def _place(self, clause: Clause, meaning: Meaning, joint: str, sequence: list[Meaning]) -> None:
-        """Makes a clause a step of its own, or a part of the last one."""
+        """Add a clause as a new step, or as a part of the last step."""
         if clause.returns and len(sequence) == 1:
             split_return(meaning, sequence)
         if joint == "only then" and sequence:
             meaning.rules += only_then(sequence[-1], meaning)
         if clause.enroute and not sequence:
             if self.goal is None:
-                self.reader.deny("on the way to what? say 'on the way to …'", clause.token)
+                self.reader.deny("unclear where to; say 'on the way to …'", clause.token)
             self.detour = clause.token  # "go to a. on the way, go to b"
         ends = len(sequence) == 1 and not meaning.follows and self.reader.sees("stop", "end")
         first = clause.first and (joint == "but" or ends)  # "visit a, visit b first"
@@ -466,7 +483,7 @@ class Discourse:
         self.first = clause.first and not meaning.loose
 
     def _after_permission(self, clause: Clause, started: bool) -> None:
-        """`you can visit a, but you must visit b after that`: after a, if ever."""
+        """Apply `you can visit a, but you must visit b after that`: b only after a."""
         if not self.flow.permitted and clause.negated and not started:
             self.flow.permitted = self.memory.asked
         if clause.conditions:
@@ -475,10 +492,10 @@ class Discourse:
             clause.conditions.append(Condition("after", clause.token, self.flow.permitted))
             clause.trails = False
         elif not self.clauses:
-            self.reader.refuse("it comes after nothing", clause.token)
+            self.reader.refuse("nothing comes before it", clause.token)
 
     def _joint(self) -> Token | None:
-        """Passes what joins this clause to the next; None at the end of the sequence."""
+        """Skip the words that join this clause to the next; return None if the sequence ends."""
         reader = self.reader
         if reader.sees("comma") and reader.sees("or", ahead=1):
             return None
@@ -494,7 +511,7 @@ class Discourse:
             return None
         if reader.at > begin:
             if joint.kind == "comma" and _does_besides(reader):
-                reader.deny("on the way, or besides? say 'and then', or 'on the way'")
+                reader.deny("unclear: on the way, or in addition? say 'and then' or 'on the way'")
             if not starts_clause(reader):
                 reader.refuse("expected a clause here")
             return joint
@@ -505,10 +522,12 @@ class Discourse:
         starts = starts_clause(reader) and self._begins_well() and not no_order
         if not starts:
             if reader.sees("to") and reader.peek(-1).text in LEADING:
-                reader.deny("what leads there, or one after the other? say 'then to …'")
-            reader.refuse("no word that is known here")
+                reader.deny(
+                    "unclear: one thing that leads to the other, or both in turn? say 'then to …'"
+                )
+            reader.refuse("unknown word")
         return Token("", "", joint.start, joint.start)
 
     def _begins_well(self) -> bool:
-        """Whether a clause without a joint before it has a verb of its own."""
+        """Return True if a clause without a joint before it has its own verb."""
         return not self.reader.sees("word", "quoted", "to") or len(self.reader.peek().text) == 1

@@ -1,8 +1,8 @@
-"""A formula in plain English, to be shown as the answer to "what did you understand?".
+"""Description of a formula in plain English, to show what was understood.
 
-Sequences, sets, choices, counts, bans and untils are put as people say them, in words that
-`edge.mission.language.grammar` reads back as the same language; anything else is read out
-literally, operator by operator, in brackets.
+Sequences, sets, choices, counts, bans and untils become sentences that
+`edge.mission.language.grammar` reads back as the same language. Any other formula is read out
+operator by operator, in brackets.
 
 >>> from edge.mission.logic.ltl import parse
 >>> describe(parse("F((chair | sofa) & F television) & (!bed W television)"))
@@ -23,21 +23,21 @@ from edge.mission.logic.ltl import Formula, conj, postorder, propositions, to_te
 MAX_ALTERNATIVES = 32
 
 
-# A formula seen as what it asks for: F(a & (F b | F c) & F d) asks for "a, then d" and one of "a,
-# then b" and "a, then c". Sequences distribute over & and | because whatever they ask for later is
-# also asked for earlier.
+# A formula as alternatives of sets of chains: F(a & (F b | F c) & F d) asks for "a, then d", and
+# for "a, then b" or "a, then c". Sequences distribute over & and |, because a chain that asks for
+# something later also asks for its earlier part.
 Chain = tuple[Visit, ...]
 Alternatives = list[tuple[Chain, ...]]
 
 
 def options_of(f: Formula) -> tuple[str, ...] | None:
-    """The names of a proposition or of a disjunction of propositions; None of anything else."""
+    """Return the names of a proposition or of a disjunction of propositions; None for others."""
     parts = f.args if f.op == "|" else (f,)
     return tuple(part.name for part in parts) if all(p.op == "ap" for p in parts) else None
 
 
 def alternatives_of(f: Formula) -> Alternatives | None:
-    """Sets of chains, any one set of which fulfils the formula; None if it is not of that kind."""
+    """Return sets of chains, of which any one set fulfils the formula; None for other formulas."""
     if f.op == "|":
         each = [alternatives_of(part) for part in f.args]
         if any(a is None for a in each):
@@ -63,7 +63,7 @@ def _all_of(parts: tuple[Formula, ...]) -> Alternatives | None:
 
 
 def _sequence(f: Formula) -> Alternatives | None:
-    """F(p & what follows), F((p | q) & …), and p several times."""
+    """Return the alternatives of F(p & …), of F((p | q) & …), and of several visits to p."""
     body = f.args[0]
     options = options_of(body)
     if options is not None:
@@ -90,7 +90,7 @@ def _sequence(f: Formula) -> Alternatives | None:
 
 
 def _once_more(first: Formula, rest: list[Formula]) -> Formula | None:
-    """g in F(p & F(!p & g)), g of the form F(p …); None if it is not of that form."""
+    """Return g of F(p & F(!p & g)), g of the form F(p …); None for other forms."""
     if len(rest) != 1 or rest[0].op != "F" or rest[0].args[0].op != "&":
         return None
     gap, *more = rest[0].args[0].args
@@ -102,7 +102,7 @@ def _once_more(first: Formula, rest: list[Formula]) -> Formula | None:
 
 
 MAX_NODES = 600
-"""Longer formulas are shown as they are: no sentence of that length helps anyone."""
+"""Longer formulas are shown as formulas, because such long sentences do not help."""
 
 _MAX_DEPTH = 60
 _SHOWN = 2000
@@ -111,7 +111,7 @@ _NUMBERS = ["zero", "one", "two", "three", "four", "five", "six", "seven", "eigh
 
 
 def describe(formula: Formula) -> str:
-    """What a formula asks for, in one or more English sentences; true of any formula."""
+    """Return one or more English sentences that say what a formula asks for."""
     if _too_long(formula):
         text = to_text(formula)
         cut = text if len(text) <= _SHOWN else text[:_SHOWN] + " …"
@@ -126,7 +126,7 @@ def describe(formula: Formula) -> str:
 
 
 def is_plain(formula: Formula) -> bool:
-    """Return whether a formula is said in plain words, not operator by operator."""
+    """Return True if a formula has plain sentences, without operators that are read out."""
     return _READ_OUT not in describe(formula).lower()
 
 
@@ -140,7 +140,7 @@ def _too_long(formula: Formula) -> bool:
 
 
 def _goals(parts: tuple[Formula, ...]) -> list[str]:
-    """Sentences for the parts that ask for something, single visits together first."""
+    """Return sentences for the parts that ask for something, single visits first."""
     singles = [part for part in parts if part.op == "F" and options_of(part.args[0])]
     exact = [part for part in parts if _exactly(part, parts)]
     sentences = [f"reach {_stop(*_count_of(part), word='exactly')}" for part in exact]
@@ -162,7 +162,7 @@ def _goals(parts: tuple[Formula, ...]) -> list[str]:
 
 
 def _rules(parts: tuple[Formula, ...]) -> list[str]:
-    """Sentences for all other parts."""
+    """Return sentences for all other parts."""
     counted = {_count_of(part) for part in parts if _exactly(part, parts)}
     return [
         _rule(part) or _literally(part)
@@ -174,7 +174,10 @@ def _rules(parts: tuple[Formula, ...]) -> list[str]:
 
 
 def _choice(f: Formula) -> str:
-    """`reach …; or reach …`, each with its own rules; literally if one cannot be put so."""
+    """Return `reach …; or reach …`, each with its own rules.
+
+    If an alternative has no such sentence, the formula is read out literally.
+    """
     phrases: list[str] = []
     for option in f.args if f.op == "|" else (f,):
         parts = option.args if option.op == "&" else (option,)
@@ -192,7 +195,7 @@ def _choice(f: Formula) -> str:
 
 
 def _needs_a_sentence(f: Formula, asked: tuple[Formula, ...]) -> bool:
-    """Whether a rule within an alternative could be misread beside what is asked for there."""
+    """Return True if a rule could be misread in one sentence with the goals of its alternative."""
     if f in asked:
         return False
     names = {name for part in asked for name in propositions(part)}
@@ -203,7 +206,7 @@ _Merged = tuple[Chain, tuple[Visit, ...]]
 
 
 def _merged(chains: tuple[Chain, ...]) -> list[_Merged]:
-    """Chains that differ in their last stop only, taken together: (what they share, the last)."""
+    """Merge chains that differ only in their last stop; return (common part, last stops)."""
     groups: dict[Chain, list[Visit]] = {}
     for chain in dict.fromkeys(chains):
         groups.setdefault(chain[:-1], []).append(chain[-1])
@@ -252,7 +255,7 @@ def _things(options: tuple[str, ...], joint: str = "or") -> str:
 
 @lru_cache(maxsize=4096)
 def _thing(name: str) -> str:
-    """`the bed`, `a` (a letter), or the name in quotes where it could be misread."""
+    """Return `the bed`, `a` (a letter), or the name in quotes if it could be misread."""
     spoken = name if len(name) == 1 else f"the {name}"
     try:
         reader = Reader(spoken)
@@ -264,7 +267,7 @@ def _thing(name: str) -> str:
 
 
 def _rule(f: Formula) -> str | None:
-    """A ban, an until, a limit or a reaction in words; None if it is none of them."""
+    """Return a ban, an until, a limit or a reaction in words; None for other formulas."""
     if f.op == "G":
         return _always(f.args[0])
     if f.op in ("W", "U") and (banned := _banned(f.args[0])) and (until := options_of(f.args[1])):
@@ -284,7 +287,7 @@ def _rule(f: Formula) -> str | None:
 
 
 def _banned(f: Formula) -> tuple[str, ...] | None:
-    """x and y of !x, of !(x | y) and of !x & !y."""
+    """Return x and y of !x, of !(x | y) and of !x & !y; None for other formulas."""
     if f.op == "&":
         each = [_banned(part) for part in f.args]
         return None if None in each else tuple(name for names in each for name in names or ())
@@ -311,7 +314,7 @@ def _always(f: Formula) -> str | None:
 
 
 def _count_of(f: Formula) -> tuple[tuple[str, ...], int]:
-    """(names, n) of "at least n times"; ((), 0) of anything else."""
+    """Return (names, n) of "at least n times"; ((), 0) for other formulas."""
     found = alternatives_of(f)
     if found is None or len(found) != 1 or len(found[0]) != 1 or len(found[0][0]) != 1:
         return (), 0
@@ -320,7 +323,7 @@ def _count_of(f: Formula) -> tuple[tuple[str, ...], int]:
 
 
 def _limit_of(f: Formula) -> tuple[tuple[str, ...], int] | None:
-    """(names, n) of "at most n times"; None of anything else."""
+    """Return (names, n) of "at most n times"; None for other formulas."""
     if f.op != "!":
         return None
     options, times = _count_of(f.args[0])
@@ -328,13 +331,13 @@ def _limit_of(f: Formula) -> tuple[tuple[str, ...], int] | None:
 
 
 def _exactly(part: Formula, parts: tuple[Formula, ...]) -> bool:
-    """Whether a part asks for as many visits as another allows."""
+    """Return True if a part asks for exactly the number of visits that another part allows."""
     count = _count_of(part)
     return bool(count[0]) and any(_limit_of(other) == count for other in parts)
 
 
 def _limit_until(f: Formula) -> str | None:
-    """`!x W (x W (!x W end))`: at most one visit until the end."""
+    """Return words for `!x W (x W (!x W end))`: at most one visit until the end."""
     start, n = f, 0
     while f.op == "W" and f.args[0].op == "!":
         here, rest = f.args[0].args[0], f.args[1]
@@ -366,16 +369,16 @@ _LITERAL = {
 
 
 def _literally(formula: Formula) -> str:
-    """The formula read out operator by operator, operands in brackets."""
-    said: dict[int, str] = {}
+    """Return the formula read out operator by operator, operands in brackets."""
+    texts: dict[int, str] = {}
     for f in postorder(formula):
-        parts = [said[id(arg)] if arg.op == "ap" else f"({said[id(arg)]})" for arg in f.args]
+        parts = [texts[id(arg)] if arg.op == "ap" else f"({texts[id(arg)]})" for arg in f.args]
         if f.op == "ap":
-            said[id(f)] = f"{_thing(f.name)} is reached at that step"
+            texts[id(f)] = f"{_thing(f.name)} is reached at that step"
         elif f.op in ("&", "|"):
-            said[id(f)] = (" and " if f.op == "&" else " or ").join(parts)
+            texts[id(f)] = (" and " if f.op == "&" else " or ").join(parts)
         elif f.op in ("true", "false"):
-            said[id(f)] = "anything happens" if f.op == "true" else "the impossible happens"
+            texts[id(f)] = "anything happens" if f.op == "true" else "the impossible happens"
         else:
-            said[id(f)] = _LITERAL[f.op].format(*parts)
-    return f"{_READ_OUT} that {said[id(formula)]}"
+            texts[id(f)] = _LITERAL[f.op].format(*parts)
+    return f"{_READ_OUT} that {texts[id(formula)]}"

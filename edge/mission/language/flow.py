@@ -1,4 +1,4 @@
-"""How a clause goes on from the one before it: beside it, after it, or on the way to it."""
+"""Relation of a clause to the one before it: independent, after it, or on the way to it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from edge.mission.language.words import Reader, Token
 
 THEN = ("then", "only then")
 JOINTS = ("comma", "and", "but", *THEN)
-"""What stands between clauses; the last of several said most about how they go together."""
+"""Kinds of token between clauses, in increasing strength: of several, the strongest applies."""
 
 _MOVES = (
     "go", "move", "walk", "drive", "head", "travel", "come", "proceed", "enter", "continue", "pass",
@@ -30,18 +30,18 @@ _ALSO = ("also", "too", "as well", "at some point")
 
 @dataclass(slots=True)
 class Flow:
-    """What the last clause did, as far as the next one's place depends on it.
+    """Facts about the last clause that decide where the next clause belongs.
 
     Attributes:
         moved: it was a plain order to go somewhere: "go to a go to b" is in order.
-        passed: it only went through somewhere.
-        verb: what named its action.
-        denied: it forbade something, so a bare "then the bed" could mean either.
+        passed: it only passed through somewhere.
+        verb: its verb.
+        denied: it forbade something, so a bare "then the bed" is ambiguous.
         barred: it was a plain "do not visit a".
-        until: what it, a ban, lasted until.
-        hanging: where it was one of "if …" or "you may …": what is joined to it may be part of it.
+        until: the objects that end its ban.
+        hanging: its token if it began with "if …" or "you may …": the next part may belong to it.
         permitted: what it allowed, if it asked for nothing.
-        agent: by what name the robot was called so far.
+        agent: name that the instruction has used for the robot so far.
     """
 
     moved: bool = False
@@ -62,16 +62,20 @@ class Flow:
         asked: bool,
         reader: Reader,
     ) -> bool:
-        """Whether a clause comes after all before it; else it may be said to lie on the way there.
+        """Return True if a clause comes after all clauses before it.
+
+        Otherwise the clause may be marked as on the way there (`clause.enroute`).
 
         Args:
-            joint: what stands before it; None at the start of a sentence.
-            sequence: the steps of its sentence so far.
-            asked: sentences before asked for something.
+            clause: the clause.
+            joint: token before the clause; None at the start of a sentence.
+            sequence: steps of the sentence so far.
+            asked: True if earlier sentences asked for something.
+            reader: the token reader.
         """
         kind = joint.kind if joint else None
         also = clause.token.text in _ALSO
-        # "go to a. go to b." is in order, unless the words say or show otherwise
+        # "go to a. go to b." is in order, unless other words contradict it
         loose = also or any(token.text in _ALSO for token in _sentence(reader))
         loose = loose or any(token.kind in (*THEN, "any order") for token in reader.tokens)
         ensures = clause.token.kind == "ensure"
@@ -113,45 +117,45 @@ class Flow:
         return after
 
     def lists(self, clause: Clause, joint: Token | None) -> bool:
-        """Whether an order stands right behind "do not …" and a comma."""
+        """Return True if an order follows "do not …" and a comma."""
         comma = joint is not None and joint.kind == "comma"
         return comma and self.denied and not clause.negated
 
     def refuse_joined(
         self, clause: Clause, joint: Token | None, started: bool, reader: Reader
     ) -> None:
-        """Refuses what may be joined to the last clause in more than one way.
+        """Refuse a clause that could belong to the last clause in several ways.
 
         Raises:
-            UnclearError: it may.
+            UnclearError: it could.
         """
         kind = joint.kind if joint else ""
         leads = self.hanging is not None and self.hanging.kind == "before"
         joined = joint is not None and kind not in ("but", "or") and (not leads or kind in THEN)
         if self.hanging and joined and not (clause.subject or clause.conditions):
-            hint = "is that part of it as well? say it in a sentence of its own"
+            hint = "unclear if the next part depends on this; use a separate sentence"
             reader.deny(hint, self.hanging)
         bare = clause.verb == "" and not (clause.conditions or clause.count)
         listed = clause.things is not None and clause.things.listed
         if bare and clause.negated and (self.denied or not started or listed):
-            reader.deny("avoid it, or visit it? say which", clause.token)  # "not a, b"
+            reader.deny("unclear: avoid it or visit it? say which", clause.token)  # "not a, b"
         if clause.agent and self.agent not in ("", clause.agent):
-            reader.deny("only one robot is spoken to", clause.token)
+            reader.deny("an instruction is for one robot only", clause.token)
         several = clause.things is not None and len(clause.things.groups) > 1
         joins = several and any(token.kind == "and" for token in _said(clause, reader))
         if bare and clause.negated and joins:
-            reader.deny("how far does 'not' reach? say it in a sentence of its own", clause.token)
+            reader.deny("unclear what 'not' applies to; use a separate sentence", clause.token)
         if not started and joint is not None and joint.text in ("later", "afterwards"):
-            reader.deny("later than what?", joint)
+            reader.deny("nothing comes before it", joint)
         if kind == "but" and bare and not (clause.negated or clause.first):
-            reader.deny("all but that, or that too? say 'visit …'", clause.token)
+            reader.deny("unclear: all except this, or this too? say 'visit …'", clause.token)
         if kind == "or" and clause.through and clause.verb == "":
             reader.deny("say 'through a or b'", clause.token)  # "to a via b or via c"
         if clause.bound_by and kind == "or":
-            reader.refuse("on the way with which of them? say it of each", clause.bound_by)
+            reader.refuse("unclear which one is on the way; say it for each one", clause.bound_by)
 
     def note(self, clause: Clause, meaning: Meaning) -> None:
-        """Remembers a clause for the next one."""
+        """Store facts about a clause for the next one."""
         ends = [c for c in clause.conditions if c.kind == "until" and not c.denied]
         self.until = ends[0].things if clause.negated and len(ends) == 1 else None
         shuns = clause.verb in AVOIDING or clause.elsewhere
@@ -163,7 +167,7 @@ class Flow:
 
 
 def _sentence(reader: Reader) -> Sequence[Token]:
-    """The tokens of the sentence that the reader is in or behind."""
+    """Return the tokens of the sentence at or before the reader's position."""
     ends = [i for i, token in enumerate(reader.tokens) if token.kind in ("stop", "end")]
     begin = next((i + 1 for i in reversed(ends) if i < reader.at), 0)
     until = next(i for i in ends if i >= reader.at)
@@ -171,13 +175,13 @@ def _sentence(reader: Reader) -> Sequence[Token]:
 
 
 def _said(clause: Clause, reader: Reader) -> Sequence[Token]:
-    """The tokens of a clause that was just read."""
+    """Return the tokens of the clause that was just parsed."""
     begin = next(i for i, token in enumerate(reader.tokens) if token is clause.token)
     return reader.tokens[begin : reader.at]
 
 
 def _hangs(clause: Clause) -> bool:
-    """Whether it is a duty with a condition, or a permission."""
+    """Return True for a duty with a condition, or a permission."""
     answers = any(
         (c.kind == "when" and not c.only) or (c.kind == "before" and c.token is clause.token)
         for c in clause.conditions
@@ -186,7 +190,7 @@ def _hangs(clause: Clause) -> bool:
 
 
 def _moves(clause: Clause) -> bool:
-    """Whether it is a plain order to go somewhere."""
+    """Return True for a plain order to go somewhere."""
     rides = clause.verb.startswith(_WAYS) and clause.verb.endswith(PASSING)
     more = clause.only or clause.count or clause.conditions or clause.enroute or clause.first
     goes = clause.verb in _MOVES or clause.verb.startswith("continue ")

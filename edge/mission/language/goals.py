@@ -1,9 +1,9 @@
-"""What clauses ask for, and the formula of it.
+"""Goals of clauses, and their formulas.
 
-A goal is a tree of sequences, sets and alternatives over single visits; a rule is a formula that
-holds from the start on. Two readings are fixed here:
+A goal is a tree of sequences, sets and alternatives of single visits. A rule is a formula that
+holds from the start. Two conventions:
 
-- "x, then y" is F(x & F y) as in ViTL, but F(x & X F y) where one visit could be both;
+- "x, then y" is F(x & F y) as in ViTL, but F(x & X F y) if one visit could be both;
 - "n times" counts separate visits: something else, or nothing, is reached between two of them.
 """
 
@@ -34,7 +34,7 @@ Goal = Union["Visit", "Steps", "Every", "Some"]
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """One of these, so many separate times."""
+    """A number of separate visits to one of several objects."""
 
     options: tuple[str, ...]
     times: int = 1
@@ -42,14 +42,14 @@ class Visit:
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """One after the other."""
+    """A sequence of goals, one after the other."""
 
     goals: tuple[Goal, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Every:
-    """All of them, in any order, while the rules hold."""
+    """A set of goals in any order, with rules."""
 
     goals: tuple[Goal, ...]
     rules: tuple[Formula, ...] = field(default=())
@@ -57,24 +57,24 @@ class Every:
 
 @dataclass(frozen=True, slots=True)
 class Some:
-    """One of them at least."""
+    """A choice of goals: at least one of them."""
 
     goals: tuple[Goal, ...]
 
 
 def any_of(names: Iterable[str]) -> Formula:
-    """One of these is reached in this step."""
+    """Return the formula "one of these is reached in this step"."""
     return disj(*map(ap, names))
 
 
 def visits(things: Things, times: int = 1) -> Goal:
-    """All of the things in any order."""
+    """Return the goal to visit all groups in any order."""
     goals = tuple(Visit(group, times) for group in things.groups)
     return goals[0] if len(goals) == 1 else Every(goals)
 
 
 def steps(goals: Sequence[Goal]) -> Goal:
-    """One after the other, sequences within them joined on."""
+    """Return the goals in sequence; nested sequences are flattened."""
     flat: list[Goal] = []
     for goal in goals:
         flat += goal.goals if isinstance(goal, Steps) else (goal,)
@@ -82,26 +82,26 @@ def steps(goals: Sequence[Goal]) -> Goal:
 
 
 def letters(goal: Goal) -> frozenset[str]:
-    """Every name in a goal."""
+    """Return every name in a goal."""
     if isinstance(goal, Visit):
         return frozenset(goal.options)
     return frozenset().union(*map(letters, goal.goals))
 
 
 def last_letters(goal: Goal) -> frozenset[str]:
-    """What may be reached last on the way to a goal."""
+    """Return the names that may be reached last for a goal."""
     return letters(goal.goals[-1]) if isinstance(goal, Steps) else letters(goal)
 
 
 def formula_of(goal: Goal) -> Formula:
-    """The formula of a whole instruction."""
+    """Return the formula of a whole instruction."""
     achieving = achieved(goal, TRUE, frozenset())
     asked = achieving.args if achieving.op == "&" else (achieving,)
     return conj(*(f for f in dict.fromkeys((*asked, *rules(goal))) if f != TRUE))
 
 
 def rules(goal: Goal) -> list[Formula]:
-    """Rules that hold whichever way the goal is achieved; those of alternatives are theirs."""
+    """Return the rules outside alternatives; those inside belong to their alternative."""
     if isinstance(goal, Steps):
         return [rule for part in goal.goals for rule in rules(part)]
     if isinstance(goal, Every):
@@ -110,7 +110,13 @@ def rules(goal: Goal) -> list[Formula]:
 
 
 def achieved(goal: Goal, tail: Formula, starts: frozenset[str]) -> Formula:
-    """The goal is achieved at some time, and then `tail`, which begins with one of `starts`."""
+    """Return the formula "the goal is achieved at some time, and then `tail`".
+
+    Args:
+        goal: the goal.
+        tail: formula of what comes after it.
+        starts: names with which `tail` may begin.
+    """
     if isinstance(goal, Visit):
         return _visited(goal, tail, starts)
     if isinstance(goal, Steps):
@@ -134,7 +140,7 @@ def _visited(goal: Visit, tail: Formula, starts: frozenset[str]) -> Formula:
 
 
 def _first_letters(goal: Goal) -> frozenset[str]:
-    """What may be reached first on the way to a goal."""
+    """Return the names that may be reached first for a goal."""
     if isinstance(goal, Visit):
         return frozenset(goal.options)
     if isinstance(goal, Steps):
@@ -143,7 +149,7 @@ def _first_letters(goal: Goal) -> frozenset[str]:
 
 
 def held_until(names: Iterable[str], until: Things) -> list[Formula]:
-    """None of the names before each of the things: the weak until `!x W y`."""
+    """Return `!x W y` for each name x and group y: no name before the objects are reached."""
     return [
         weak_until(neg(ap(name)), any_of(group))
         for name in names
@@ -153,12 +159,12 @@ def held_until(names: Iterable[str], until: Things) -> list[Formula]:
 
 
 def never(names: Iterable[str]) -> list[Formula]:
-    """G !x for each."""
+    """Return G !x for each name."""
     return [always(neg(ap(name))) for name in names]
 
 
 def never_after(names: Iterable[str], after: Things) -> list[Formula]:
-    """Once all of the things are reached, none of the names any more."""
+    """Return the ban of the names after all of the objects are reached."""
     if len(after.groups) != 1:
         done = visits(after)
         return [neg(achieved(done, eventually(ap(name)), frozenset([name]))) for name in names]
@@ -171,12 +177,12 @@ def never_after(names: Iterable[str], after: Things) -> list[Formula]:
 
 
 def at_most(names: Sequence[str], n: int) -> Formula:
-    """At most n separate visits to one of the names."""
+    """Return the formula of at most n separate visits to one of the names."""
     return neg(achieved(Visit(tuple(names), n + 1), TRUE, frozenset()))
 
 
 def at_most_before(names: Sequence[str], n: int, end: Sequence[str]) -> Formula:
-    """At most n separate visits until one of `end` is reached after them."""
+    """Return the formula of at most n separate visits to the names before one of `end`."""
     here = any_of(names)
     formula = weak_until(neg(here), any_of(end))
     for _ in range(n):

@@ -1,37 +1,39 @@
-"""Controlled English to LTL, offline: the same sentence always gives the same formula.
+"""Controlled English to LTL, offline; the same sentence always gives the same formula.
 
     instruction = sentence { ("." | ";") sentence }
     sentence    = sequence { "or" sequence }        ("…; or …" also across a semicolon)
     sequence    = step { "then" step }
     step        = clause { (",", "and", "but", nothing) clause }
 
-Clauses, what may follow their verbs, noun phrases, moods and counts, and the words themselves have
-files of their own (`clauses`, `adjuncts`, `things`, `spoken`, `lexicon`). How a clause is read:
+Clauses, adjuncts, noun phrases, counts and moods, and the vocabulary have their own modules
+(`clauses`, `adjuncts`, `things`, `spoken`, `lexicon`). Clauses have these meanings:
 
-- an order ("visit x") is a goal. Every verb of the lexicon means "reach", "see" included; other
-  verbs are refused. After an article any words are a name; without one, known names are;
-- a duty with a condition ("once you visit x you must visit y") is G(x -> F y); a permission
-  ("you can visit x") asks for nothing;
-- "do not x until y", and the like with "before", is the weak until `!x W y`: y need not happen.
-  ViTL writes U, but its tables II and III hold only under W;
-- "x before y" as an order asks for both, and y not before x; or for x only; or merely for x, then
-  y. "x only after y" asks for x, and not before y;
-- "x while avoiding y" is: x, and no y before it;
-- what lies on the way ("x via y", "through y to x", "visit y on the way to x") is: y, then x; of
-  "through y and z" the order is asked; "from y" is refused, as a mission starts where the robot is;
-- "do not x until y" with nothing asked for beside it is asked about: y, or both, may be meant;
-  a chain of them ("not c until b, not b until a") asks for a, then b, then c;
-- goals without "then" between them may come in any order; a list with commas only that "then"
-  ends ("a, b, then c") is in order;
-- "in order" is "then" between all; "in exactly this order" also bans each before the one before;
-- "n times" means at least n separate visits; in a sequence, "exactly once" and "at most once"
-  hold until the next step;
-- "each place only once", "no revisiting", "none out of turn" are said of all that is asked for: in
-  a sequence each is reached once until the next step, and not before its turn;
-- "go to a. drive to b." is in order, unless "then", "also" or "any order" is said somewhere;
+- An order ("visit x") is a goal. Every verb of the lexicon means "reach", including "see"; other
+  verbs are refused. After an article, any words are a name; without an article, only known names.
+- A duty with a condition ("once you visit x you must visit y") is G(x -> F y). A permission
+  ("you can visit x") asks for nothing.
+- "Do not x until y", and the same with "before", is the weak until `!x W y`: y need not happen.
+  ViTL writes U, but its tables II and III are right only with W.
+- "x before y" as an order asks for both, and y not before x; or for x only; or only for x, then
+  y. "x only after y" asks for x, and not before y.
+- "x while avoiding y" is x, and no y before it.
+- An object on the way ("x via y", "through y to x", "visit y on the way to x") is y, then x. For
+  "through y and z" the user is asked for the order. "From y" is refused, because a mission starts
+  at the robot.
+- For "do not x until y" without a goal, the user is asked: y, or both, may be meant. A chain of
+  them ("not c until b, not b until a") asks for a, then b, then c.
+- Goals without "then" between them may come in any order. A list with only commas before "then"
+  ("a, b, then c") is in order.
+- "In order" is "then" between all. "In exactly this order" also forbids each before the previous.
+- "n times" means at least n separate visits. In a sequence, "exactly once" and "at most once"
+  hold until the next step.
+- "Each place only once", "no revisiting", "none out of turn" apply to all goals. In a sequence,
+  each place is reached once until the next step, and not before its turn.
+- "Go to a. drive to b." is in order, unless "then", "also" or "any order" occurs anywhere.
 
-Staying, leaving, places in a house, relations between things, and times are refused before anything
-is parsed (`beyond`). Whatever fits none of this is refused by name, never skipped or guessed.
+Staying, leaving, places in a house, relations between objects, and times are refused before
+parsing (`beyond`). Other unknown parts are refused with a message that names them. No word is
+skipped or guessed.
 """
 
 from __future__ import annotations
@@ -49,17 +51,22 @@ _GROUPED = re.compile(r"\d,\d{3}\b")
 __all__ = ["TranslationError", "readings"]
 
 MAX_READINGS = 12
-"""The most ways to read one instruction that anybody is asked to choose from."""
+"""Largest number of readings of one instruction; more are refused."""
 
 
 def readings(text: str) -> tuple[Formula, ...]:
-    """The formulas that an instruction may ask for, over canonical names; the usual one first.
+    """Return the formulas that an instruction may ask for, the usual one first.
 
-    The text is read once for each way to go at each token where English leaves it open.
+    The text is parsed once for each combination of choices at ambiguous tokens. Propositions are
+    canonical names.
 
     Raises:
-        TranslationError: it has a part that is not understood, which the message names, or can be
-            read in more than `MAX_READINGS` ways.
+        TranslationError: a part is not understood (the message names it), or there are more than
+            `MAX_READINGS` readings.
+
+    Example:
+        >>> [str(formula) for formula in readings("Go to the bed, then to the sofa.")]
+        ['F (bed & F sofa)']
     """
     if grouped := _GROUPED.search(text):
         hint = "write numbers without commas"
@@ -74,7 +81,7 @@ def readings(text: str) -> tuple[Formula, ...]:
             found.append(Discourse(reader).formula())
         except TranslationError:
             if picks:
-                continue  # this way leads nowhere
+                continue  # this choice leads to no reading
             if is_foreign(text):
                 hint = "instructions are read in English only"
                 raise not_understood(text, 1, hint) from None
@@ -87,6 +94,6 @@ def readings(text: str) -> tuple[Formula, ...]:
             for way in range(1, ways)
         ]
         if len(todo) > MAX_READINGS:
-            hint = "it can be read in too many ways; say it in several sentences"
+            hint = "it has too many possible meanings; use several sentences"
             reader.refuse(hint, tokens[0])
     return tuple(found)

@@ -1,7 +1,7 @@
-"""The words that the English grammar knows, by kind; everything else can only be a name.
+"""The vocabulary of the English grammar, by kind; any other word can only be part of a name.
 
-Every verb here is read as "reach" (ViTL IV-A1 reduces all action verbs to it). A phrase stands
-under one kind; the longest phrase that fits wins.
+Every verb means "reach" (ViTL IV-A1 reduces all action verbs to it). A phrase has one kind. The
+longest matching phrase wins.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from edge import names
 from edge.mission.language import nouns
 
 _ROWS: dict[str, str] = {
-    # Who is spoken to, how strongly, and words that carry nothing.
+    # Words for the robot, moods, and words without meaning.
     "you": """
         you; we; i; the robot; you robot; the drone; the agent; the rover; the bot; the
         quadcopter; the vehicle; the delivery robot
@@ -59,7 +59,7 @@ _ROWS: dict[str, str] = {
         banned
     """,
     "neither": "neither",
-    # Reviewed: the only words that may be left out of any sentence without changing what it asks.
+    # Reviewed: only these words can be removed from any sentence without changing its meaning.
     "filler": """
         at any point of time;
         whatever you do; whatever happens; so; listen; attention; today; be a dear and; be a
@@ -81,7 +81,7 @@ _ROWS: dict[str, str] = {
         on (your|this|the) (trip|journey|tour|round);
         there can be other (locations|landmarks|waypoints|places|stops) in between
     """,
-    # Says nothing new of a ban or a condition, and too much of a goal.
+    # Redundant in a ban or a condition; impossible for a goal.
     "always": """
         the whole way through; the whole time; the entire time; throughout; all along; the whole
         way; the entire way; at every point; at any moment; at every step; always; at all times;
@@ -90,7 +90,7 @@ _ROWS: dict[str, str] = {
         (for|during|throughout) the (trip|mission|flight|journey)
     """,
     "in the end": "in the end; at the end; at the very end; last",
-    # How clauses hang together.
+    # Words that join clauses.
     "and": "and; plus; as well as; &",
     "or": "or; or else; or alternatively; alternatively; nor",
     "but": "but; however; though; yet",
@@ -289,7 +289,7 @@ _ROWS: dict[str, str] = {
         in this order; in the exact order; in the strict order; in that exact sequence; in this
         exact sequence
     """,
-    # Naming.
+    # Parts of noun phrases.
     "article": """
         (any|each|every|a) trip to; each visit to;
         the; an; some; any; my; our; your; his; her; their; any visit to; any visits to; a visit
@@ -318,7 +318,7 @@ _ROWS: dict[str, str] = {
         is where you (finish|end|end up|need to be|have to be|should be|must be|must go|need to
         go|have to go|are going|should go|should finish|should end up)
     """,
-    # Known only to be refused with a reason: see `words.REASONS`.
+    # Only known to be refused with a reason, see `words.REASONS`.
     "endless": """
         keep visiting; continuously; repeatedly; infinitely; endlessly; perpetually; again and
         again; over and over again; over and over; patrol; cycle through; back and forth;
@@ -333,9 +333,9 @@ _ROWS: dict[str, str] = {
     "stray": "got it; in case; regardless of; the (second|third|next|last) time you",
     "goal": "(your|the) (destination|goal|target|final destination|next stop|last stop)",
     "picture": "(take|taking|took) (a|some) (picture|pictures|photo|photos)",
-    # Says nothing new of a ban, and too much of a goal.
+    # Redundant in a ban; impossible for a goal.
     "forever": "forever; indefinitely; for ever",
-    # Beside the single words below.
+    # In addition to the single words below.
     "verb": """
         show up; turn up; (swing|swinging) (past|through|into|over to);
         (end|finish|conclude) (your|the|this) (trip|journey|tour|route|way) (at|in|on|with|by);
@@ -409,11 +409,11 @@ _PARTICLES = """
     along across
     """
 AFTER_VERB = tuple(_PARTICLES.split())
-"""Particles that belong to the verb before them: "turn on", "look for", "stop at"."""
+"""Particles that belong to the preceding verb: "turn on", "look for", "stop at"."""
 
 
 def _spelled_out(phrases: str) -> list[str]:
-    """All phrases of a row: "(a|b) c" is two."""
+    """Return all phrases of a row; "(a|b) c" becomes two phrases."""
     todo, done = [phrase for phrase in phrases.split(";") if phrase.strip()], []
     for phrase in todo:
         if choice := _CHOICE.search(phrase):
@@ -428,7 +428,7 @@ _CHOICE = re.compile(r"\(([^()]*)\)")
 PHRASES = {kind: tuple(_spelled_out(row)) for kind, row in _ROWS.items()}
 """Kind → its phrases."""
 AVOIDING = frozenset(PHRASES["avoid"])
-"""Ways to say that something is to be shunned."""
+"""Phrases that mean "avoid"."""
 
 
 def _forms(verb: str) -> list[str]:
@@ -446,7 +446,7 @@ _IRREGULAR_PAST = (
 PAST = frozenset(_forms(verb)[3] for verb in _REGULAR_VERBS.split()) | frozenset(
     [*(_forms(verb)[5] for verb in _REGULAR_VERBS.split()), *_IRREGULAR_PAST.split()]
 )
-"""Verb forms that say what was done."""
+"""Past-tense forms of verbs."""
 
 
 def _table() -> dict[tuple[str, ...], str]:
@@ -463,7 +463,7 @@ def _table() -> dict[tuple[str, ...], str]:
         phrases[tuple(phrase.split())] = "avoid"
     known = {word for phrase in phrases for word in phrase}
     listed = [name for entry in names.ALIASES.items() for name in (entry[0], *entry[1])]
-    for name in (*listed, *nouns.NOUNS):  # "trash can" has nothing to do with "can"
+    for name in (*listed, *nouns.NOUNS):  # "can" in "trash can" is no auxiliary
         phrase = name.split()
         if len(phrase) > 1 and known & set(phrase):
             phrases[tuple(phrase)] = "word"
@@ -490,7 +490,7 @@ ENDINGS = {"n't": " not", "'ve": " have", "'re": " are", "'ll": " will", "'d": "
 
 
 def expanded(word: str) -> list[str]:
-    """A word without its contraction: `don't` gives do, not."""
+    """Return a word without its contraction: `don't` becomes do, not."""
     if word in CONTRACTIONS:
         return CONTRACTIONS[word].split()
     if (numeral := _NUMERAL.fullmatch(word)) and 0 < int(numeral[1]) < len(nouns.NUMERALS):

@@ -1,7 +1,7 @@
-"""An instruction with its names lifted out: what is left is how things hang together, in words.
+"""Delexicalisation: replaces the names in an instruction by placeholders for the network.
 
-The small translator knows no things. It reads `<0>` for the first thing that is named, `<1>` for
-the second, and so on, and the same number again where the same thing is named again.
+The network knows no objects. It reads `<0>` for the first object, `<1>` for the second, and so on.
+A repeated object has the same placeholder.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from edge.mission.language.lexicon import AFTER_VERB, PHRASES, TABLE, WORD, expa
 from edge.mission.language.words import MAX_CHARS, STRAIGHT, not_understood
 
 MOST_PIECES = 250
-"""Words and marks of an instruction that is lifted."""
+"""Largest number of words and marks in an instruction."""
 LONGEST_NAME = 6  # words
 ARTICLES = frozenset(["the", "a", "an", "my", "our", "your", "his", "her", "its", "their"])
 _SINGLING = ARTICLES | {"this", "that", "each", "every", "any", "some", "another"}
@@ -25,13 +25,13 @@ _OF_NO_NAME = {"of", "between", "against"}
 _STORIES = {"floor", "floors", "story", "level", "room", "landmark", "door", "street", "building"}
 _AFTER_LETTER = {*AFTER_VERB, ",", ".", "and", "or", "then", "before", "after", "until"}
 _CUT_OFF = nouns.listed("don doesn didn isn aren wasn can won shouldn mustn couldn")
-"""What a contraction is before a `t` that lost its apostrophe."""
+"""First part of a contraction whose `t` lost the apostrophe."""
 _VERBS_TOO = """
     swing drop park dock point ring rest stick tap drill paint book fan bat saw scale tie train
     track frame file mop sponge exit guard
 """
 _ALSO_VERBS = frozenset(_VERBS_TOO.split())
-"""Things that are so only after an article."""
+"""Words that name an object only after an article; else they are verbs."""
 _MARKS = {",": ",", ":": ",", ".": ".", ";": ".", "!": ".", "?": ".", "&": "and"}
 _NEVER_NAMES = {*ARTICLES, *_MARKS.values(), "robot", "robots", "spot", "spots"}
 _NEVER_ALONE = {"can"}
@@ -42,18 +42,18 @@ _VEHICLES = """
 """
 _RIDING = ("by", "via", "per")
 _RIDDEN = frozenset(names.canonical(name) for name in _VEHICLES.split())
-"""Things that "by" and no article make a way to travel."""
+"""Objects that are a means of transport after "by" without an article."""
 _PIECE = re.compile(rf"""(?P<quoted>"[^"]*")|(?P<word>{WORD.pattern})|(?P<mark>\S)""")
 
 
 @dataclass(frozen=True, slots=True)
 class Lifted:
-    """An instruction in the translator's words.
+    """A delexicalised instruction.
 
     Attributes:
-        words: lower case, `NAMES[i]` for the thing `names[i]`; of marks "," and "." are left.
-        names: canonical names in the order in which they are first named, each once.
-        starts: of each word, the offset of its first character in the instruction.
+        words: lower case, `NAMES[i]` for the object `names[i]`; the only marks are "," and ".".
+        names: canonical names in order of first mention, each once.
+        starts: for each word, the offset of its first character in the instruction.
     """
 
     words: tuple[str, ...]
@@ -69,14 +69,18 @@ class _Piece:
 
 
 def lift(text: str) -> Lifted:
-    """The instruction with its names lifted out.
+    """Return the instruction with its names replaced by placeholders.
 
-    Known names are those of the grammar: the alias table's, places and common things with what
-    they are like ("the small red box"), single letters, and whatever stands in double quotes.
+    Names are those that the grammar knows: the alias table, places and common objects with their
+    qualities ("the small red box"), single letters, and texts in double quotes.
 
     Raises:
-        TranslationError: it is too long, a character has no place in it, or it names more than
-            `MOST_NAMES` things.
+        TranslationError: the text is too long, has a character that is not allowed, or names more
+            than `MOST_NAMES` objects.
+
+    Example:
+        >>> lift("Go to the bed, then to the sofa.").words
+        ('go', 'to', '<0>', ',', 'then', 'to', '<1>', '.')
     """
     pieces = _pieces(text)
     among_letters = _names_letters(pieces)
@@ -88,7 +92,9 @@ def lift(text: str) -> Lifted:
         length, name = _name_at(pieces, at, among_letters)
         if name in _RIDDEN and words and words[-1] in _RIDING:
             start = pieces[at].start
-            raise not_understood(text[start:], start + 1, "say where to go, not by what")
+            raise not_understood(
+                text[start:], start + 1, "say where to go, without the means of transport"
+            )
         if name is None:
             words.append(pieces[at].text)
             starts.append(pieces[at].start)
@@ -96,7 +102,7 @@ def lift(text: str) -> Lifted:
             continue
         if name not in found:
             if len(found) == MOST_NAMES:
-                hint = f"at most {MOST_NAMES} things at once"
+                hint = f"an instruction has at most {MOST_NAMES} objects"
                 raise not_understood(text[pieces[at].start :], pieces[at].start + 1, hint)
             found.append(name)
         if words and words[-1] in ARTICLES:
@@ -127,7 +133,9 @@ def _pieces(text: str) -> list[_Piece]:
         elif found in _MARKS:
             pieces.append(_Piece(_MARKS[found], start))
         else:
-            raise not_understood(found, start + 1, "this character has no place in an instruction")
+            raise not_understood(
+                found, start + 1, "this character is not allowed in an instruction"
+            )
     if len(pieces) > MOST_PIECES:
         late = pieces[MOST_PIECES].start
         raise not_understood(text[late:], late + 1, f"it has more than {MOST_PIECES} words")
@@ -135,7 +143,7 @@ def _pieces(text: str) -> list[_Piece]:
 
 
 def _name_at(pieces: list[_Piece], at: int, among_letters: bool) -> tuple[int, str | None]:
-    """How many pieces from here are a name, and its canonical form; None when none are."""
+    """Return the number of pieces and the canonical form of the name here, or (0, None)."""
     if pieces[at].quoted:
         return 1, names.canonical(pieces[at].text)
     if _is_letter(pieces, at, among_letters):
@@ -149,27 +157,27 @@ def _name_at(pieces: list[_Piece], at: int, among_letters: bool) -> tuple[int, s
         place = ""  # "the table on your path"
     if place and (more := _known_length(pieces, at + length + skipped)):
         where = pieces[at + length + skipped : at + length + skipped + more]
-        beside = " ".join(piece.text for piece in where)
-        text = f"{names.normalise(text)} {place} {beside}"
+        other = " ".join(piece.text for piece in where)
+        text = f"{names.normalise(text)} {place} {other}"
         length += skipped + more
     return (length, names.canonical(text)) if names.is_name(text) else (0, None)
 
 
 def _is_verb(pieces: list[_Piece], at: int, length: int) -> bool:
-    """Return whether "lift the …" begins here, which names no lift."""
+    """Return True if "lift the …" begins here, in which "lift" is a verb."""
     begins = at == 0 or pieces[at - 1].text in (",", ".", "and", "then", "please")
     following = pieces[at + length].text if at + length < len(pieces) else ""
     return begins and length == 1 and following in ARTICLES
 
 
 def _is_own_way(pieces: list[_Piece], at: int) -> bool:
-    """Return whether "your path" ends here, which is no thing to go to."""
+    """Return True if "your path" ends here, which is no object to go to."""
     own = 0 < at < len(pieces) and pieces[at - 1].text in _OWN
     return own and pieces[at].text in _WAYS
 
 
 def _known_length(pieces: list[_Piece], at: int) -> int:
-    """How many pieces from here are the longest name made of known words."""
+    """Return the length in pieces of the longest name of known words that begins here."""
     singled = at > 0 and pieces[at - 1].text in _SINGLING
     for length in range(min(LONGEST_NAME, len(pieces) - at), 0, -1):
         run = pieces[at : at + length]
@@ -183,7 +191,7 @@ def _known_length(pieces: list[_Piece], at: int) -> int:
 
 
 def _begins_name(texts: list[str], singled: bool) -> bool:
-    """Whether words that may name a thing do: "first" and "check" mostly mean something else."""
+    """Return True if these words name an object here; "first" and "check" mostly do not."""
     if texts[0] in _NEVER_ALONE and len(texts) == 1:
         return False
     if singled:
@@ -197,7 +205,7 @@ def _begins_name(texts: list[str], singled: bool) -> bool:
 
 
 def _is_letter(pieces: list[_Piece], at: int, among_letters: bool) -> bool:
-    """Whether a single letter stands here that names something; `a` is mostly an article."""
+    """Return True if a single letter here is a name; `a` is mostly an article."""
     text = pieces[at].text
     if len(text) != 1 or not text.isalpha() or not text.isascii() or text == "i":
         return False
@@ -210,14 +218,17 @@ def _is_letter(pieces: list[_Piece], at: int, among_letters: bool) -> bool:
 
 
 def _names_letters(pieces: list[_Piece]) -> bool:
-    """Whether letters name things in this text, so that `a` may too: others do, or nothing else."""
+    """Return True if letters are names in this text, so that `a` may be one too.
+
+    They are if another letter occurs, or if the text has no other name.
+    """
     if any(p.text not in "ais" and len(p.text) == 1 and p.text.isalpha() for p in pieces):
         return True
     return not any(_known_length(pieces, at) for at in range(len(pieces)))
 
 
 def _place_at(pieces: list[_Piece], at: int) -> tuple[str, int]:
-    """A word that says where a thing is, and how many pieces it and an article after it take."""
+    """Return a preposition of place here, and the number of pieces of it and its article."""
     for place in _PLACES:
         words = place.split()
         if place not in _OF_NO_NAME and [p.text for p in pieces[at : at + len(words)]] == words:

@@ -1,8 +1,7 @@
-"""Translator `llm`: a language model writes the formula, and nothing it says is trusted.
+"""Translator `llm`: a language model writes the formula, and every answer is checked.
 
-One question per instruction, and a second one when the answer is no formula, or speaks of an
-object that the instruction does not name. ViTL (IV-A1) translates with an LLM in the same way;
-the prompt here is our own.
+One request per instruction; a second one if the answer is no formula, or has an object that the
+instruction does not name. ViTL (IV-A1) also translates with an LLM; this prompt is our own.
 """
 
 from __future__ import annotations
@@ -24,21 +23,20 @@ from edge.mission.logic.ltl import Formula, FormulaError, ap, parse, proposition
 from edge.text import one_line
 
 MOST_NAMES = 100
-MOST_NESTING = 8  # parentheses within parentheses: a sequence of n objects needs n - 1
+MOST_NESTING = 8  # depth of parentheses; a sequence of n objects needs n - 1
 MOST_OPERANDS = 12
-SPARE = 3  # more of both than there are names: an object may be wanted several times
+SPARE = 3  # added to the number of names for both, because an object may occur several times
 
 UNARY = ("!", "F ", "G ", "X ")
-BINARY = (" W ", " U ")  # the other operators say nothing that these cannot
+BINARY = (" W ", " U ")  # they can express the other operators
 ANY_NAME = r'"\"" [^"\\\x00-\x1f] [^"\\\x00-\x1f]{0,39} "\""'
 
 
 def gbnf(phrases: Sequence[str]) -> str:
-    """GBNF of the formulas whose propositions are among `phrases`.
+    """Return the GBNF grammar of the formulas over `phrases`.
 
-    Nesting and the number of operands are bounded by how many phrases there are, so that a model
-    which repeats itself comes to an end. With more than `MOST_NAMES`, every name in quotes is
-    allowed.
+    The number of phrases limits nesting and operands, so a model that repeats itself comes to an
+    end. With more than `MOST_NAMES` phrases, every quoted name is allowed.
 
     >>> print(gbnf(["tv", "potted plant"]).splitlines()[1])
     name ::= "tv" | "\\"potted plant\\""
@@ -59,12 +57,12 @@ def gbnf(phrases: Sequence[str]) -> str:
 
 
 def _level(n: int, operands: int) -> dict[str, str]:
-    """The rules of formulas with at most `n` parentheses within each other, `operands` per & or |.
+    """Return the rules of formulas with at most `n` nested parentheses and `operands` per & or |.
 
-    Within a pair of parentheses stands one kind of &, | or ->, so that nobody has to know which
-    binds tighter. One step reaches one object, so only the first part of a conjunction may be a
-    bare name, and none a conjunction of its own: `a & b` contradicts itself, and small models
-    like to go on with it for ever.
+    One pair of parentheses has only one kind of &, | or ->, so precedence does not matter. One step
+    reaches one object, so only the first part of a conjunction may be a bare name, and no part may
+    be
+    a conjunction: `a & b` contradicts itself, and small models tend to continue it without end.
     """
     times = f"{{1,{operands - 1}}}"
     rules = {
@@ -91,17 +89,17 @@ LONGEST_NAME = 5  # words in one name of the alias table
 LONGEST_UNKNOWN = 3  # words in a name that the alias table does not have
 
 ARTICLES = frozenset({"a", "an", "the", "some", "any", "my", "our"})
-# Words that are no part of an object's name, but for those that the alias table has.
+# Words that are no part of an object's name, unless the alias table has the name.
 STOP_WORDS = frozenset(word for phrase in lexicon.TABLE for word in phrase) | ARTICLES
 STOP_WORDS |= {"for", "from", "than", "how", "which", "who", "what", "s", "t", "doesn", "didn"}
 
 
 def objects_in(instruction: str) -> tuple[str, ...]:
-    """Phrases of an instruction that may name an object, in lower case, in order, each once.
+    """Return the phrases of an instruction that may name an object, in lower case, each once.
 
-    The longest names of the alias table come first; a name within a longer one ("table" in
-    "coffee table") is not named. What is left between them and `STOP_WORDS` may be the words
-    before such a name ("red chair"), or a name that the table does not have.
+    The longest names of the alias table are found first; a name inside a longer one ("table" in
+    "coffee table") is not returned. The remaining words between them and `STOP_WORDS` may be
+    qualities of the name ("red chair"), or an unknown name.
 
     >>> objects_in("Go to the coffee table, then decorate the red potted plant.")
     ('coffee table', 'decorate', 'potted plant', 'red potted plant')
@@ -117,12 +115,12 @@ def objects_in(instruction: str) -> tuple[str, ...]:
 
 
 def _names_and_words(part: str) -> Iterator[str]:
-    """The known names in a part of an instruction, longest first, and the words between them."""
+    """Yield the known names in a part of an instruction (the longest ones), and other words."""
     words = re.findall(r"[^\W_]+|&", part)
     at = 0
     while at < len(words):
         length = 1
-        if words[at] not in ARTICLES:  # `names` takes one before a name for a part of it
+        if words[at] not in ARTICLES:  # `names` would include the article
             lengths = range(min(LONGEST_NAME, len(words) - at), 1, -1)
             known = (n for n in lengths if names.is_known(" ".join(words[at : at + n])))
             length = next(known, 1)
@@ -135,7 +133,7 @@ def _may_name(item: str) -> bool:
 
 
 def _phrases(run: list[str]) -> Iterator[str]:
-    """The names that a run of known names and unknown words may hold."""
+    """Yield the possible names in a run of known names and unknown words."""
     before: list[str] = []
     for item in run:
         if names.is_known(item):
@@ -152,7 +150,7 @@ def _phrases(run: list[str]) -> Iterator[str]:
 
 log = logging.getLogger(__name__)
 
-MAX_TOKENS = 256  # six objects in three branches with two conditions take about 120
+MAX_TOKENS = 256  # six objects in three branches with two conditions need about 120
 MAX_FORMULA_CHARACTERS = 4000
 SHOWN_TO_MODEL = 500  # characters of a wrong answer
 SHOWN_TO_USER = 80
@@ -187,7 +185,7 @@ EXAMPLES = (
 
 
 class Model:
-    """The language model of a configuration.
+    """Translator that asks the configured language model.
 
     Raises:
         ChatError: the server's URL or the API key cannot be used.
@@ -198,12 +196,12 @@ class Model:
         self._client = client_of(config)
 
     def read(self, instruction: str) -> Formula:
-        """The instruction's formula, its propositions canonical names that the instruction names.
+        """Return the instruction's formula, with canonical names from the instruction only.
 
         Raises:
             TranslationError: the instruction names no object, or no answer was a usable formula.
-            ChatError: the server failed, or gave no answer within `time_limit_s` (for both
-                attempts together).
+            ChatError: the server failed, or gave no answer within `time_limit_s` (both requests
+                together).
         """
         begin_s, url = time.monotonic(), self._client.url
         objects = objects_in(instruction)
@@ -232,11 +230,11 @@ class Model:
 
 
 class _UnusableError(UserError):
-    """A formula that must not be carried out; the message is for the model, and for the user."""
+    """A formula that must not be carried out; the message goes to the model and to the user."""
 
 
 def conversation(instruction: str) -> list[dict[str, str]]:
-    """The messages that ask for an instruction's formula."""
+    """Return the messages that ask for an instruction's formula."""
     messages = [{"role": "system", "content": SYSTEM}]
     for sentence, formula in EXAMPLES:
         messages.append({"role": "user", "content": sentence})
@@ -245,7 +243,7 @@ def conversation(instruction: str) -> list[dict[str, str]]:
 
 
 def repair(answer: str, fault: str) -> list[dict[str, str]]:
-    """The messages that ask for a better formula."""
+    """Return the messages that ask for a corrected formula."""
     wanted = f"This is wrong: {fault}. Answer with the corrected formula only."
     return [
         {"role": "assistant", "content": answer[:SHOWN_TO_MODEL] or "..."},
@@ -254,32 +252,34 @@ def repair(answer: str, fault: str) -> list[dict[str, str]]:
 
 
 def constraint(kind: str, objects: tuple[str, ...]) -> dict[str, Any]:
-    """The fields of a request that keep its answer to formulas about `objects`.
+    """Return the request fields that limit the answer to formulas about `objects`.
 
-    Without a grammar no limit of tokens is asked for: hosted models name that field differently,
-    and spend tokens on thinking; the limits of time and size hold all the same.
+    Without a grammar there is no token limit: hosted models name that field differently, and use
+    tokens for thinking. Limits of time and size still apply.
 
     Args:
         kind: "gbnf" (llama.cpp), "guided_grammar" (vLLM, 0.11 or newer) or "none".
+        objects: names that the formula may use.
     """
     if kind == "none":
         return {}
     grammar = gbnf(objects)
-    # vLLM took this as the field `guided_grammar` until 0.12, and has ignored that one since.
+    # vLLM had the field `guided_grammar` until 0.12; later versions ignore it.
     field = {"grammar": grammar} if kind == "gbnf" else {"structured_outputs": {"grammar": grammar}}
     return {"max_tokens": MAX_TOKENS, **field}
 
 
 def formula_in(answer: str, objects: tuple[str, ...]) -> Formula:
-    """The formula in a model's answer, its propositions replaced by their canonical names.
+    """Return the formula in a model's answer, with canonical names.
 
     Args:
-        objects: what the instruction names; anything else is refused, as a robot must not set
-            out for what a model made up.
+        answer: the model's text.
+        objects: names in the instruction. Other names are refused: the robot must not drive to
+            an object that the model invented.
 
     Raises:
         FormulaError: the answer is no formula.
-        UserError: it is too long, or speaks of other things than the objects, or of none.
+        UserError: it is too long, or it has another object, or none.
     """
     text = bare(answer)
     if len(text) > MAX_FORMULA_CHARACTERS:
@@ -297,7 +297,7 @@ def formula_in(answer: str, objects: tuple[str, ...]) -> Formula:
 
 
 def bare(answer: str) -> str:
-    """An answer without the wrapping that models like: thoughts, a code fence, a heading.
+    """Return an answer without thoughts, code fence and heading.
 
     >>> bare("```ltl\\nLTL: F chair\\n```")
     'F chair'
@@ -317,8 +317,8 @@ def _canonical(name: str) -> str:
 
 
 def _report_left_out(formula: Formula, objects: tuple[str, ...]) -> None:
-    """Say which known things of the instruction the formula leaves out: perhaps a prohibition."""
+    """Log a warning if the formula misses known objects of the instruction (maybe a ban)."""
     known = dict.fromkeys(names.canonical(phrase) for phrase in objects if names.is_known(phrase))
     left_out = [name for name in known if name not in propositions(formula)]
     if left_out:
-        log.warning("the formula leaves out %s; check what it says", ", ".join(left_out))
+        log.warning("the formula does not contain %s; check its meaning", ", ".join(left_out))

@@ -1,4 +1,4 @@
-"""What one clause asks for: goals, and rules about the whole mission."""
+"""Meaning of one clause: goals, and rules for the whole mission."""
 
 from __future__ import annotations
 
@@ -27,27 +27,26 @@ from edge.mission.logic.ltl import Formula, always, ap, implies, neg, next_, wea
 
 @dataclass(slots=True)
 class Meaning:
-    """What a clause, or several joined by "and", ask for.
+    """Goals and rules of a clause, or of several clauses joined by "and".
 
     Attributes:
-        goals: to be achieved in any order.
-        things: what the goals reach; what "while avoiding" lasts until.
-        rules: hold from the start on.
-        bans: names not to be reached; for how long is seen when the sequence is complete.
-        withouts: (names, things, token): "things without names", and something comes after; whether
-            for good is asked, unless the sequence asks for the names later.
-        waits: (names, things): none of the names before the things, which `rules` says too.
-        limits: (names, n, token): at most n separate visits, in a sequence until its next step;
-            the token is where "not again" was said, which may mean the way to `things` only.
-        loose: has no goal of its own.
-        listed: its goals stand side by side with no "and" between them.
-        follows: said to come after the step before it.
-        repeats: the same visit as the last one.
-        commas: orders in it are joined by nothing but commas.
-        returns: said to go back to what was asked for before.
-        anchors: what the goals are said to come after.
-        each: how often at most each place of the whole instruction may be visited.
-        strictly: the whole instruction's order is a strict one.
+        goals: goals to achieve in any order.
+        things: objects of the goals; "while avoiding" lasts until they are reached.
+        rules: formulas that hold from the start.
+        bans: names not to be reached; their duration is decided when the sequence is complete.
+        withouts: (names, things, token) of "things without names", if more follows. Unless the
+            sequence later asks for the names, the user is asked if this is for good.
+        waits: (names, things): none of the names before the things; also in `rules`.
+        limits: (names, n, token): at most n separate visits, in a sequence until its next step.
+            The token is the place of "not again", which may apply only on the way to `things`.
+        listed: True if its goals are a list without "and".
+        follows: True if it comes after the step before it.
+        repeats: True if it is the same visit as the last one.
+        commas: True if its orders are joined only by commas.
+        returns: True if it goes back to an earlier goal.
+        anchors: objects after which the goals come.
+        each: limit of visits to each place in the whole instruction.
+        strictly: True if the order of the whole instruction is strict.
     """
 
     goals: list[Goal] = field(default_factory=list)
@@ -68,21 +67,21 @@ class Meaning:
 
     @property
     def loose(self) -> bool:
-        """Whether it only restricts."""
+        """True if it has rules only, no goal."""
         return not self.goals
 
     def ban_after(self, things: Things) -> None:
-        """Lets its bans begin with the things only."""
+        """Let its bans begin when the objects are reached."""
         self.rules += [f for names in self.bans for f in never_after(names, things)]
         self.bans = []
 
     def limit_for_good(self) -> None:
-        """Lets its limits last beyond the next step: said before it, they are no part of it."""
+        """Make its limits permanent: given before a step, they are not part of that step."""
         self.rules += [at_most(names, n) for names, n, again in self.limits if not again]
         self.limits = [limit for limit in self.limits if limit[2]]
 
     def add(self, other: Meaning, joint: str = "") -> None:
-        """Both at once."""
+        """Add another meaning: both apply."""
         if self.goals and other.goals:
             self.listed = self.listed and joint in ("", "comma")
             self.commas = joint == "comma"
@@ -95,13 +94,15 @@ class Meaning:
 
 
 def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int]) -> Meaning:
-    """The meaning of a clause.
+    """Return the meaning of a clause.
 
     Args:
-        times: how often each name was asked for so far, for "do not visit it again".
+        clause: the clause.
+        reader: the token reader.
+        times: number of visits that were asked for so far, by name, for "do not visit it again".
 
     Raises:
-        TranslationError: parts that do not go together.
+        TranslationError: parts of the clause do not fit together.
     """
     if clause.only and clause.count and clause.count.most is None:
         clause.count = Count(clause.count.least, clause.count.least)
@@ -112,17 +113,19 @@ def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int]) -> Mean
     if clause.things is None:
         return _until_done(clause, reader)
     if clause.instant and not clause.conditions:
-        reader.refuse("what must come in the very next step cannot be told", clause.instant)
+        reader.refuse("'in the next step' is not possible here", clause.instant)
     again = clause.again and not (clause.negated or clause.count or clause.conditions)
     if again and not clause.returns and not times.keys() & set(clause.things.names):
-        reader.refuse("it was not asked for before; say how often", clause.token)
+        reader.refuse(
+            "it was not asked for before, so 'again' is unclear; say how often", clause.token
+        )
     if clause.things.every and (meaning := _of_every(clause, clause.things, reader)):
         return meaning
     alone = len(clause.things.groups) + len(clause.route) < 2 and not clause.negated
     if alone and (clause.order == "strict order" or (clause.order and clause.conditions)):
         reader.refuse("an order goes with a list: 'visit a, b and c in this order'", clause.token)
     if clause.out_of_turn:
-        reader.refuse("say of which places", clause.token)
+        reader.refuse("say for which places", clause.token)
     said = _forbidden if clause.negated else _asked
     meaning = said(clause, clause.things, reader, times)
     meaning.each = clause.each or meaning.each
@@ -131,7 +134,7 @@ def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int]) -> Mean
 
 
 def _of_every(clause: Clause, things: Things, reader: Reader) -> Meaning | None:
-    """`visit each place only once`, `never go back to any of them`, `no place out of turn`."""
+    """Return the meaning of `visit each place only once`, `never go back to any of them`."""
     if clause.out_of_turn:
         return Meaning(strictly=True)
     if clause.each or (clause.negated and (clause.again or clause.returns)):
@@ -144,14 +147,14 @@ def _of_every(clause: Clause, things: Things, reader: Reader) -> Meaning | None:
 
 
 def permission_of(clause: Clause) -> Things | None:
-    """What a clause merely allows: the condition's things or, without one, its own."""
+    """Return the objects that a clause only allows: those of its condition, or its own."""
     if clause.mood != "can" or clause.negated or clause.count:
         return None
     return clause.conditions[-1].things if clause.conditions else clause.things
 
 
 def _until_done(clause: Clause, reader: Reader) -> Meaning:
-    """`do not stop until a and b are visited`"""
+    """Return the meaning of `do not stop until a and b are visited`."""
     if len(clause.conditions) != 1 or clause.conditions[0].kind != "until":
         reader.refuse("say until when, as in 'do not stop until the bed is reached'", clause.token)
     things = clause.conditions[0].things
@@ -159,12 +162,12 @@ def _until_done(clause: Clause, reader: Reader) -> Meaning:
 
 
 def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[str, int]) -> Meaning:
-    """`do not visit x …`, `avoid x …`, `never visit x more than twice`."""
+    """Return the meaning of `do not visit x …`, `avoid x …`, `never visit x more than twice`."""
     meaning = Meaning()
     if clause.order:
-        reader.refuse("an order makes no sense of what is not to be reached", clause.token)
+        reader.refuse("an order is not possible for forbidden objects", clause.token)
     if clause.not_again:
-        reader.deny("say it in two sentences", clause.token)
+        reader.deny("use two sentences", clause.token)
     for avoided in clause.avoiding:  # "do not visit b without visiting a"
         meaning.rules += held_until(things.names, avoided)
     if clause.count:
@@ -193,7 +196,7 @@ def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[st
 
 
 def _anew(clause: Clause, things: Things, times: Mapping[str, int]) -> bool:
-    """Whether a second visit is forbidden: "never go back to it", once it was asked for."""
+    """Return True if the clause forbids a second visit: "never go back to it"."""
     if clause.returns:
         return all(name in times for name in things.names)
     return clause.again
@@ -224,18 +227,18 @@ def _forbidden_when(
 
 def _one_time(condition: Condition, reader: Reader) -> None:
     if condition.count and condition.count != Count(1):
-        reader.refuse("how often something happened is no condition yet", condition.token)
+        reader.refuse("a condition cannot count visits", condition.token)
 
 
 def _no_conditions(clause: Clause, reader: Reader) -> None:
     for condition in clause.conditions:
-        reader.refuse("a count and a condition do not go together", condition.token)
+        reader.refuse("a count and a condition cannot be combined", condition.token)
 
 
 def _counted(
     clause: Clause, things: Things, count: Count, meaning: Meaning, times: Mapping[str, int]
 ) -> None:
-    """Goals and limits of a count; "…; visit a only once" asks for no more than was asked for."""
+    """Add goals and limits of a count; "…; visit a only once" asks for no additional visit."""
     asked = all(times.get(n, 0) >= count.least for n in things.names) and count.most is not None
     if count.least and not asked and (clause.negated or clause.mood != "can"):
         meaning.goals.append(visits(things, count.least))
@@ -245,7 +248,7 @@ def _counted(
 
 
 def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, int]) -> Meaning:
-    """`visit x …`, `you must visit x …`, `you can visit x …`."""
+    """Return the meaning of `visit x …`, `you must visit x …`, `you can visit x …`."""
     meaning = Meaning()
     if clause.count and [c for c in clause.conditions if c.kind in ("until", "before")]:
         return _counted_until(clause, things, clause.count, reader, times)
@@ -263,7 +266,7 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
         meaning.goals.append(steps([visits(step) for step in _steps_of(clause, things)]))
         meaning.things = things
     if clause.count and clause.route:
-        reader.deny("so often, the way as well? say it in two sentences", clause.token)
+        reader.deny("unclear if the path is counted too; use two sentences", clause.token)
     if clause.order == "strict order":
         for before, after in itertools.pairwise(_steps_of(clause, things)):
             meaning.rules += held_until(after.names, before)
@@ -274,13 +277,13 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
     for avoided in (*clause.avoiding, *clause.not_first):
         passed = {name for step in clause.route for name in step.names}
         if set(avoided.names) & {*things.names, *passed}:
-            reader.deny("the same is asked for and to be avoided", clause.token)
+            reader.deny("the same object is asked for and to be avoided", clause.token)
     for avoided in clause.avoiding:
         others = [n for n in avoided.names if n not in times]
         if (clause.during and not alone) or set(others) & set(things.names):
             meaning.rules += held_until(others, things)
         elif alone:
-            meaning.rules += never(others)  # nothing comes after: the safer reading costs nothing
+            meaning.rules += never(others)  # nothing follows, so the safer reading costs nothing
         else:
             meaning.withouts.append((tuple(others), things, clause.token))
     for avoided in clause.not_first:
@@ -300,7 +303,7 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
 
 
 def _steps_of(clause: Clause, things: Things) -> list[Things]:
-    """What a clause asks for, one after the other."""
+    """Return the goals of a clause in their order."""
     steps_of = [*clause.route, things]
     if clause.order in ("in order", "strict order"):
         return [Things((group,)) for step in steps_of for group in step.groups]
@@ -310,22 +313,22 @@ def _steps_of(clause: Clause, things: Things) -> list[Things]:
 _ENDS = ("end ", "ends ", "ending ", "finish")
 _RULES = ("make sure", "making sure", "ensur", "be sure", "see to it")
 _BEFORE = ("both", "first only", "in order")
-"""What "x before y" said as a rule may ask for: both, and no y before x; x, and no y before it; x,
-then y. As a plain order it asks for both: that implies the others and is driven like "x, then y".
+"""Readings of "x before y" as a rule: both, and no y before x; x, and no y before it; x, then y.
+As a plain order it asks for both, which implies the others and is driven like "x, then y".
 """
 
 
 def _counted_until(
     clause: Clause, things: Things, count: Count, reader: Reader, times: Mapping[str, int]
 ) -> Meaning:
-    """`reach x at most twice until y is reached`"""
+    """Return the meaning of `reach x at most twice until y is reached`."""
     meaning = Meaning()
     most = count.most
     asked = all(times.get(name, 0) >= count.least for name in things.names)
     if clause.conditions[0].kind == "before" and not asked:
-        reader.refuse("say it in two sentences", clause.token)
+        reader.refuse("use two sentences", clause.token)
     if len(clause.conditions) != 1 or most is None:
-        reader.refuse("only an upper limit can last until something", clause.token)
+        reader.refuse("only 'at most … times' can have an 'until'", clause.token)
     if not asked:
         _counted(clause, things, Count(count.least), meaning, times)
     meaning.rules += [
@@ -339,18 +342,18 @@ def _counted_until(
 def _conditioned(
     clause: Clause, things: Things, condition: Condition, reader: Reader, meaning: Meaning
 ) -> None:
-    """Adds what a condition makes of "visit x"."""
+    """Add the effect of a condition on "visit x"."""
     kind, when = condition.kind, condition.things
     answers = (condition.recurring and clause.mood != "can") or clause.mood == "must"
     if kind == "after" and clause.verb.startswith(_ENDS) and not condition.recurring:
-        answers = False  # where one ends up is no answer to anything
+        answers = False  # the end of the mission is no reaction
     _one_time(condition, reader)
     if clause.next_step and kind in ("before", "until"):
-        reader.refuse("what comes right before cannot be told", condition.token)
+        reader.refuse("'right before' is not possible", condition.token)
     if clause.next_step and not answers:
         reader.deny("say 'whenever …, you must … right after that'", condition.token)
     if kind == "when" and condition.denied:
-        reader.deny("what never happens is known at the end only", condition.token)
+        reader.deny("a condition that something never happens is not possible", condition.token)
     if set(when.names) & set(things.names) and not answers:
         reader.deny("nothing comes before or after itself", condition.token)
     if kind == "before" and condition.only and not condition.denied:
@@ -360,11 +363,13 @@ def _conditioned(
         meaning.things = when  # "go through the hallway until you reach the bed"
         return
     if kind == "until" and not condition.denied:
-        reader.refuse("reaching is done in one step, so it has no 'until'", condition.token)
+        reader.refuse(
+            "'until' is not possible for a visit; say what comes after what", condition.token
+        )
     if condition.denied and kind != "after":  # "visit x, but not before y"
         meaning.rules += held_until(things.names, when)
     elif kind == "unless":
-        reader.refuse("'unless' goes with something forbidden", condition.token)
+        reader.refuse("'unless' is possible only with something forbidden", condition.token)
     elif kind == "before" and (clause.mood != "can" or condition.only):
         way = "in order"  # "visit x, but visit y before that": y, then x
         if not condition.referred or clause.mood == "can":
@@ -381,7 +386,7 @@ def _conditioned(
         meaning.rules += held_until(things.names, when)
         meaning.waits.append((things.names, when))
     elif condition.denied:
-        reader.refuse("say it as 'do not …, once …'", condition.token)
+        reader.refuse("say 'do not …, once …'", condition.token)
     elif answers:
         _reaction(clause, things, condition, reader, meaning)
     elif clause.mood != "can":
@@ -389,10 +394,10 @@ def _conditioned(
 
 
 def _is_rule(clause: Clause, condition: Condition, reader: Reader) -> bool:
-    """Return whether "x before y" may leave open if y is to be reached at all.
+    """Return True if "x before y" may leave open if y is to be reached at all.
 
-    So do "make sure that …", "x must be visited …" and "… before you may ever go to y"; a plain
-    order does not, unless it is an alternative, an aside, or one of several in a sequence.
+    "Make sure that …", "x must be visited …" and "… before you may ever go to y" do. A plain order
+    does not, unless it is an alternative, an aside, or one of several in a sequence.
     """
     duty = clause.mood == "must" and not clause.subject
     if duty or clause.done or clause.token.text.startswith(_RULES):
@@ -413,13 +418,13 @@ def _is_rule(clause: Clause, condition: Condition, reader: Reader) -> bool:
 def _reaction(
     clause: Clause, things: Things, condition: Condition, reader: Reader, meaning: Meaning
 ) -> None:
-    """`once you visit x you must visit y`: G(x -> F y), or X y right after it."""
+    """Add `once you visit x you must visit y`: G(x -> F y), or X y for "right after"."""
     if len(condition.things.groups) != 1:
-        reader.refuse("a duty can follow on one thing, or on one of several", condition.token)
+        reader.refuse("a condition can have one object, or a choice of objects", condition.token)
     when = any_of(condition.things.groups[0])
     if clause.next_step or clause.soon:
         if len(things.groups) != 1:
-            reader.refuse("only one thing can come next", clause.token)
+            reader.refuse("only one object can be reached in the next step", clause.token)
         answer = next_(any_of(things.groups[0]))
     else:
         goals = meaning.goals or [visits(things)]

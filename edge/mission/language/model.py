@@ -1,8 +1,8 @@
-"""Translator `model`: a small network of our own reads what the grammar does not.
+"""Translator `model`: a small network for sentences that the grammar refuses.
 
-A translation is carried out unasked only if it tells the sentence back better than any other, and
-if no word of the sentence is left over. A translation that is in doubt is offered as a question,
-and refused if a word that changes the meaning is left over.
+A translation is carried out without a question only if two checks pass. Back-translation: no other
+candidate explains the sentence better. Coverage: it leaves no word of the sentence unexplained.
+A doubtful translation becomes a question. It is refused if an unexplained word changes the meaning.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ from edge.mission.logic.ltl import Formula, propositions
 from edge.text import one_line
 
 TRUSTED_P = 0.95
-"""Share of the probability that one language has among all that were written."""
+"""Least share of one language in the probability of all hypotheses."""
 TRUSTED_MARGIN = 1.0
-"""By how much another language may tell the sentence better, being so much less likely [nats]."""
+"""Largest advantage of another language in back-translation [nats], as it is much less likely."""
 TRUSTED_START, TRUSTED_WORD = -2.0, -2.8
-"""The least log probability of a sentence, told back, and of each of its words [nats]: it takes the
-more to say which verb and which turn of phrase began it."""
+"""Least log probability of the back-translation: a constant, plus a part for each word [nats]. The
+constant is for the choice of the first verb and phrase."""
 OFFERED_P, OFFERED_WORD, OFFERED_IN_ALL, MOST_OFFERED = 0.15, -6.0, 0.9, 4
-"""A meaning is offered from this share of the probability and this log probability of a word on;
-all that are offered need this share together. At most so many are offered."""
+"""Conditions to offer a meaning in a question: least share of the probability, least log
+probability per word, least share of all offered meanings together, and their largest number."""
 OFFERED_LOSS = 4.0
-"""By how much a meaning that is offered may leave over a word that changes the meaning: the gain in
-log probability of the rest, told back [nats]. A meaning that is trusted leaves over none."""
+"""Largest loss of an unexplained word in an offered meaning: the gain in log probability of the
+back-translation without the word [nats]. A trusted meaning has no unexplained word."""
 LONGEST_PHRASE = 3
-"""Words that are deleted together: each of "every time" needs the other."""
+"""Largest number of words that are deleted together: "every time" is one phrase."""
 _FUNCTION_WORDS = """
     a an the and then to of that it you your i please must should have has be is are been
     go move head drive walk visit reach get into through throught up
 """
 FUNCTION_WORDS = frozenset(_FUNCTION_WORDS.split())
-"""The only words that a trusted meaning may leave over."""
+"""The only words that a trusted meaning may leave unexplained."""
 _LIGHT_KINDS = (
     "filler", "verb", "you", "to", "article", "be", "must", "can", "ensure", "do", "goal",
     "addressed", "happen", "pronoun",
 )  # fmt: skip
-"""Kinds of the lexicon whose words change little. Words of all other kinds change the meaning."""
+"""Kinds of the lexicon with little effect on the meaning. All other kinds change it."""
 _CHANGING = """
     not never no without only if when unless until all both every each once twice first last again
     stop exit leave out off away beyond outside within from another other else nowhere nobody
@@ -57,27 +57,28 @@ _CHANGING = """
     decline pm am minute minutes hour hours second seconds half quarter metres meters left right
 """
 _CHANGING_WORDS = frozenset(_CHANGING.split())
-"""Words that change the meaning and may not be left over at all, as numbers may not."""
+"""Words that change the meaning, so they must be explained, like numbers."""
 _ATTACHED = re.compile(r"<\d> (by|from|off|out of) <\d>")
-"""The second thing may say where the first is, or how to get there."""
+"""Ambiguous: the second object is the place of the first, or on the way to it."""
 _LOOKED_AROUND = re.compile(
     r"\b(look|looks|looking|search|searching|peek|wander|stroll) around <\d>"
 )
 MOST_SLIPS = 3
 _MAX_STATES, _MAX_STEPS = 500, 300_000
 _BEFORE_VERB = (",", ".", "and", "then", "please", "you", "not")
-_REFUSED = "instruction: no formula over what is reached says this; say it in other words"
+_REFUSED = "instruction: it could not be translated to a mission; say it in other words"
 
 
 @dataclass(frozen=True, slots=True)
 class Meaning:
-    """One language that a sentence may ask for.
+    """One formal language that a sentence may ask for.
 
     Attributes:
-        p: share of the probability of all that was written.
-        told: log probability of the sentence, told back, by the token sequence that tells it best.
+        formula: a formula of the language.
+        p: its share of the probability of all hypotheses.
+        told: log probability of the sentence given the formula, by the best token sequence.
         tokens: that token sequence.
-        idle: it asks for nothing to be reached, as bans alone do.
+        idle: True if it asks for no object, such as a ban alone.
     """
 
     formula: Formula
@@ -89,12 +90,12 @@ class Meaning:
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """What the network made of a sentence.
+    """The network's reading of a sentence.
 
     Attributes:
-        formulas: what it may mean, the likeliest first.
-        sure: the first may be carried out unasked.
-        doubts: words that are not known, and what they were taken for, to be told with a question.
+        formulas: possible formulas, the most likely first.
+        sure: True if the first may be carried out without a question.
+        doubts: unknown words and their assumed replacements, shown with the question.
     """
 
     formulas: tuple[Formula, ...]
@@ -103,24 +104,24 @@ class Guess:
 
 
 class SmallModel:
-    """Reads instructions with a network."""
+    """Translator with a small network."""
 
     def __init__(self, network: Network) -> None:
         self._network = network
 
     def read(self, instruction: str) -> Guess:
-        """What the instruction may mean.
+        """Return the possible formulas of an instruction.
 
         Raises:
-            TranslationError: it names nothing, most of its words are not known, or no formula
-                says it.
+            TranslationError: the instruction names no known object, has too many unknown words, or
+                could not be translated.
         """
         if nouns.is_foreign(instruction):
             raise not_understood(instruction, 1, "instructions are read in English only")
         said, words, doubts = self._known(instruction)
         if not said.names:
             raise TranslationError(
-                "instruction: it names nothing that is known; write what it is in double quotes"
+                "instruction: it has no known object; write the object's name in double quotes"
             )
         if unclear := _unclear(words):
             raise TranslationError(f"instruction: {unclear}")
@@ -144,10 +145,10 @@ class SmallModel:
         raise TranslationError(_REFUSED)
 
     def _trusts(self, meanings: Sequence[Meaning], words: Sequence[str], said: Lifted) -> bool:
-        """Return whether the likeliest meaning may be carried out unasked.
+        """Return True if the most likely meaning may be carried out without a question.
 
-        It has to be likely enough, use every name, tell the sentence back best, and leave no word
-        over.
+        It must be likely enough, use every name, have the best back-translation, and leave no word
+        unexplained.
         """
         first, *others = meanings
         return (
@@ -161,9 +162,9 @@ class SmallModel:
     def _offered(
         self, meanings: Sequence[Meaning], words: Sequence[str], said: Lifted
     ) -> list[Formula]:
-        """Return the formulas to ask about; none if the right one is hardly among them.
+        """Return the formulas to ask about; none if the right one is probably not among them.
 
-        Each asks for something, uses every name, and leaves over no word that changes the meaning.
+        Each asks for an object, uses every name, and explains all words that change the meaning.
         """
         likely = [
             meaning
@@ -183,10 +184,10 @@ class SmallModel:
         return [meaning.formula for meaning in likely[:MOST_OFFERED]]
 
     def _left_over(self, meaning: Meaning, words: Sequence[str]) -> dict[int, float]:
-        """Return the words that a meaning does not account for, by position, with their loss.
+        """Return the unexplained words of a meaning, by position, with their loss.
 
-        Such a word, or phrase of up to `LONGEST_PHRASE` words, makes the sentence less likely to be
-        told: without it the back-translation's score is higher. The loss is the difference [nats].
+        A word, or a phrase of up to `LONGEST_PHRASE` words, is unexplained if the back-translation
+        is more likely without it. The loss is the difference of log probabilities [nats].
         """
         counts = [not (w in FUNCTION_WORDS or w in NAMES or w in ",.") for w in words]
         phrases = [
@@ -205,14 +206,13 @@ class SmallModel:
         return left
 
     def _known(self, instruction: str) -> tuple[Lifted, tuple[str, ...], tuple[str, ...]]:
-        """The instruction with its names lifted out, its words with close ones in the place of
-        those that are not known, and what is to be doubted of them.
+        """Return the delexicalised instruction, its words with slips corrected, and the doubts.
 
         Raises:
             TranslationError: it is too long, or has more slips than `MOST_SLIPS`.
         """
         said, doubts = lift(instruction), []
-        for _ in range(MOST_SLIPS):  # a name that was a slip is lifted out when it is mended
+        for _ in range(MOST_SLIPS):  # a corrected name is replaced by a placeholder, too
             unknown = (i for i, word in enumerate(said.words) if not self._is_known(word))
             slips = ((i, _name_meant(said.words, i)) for i in unknown)
             at, name = next(((i, name) for i, name in slips if name), (0, None))
@@ -235,20 +235,22 @@ class SmallModel:
             words[i] = slip or word
             acts = i + 1 < len(words) and words[i + 1] in NAMES
             if not slip and acts and (i == 0 or words[i - 1] in _BEFORE_VERB):
-                raise not_understood(word, said.starts[i] + 1, "no verb that is known")
+                raise not_understood(word, said.starts[i] + 1, "unknown verb")
             if not slip and i and words[i - 1] == "by":
-                raise not_understood(word, said.starts[i] + 1, "say where to go, not by what")
+                raise not_understood(
+                    word, said.starts[i] + 1, "say where to go, without the means of transport"
+                )
             if word in _CHANGING_WORDS or word in nouns.PLAIN_WORDS:
-                raise not_understood(word, said.starts[i] + 1, "no word that is known here")
+                raise not_understood(word, said.starts[i] + 1, "unknown word")
             if len(doubts) > MOST_SLIPS:
                 start = said.starts[i]
-                raise not_understood(instruction[start:], start + 1, "no word that is known here")
+                raise not_understood(instruction[start:], start + 1, "unknown word")
         return said, tuple(words), tuple(doubts)
 
     def _changes(self, word: str, loss: float) -> bool:
-        """Return whether a word that is left over by so much changes what is meant.
+        """Return True if an unexplained word with this loss changes the meaning.
 
-        A word that is unknown is told with the question.
+        An unknown word does not count: the question shows it.
         """
         if word in _CHANGING_WORDS or word in NUMBERS or word.isdecimal():
             return True
@@ -261,7 +263,7 @@ class SmallModel:
     def _meanings(
         self, written: Sequence[Written], words: Sequence[str], said: Lifted
     ) -> list[Meaning]:
-        """One for each language among what was written, the likeliest first."""
+        """Return one meaning for each language among the hypotheses, the most likely first."""
         total = sum(math.exp(one.log_p) for one in written)
         kinds: list[tuple[Automaton, list[Written]]] = []
         for one in written:
@@ -273,7 +275,7 @@ class SmallModel:
             except CompileError:
                 continue
             if automaton.steps_left[0] < 0:
-                continue  # nothing fulfils it: nobody says that
+                continue  # it cannot be fulfilled, so it is not meant
             same = next((ones for kind, ones in kinds if _equal(kind, automaton)), None)
             if same is None:
                 kinds.append((automaton, [one]))
@@ -290,8 +292,10 @@ class SmallModel:
 
 
 def _without(words: Sequence[str], start: int, end: int) -> tuple[str, ...]:
-    """Return a sentence without a phrase, and without an article that would stand before a name:
-    the network never saw one there."""
+    """Return a sentence without a phrase, and without an article that would then precede a name.
+
+    The network never saw an article there.
+    """
     stranded = words[end : end + 1] and words[end] in NAMES and words[start - 1 : start]
     start -= bool(stranded and words[start - 1] in ARTICLES)
     return (*words[:start], *words[end:])
@@ -301,11 +305,11 @@ def _unclear(words: Sequence[str]) -> str:
     """Return the question that "<0> by <1>", "look around <0>" or "in the." leaves open, or ""."""
     said = " ".join(words)
     if _ATTACHED.search(said):
-        return "is one thing at the other, or on the way to it? say it in two sentences"
+        return "unclear: is one object at the other, or on the way to it? use two sentences"
     if _LOOKED_AROUND.search(said):
-        return "'around' may mean in it, or past it; say which"
+        return "'around' can mean inside it or past it; say which"
     if any(a in ARTICLES and _ends_name(b) for a, b in pairwise((*words, "."))):
-        return "an article names nothing; say what it belongs to"
+        return "there is an article without a name; complete the name"
     return ""
 
 
@@ -317,7 +321,7 @@ def _ends_name(word: str) -> bool:
 def _name_meant(words: Sequence[str], at: int) -> str | None:
     """Return the name that a word is most likely a slip of, if a name may stand there.
 
-    One may stand behind an article or a particle.
+    A name may follow an article or a particle.
     """
     before = words[at - 1] if at else ""
     return nouns.meant(words[at]) if before in ARTICLES or before in AFTER_VERB else None

@@ -1,8 +1,8 @@
-"""One name in an instruction: which words it has, and what it is called.
+"""Parser of one name in an instruction.
 
     name = [article] word { word } | letter | '"' text '"'
 
-`a` is an article wherever a longer word follows. Of which words a name may consist is in `nouns`.
+`a` is an article if a longer word follows. The module `nouns` defines the possible words of a name.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _TURNS = (
     "except", "instead", "otherwise", "unlike", "than", "because", "if", "not", "another",
     "nowhere",
 )  # fmt: skip
-"""Words that turn what is said, so that no other translator is to guess at it either."""
+"""Words that reverse a meaning, so no other translator may guess at the sentence."""
 _NEVER_IN_NAMES = frozenset(_NOT_NAMES.split())
 
 
 def take_name(reader: Reader) -> str:
-    """One thing's canonical name."""
+    """Parse a name and return its canonical form."""
     start = reader.peek()
     said = reader.take("article")
     article = said is not None
@@ -44,20 +44,20 @@ def take_name(reader: Reader) -> str:
         return _canonical(reader, token.text, token)
     if is_letter(reader.peek()):
         if _hardly_a_name(reader):
-            reader.refuse("no thing that is known", start)
+            reader.refuse("not a known object", start)
         return reader.tokens[_advance(reader)].text
     words = _words(reader, article)
     if not words:
         reader.refuse("expected the name of a thing here", start)
     _check(reader, words)
     if reader.sees("article"):
-        reader.refuse("no word that is known", words[0])
+        reader.refuse("unknown word", words[0])
     text = _spelled(words)
     return _canonical(reader, text, words[0])
 
 
 def _words(reader: Reader, article: bool) -> list[Token]:
-    """The run of words that a name consists of; after an article a verb may begin it."""
+    """Take the words of a name; after an article it may begin with a verb."""
     words: list[Token] = []
     while reader.sees("word", "group") and not is_letter(reader.peek()):
         if reader.peek().text in AFTER_VERB or _says_number(reader):
@@ -69,7 +69,7 @@ def _words(reader: Reader, article: bool) -> list[Token]:
 
 
 def _take_number(reader: Reader) -> list[Token]:
-    """The number behind a name, which may be two words: `12`, `twenty one`."""
+    """Take the number after a name, which may have two words: `12`, `twenty one`."""
     reader.at += _says_number(reader)
     begin = reader.at
     pair = [reader.peek().text, reader.peek(1).text]
@@ -81,18 +81,18 @@ def _take_number(reader: Reader) -> list[Token]:
 
 
 def _says_number(reader: Reader) -> bool:
-    """Whether the word of "room number 12" comes that adds nothing."""
+    """Return True if the word "number" of "room number 12" comes."""
     return reader.peek().text == "number" and is_number(reader, 1)
 
 
 def _is_lettered(reader: Reader) -> bool:
-    """Whether the letter here belongs to the word before it: "gate b"."""
+    """Return True if the letter here belongs to the word before it: "gate b"."""
     article = reader.peek().text == "a" and _goes_on(reader)
     return reader.peek(-1).text in nouns.NUMBERED and not article
 
 
 def _spelled(words: list[Token]) -> str:
-    """The words of a name: "landmarks one" is "landmark one"."""
+    """Return the text of a name: "landmarks one" becomes "landmark one"."""
     texts = [token.text for token in words]
     numbered = next((i for i, token in enumerate(words) if i and token.kind == "number"), 0)
     if numbered:
@@ -106,12 +106,12 @@ def _advance(reader: Reader) -> int:
 
 
 def is_indefinite(reader: Reader) -> bool:
-    """Whether an `a` or `an` comes that is an article."""
+    """Return True if an `a` or `an` comes that is an article."""
     return reader.sees("word") and reader.peek().text in ("a", "an") and _goes_on(reader)
 
 
 def _goes_on(reader: Reader) -> bool:
-    """Whether `a` is an article: a longer word follows it, or a verb that is also a thing."""
+    """Return True if `a` is an article: a longer word or a quoted name follows it."""
     follower = reader.peek(1)
     return follower.kind == "quoted" or (
         follower.kind == "word" and len(follower.text) > 1 and follower.text not in AFTER_VERB
@@ -119,7 +119,7 @@ def _goes_on(reader: Reader) -> bool:
 
 
 def _hardly_a_name(reader: Reader) -> bool:
-    """Whether `a` more likely begins "a walk" than names a thing: no other letter names one."""
+    """Return True if `a` probably begins "a walk": no other letter is a name."""
     if reader.peek(-1).text == "be":  # "be a dear"
         return True
     if not reader.sees("verb", "times", "immediately", ahead=1):
@@ -132,29 +132,29 @@ def is_letter(token: Token) -> bool:
 
 
 def _check(reader: Reader, words: list[Token]) -> None:
-    """Refuses a run of words that is no name made of known words."""
+    """Refuse words that are no name of known words."""
     texts = [token.text for token in words]
     odd = next((i for i, text in enumerate(texts) if text in _NEVER_IN_NAMES), None)
     if odd is not None:
-        hint = "no name of a thing, and no known word"
+        hint = "unknown word, and not an object"
         (reader.deny if texts[odd] in _TURNS else reader.refuse)(hint, words[odd])
     odd = nouns.unknown_in(texts)
     if odd is None:
         return
     if texts[odd] in nouns.PLAIN_WORDS:
         said = reader.text[words[odd].start : words[odd].end]
-        raise not_understood(said, words[odd].start + 1, "no thing, and no word that is known here")
+        raise not_understood(said, words[odd].start + 1, "unknown word, and not an object")
     close = nouns.meant(texts[odd])
     if close and not nouns.is_noun(texts[odd]):
         reader.refuse(f"{one_line(texts[odd], 40)}: {close}?", words[odd])
     if reader.sees("article", "pronoun"):
-        reader.refuse("no verb that is known here", words[0])
+        reader.refuse("unknown verb", words[0])
     whole = one_line(" ".join(texts), 40)
     if odd:
         last = one_line(texts[odd - 1], 20)
-        hint = f'unknown after {last!r}; if it is one thing, write "{whole}"'
+        hint = f'unknown word after {last!r}; if it is one object, write "{whole}"'
         reader.refuse(f"{hint} in double quotes", words[odd])
-    reader.refuse(f'no known thing; if it is one, write "{whole}" in double quotes', words[0])
+    reader.refuse(f'not a known object; if it is one, write "{whole}" in double quotes', words[0])
 
 
 def _canonical(reader: Reader, text: str, token: Token) -> str:
@@ -165,7 +165,7 @@ def _canonical(reader: Reader, text: str, token: Token) -> str:
 
 
 def number_ahead(reader: Reader, last: Sequence[Sequence[str]]) -> Token | None:
-    """What joins "1" and "2" in "landmarks 1 and 2"; None where no such list goes on."""
+    """Return the token that joins "1" and "2" in "landmarks 1 and 2"; None for no such list."""
     head = _numbered_head(last[-1][-1])
     ahead = 1 if reader.sees("comma") else 0
     if reader.sees("and", "or", ahead=ahead):
@@ -175,7 +175,7 @@ def number_ahead(reader: Reader, last: Sequence[Sequence[str]]) -> Token | None:
 
 
 def next_numbered(reader: Reader, last: Sequence[Sequence[str]]) -> str:
-    """`2`, after "landmark 1": landmark two."""
+    """Parse `2` after "landmark 1", and return "landmark two"."""
     reader.skip("comma", "and", "or")
     token = reader.tokens[_advance(reader)]
     reader.at -= 1
@@ -184,13 +184,13 @@ def next_numbered(reader: Reader, last: Sequence[Sequence[str]]) -> str:
 
 
 def _numbered_head(name: str) -> str:
-    """`landmark` of "landmark one", `floor` of "first floor"; "" of others."""
+    """Return `landmark` of "landmark one", `floor` of "first floor"; "" for other names."""
     first, _, last = name.rpartition(" ")
     return first if names.number([last]) is not None else ""
 
 
 def is_number(reader: Reader, ahead: int = 0) -> bool:
-    """Whether that token is a number that counts no visits."""
+    """Return True if that token is a number that counts no visits."""
     if not reader.sees("number", ahead=ahead) or reader.sees("times", "or more", ahead=ahead + 1):
         return False
     if reader.sees("or", ahead=ahead + 1) and reader.sees("times", ahead=ahead + 3):

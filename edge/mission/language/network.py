@@ -1,8 +1,8 @@
-"""The small translator's network at work: words to formulas, and how well formulas tell the words.
+"""The translation network: words to formulas, and log probabilities of words given a formula.
 
-An ONNX file with two halves. The encoder's (`source` → `across`) is asked once for a text, the
-decoder's (`target`, `past`, `across_in` → `logits`, `present`) once for each token that is written;
-each is given one token of nothing for the half that it leaves alone.
+The ONNX file has two halves. The encoder (`source` → `across`) runs once for a text. The decoder
+(`target`, `past`, `across_in` → `logits`, `present`) runs once for each written token. The unused
+half gets one padding token as input.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.sessions import open_session
 
 MOST_WORDS = 90
-"""Of a sentence that is read; longer ones are refused before."""
+"""Largest number of words in a sentence; the caller refuses longer ones."""
 MOST_TOKENS = 60
-"""Of a formula that is written."""
+"""Largest number of tokens in a formula."""
 BEAM = 6
 PAD, END, UNKNOWN, TO_FORMULA, TO_WORDS = SPECIAL = (
     "<pad>", "<end>", "<unknown>", "<formula>", "<words>",
 )  # fmt: skip
 VOCABULARY = "vocabulary"
-"""Key of the file's metadata: a JSON list of tokens, in the order of their ids."""
+"""Metadata key of the ONNX file: a JSON list of tokens, in the order of their ids."""
 
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What the decoder wrote, and the natural logarithm of its probability."""
+    """A hypothesis of the beam search: tokens of a formula, and their log probability [nats]."""
 
     tokens: tuple[str, ...]
     log_p: float
 
 
 class Network:
-    """One session on one core.
+    """A session with the translation network, on one CPU core.
 
     Args:
         card: name of a card of task `translate`.
 
     Raises:
-        ModelError: no such card, or its file is not there or not sound.
+        ModelError: there is no such card, or its file is missing or damaged.
     """
 
     def __init__(self, card: str) -> None:
@@ -56,7 +56,7 @@ class Network:
 
     @classmethod
     def of_file(cls, path: Path) -> Network:
-        """Of a file that has no card yet."""
+        """Return a network from a file that has no card yet."""
         network = cls.__new__(cls)
         network._open(path)
         return network
@@ -65,8 +65,8 @@ class Network:
         self._session = open_session(
             path, ["CPUExecutionProvider"], 1, key="mission.translator.card"
         )
-        told = self._session.get_modelmeta().custom_metadata_map.get(VOCABULARY, "")
-        self.tokens = _vocabulary(path, told)
+        listed = self._session.get_modelmeta().custom_metadata_map.get(VOCABULARY, "")
+        self.tokens = _vocabulary(path, listed)
         self._ids = {token: i for i, token in enumerate(self.tokens)}
         past = next(i for i in self._session.get_inputs() if i.name == "past")
         parts, _, heads, _, width = past.shape
@@ -75,19 +75,19 @@ class Network:
         self._nothing = np.array([[self._ids[PAD]]], np.int64)
 
     def knows(self, word: str) -> bool:
-        """Whether the word is in its vocabulary."""
+        """Return True if the word is in the vocabulary."""
         return word in self._ids
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The words of its vocabulary."""
+        """The words of the vocabulary."""
         return tuple(t for t in self.tokens if t not in OPERATORS and not t.startswith("<"))
 
     def formulas(self, words: Sequence[str], names: int, beam: int = BEAM) -> list[Written]:
-        """The likeliest formulas over the first so many names, the likeliest first.
+        """Return the most likely formulas over the first `names` placeholders, the best first.
 
-        Beam search over the tokens that the formulas' grammar allows; a probability is a share of
-        what is allowed.
+        Beam search over the tokens that the prefix notation allows. Probabilities are normalised
+        over the allowed tokens.
         """
         across = self._read(words)
         target = np.array([[self._ids[TO_FORMULA]]], np.int64)
@@ -120,9 +120,13 @@ class Network:
         return sorted(done, key=lambda one: -one.log_p)[:beam]
 
     def tellings(self, tokens: Sequence[str], sentences: Sequence[Sequence[str]]) -> list[float]:
-        """Return the log probability of each sentence, given that this formula is meant [nats].
+        """Return the log probability [nats] of each sentence, given the formula.
 
-        This is the back-translation that a reading is checked with.
+        This back-translation checks a reading.
+
+        Args:
+            tokens: the formula in prefix notation.
+            sentences: words of each sentence.
         """
         across = self._read(tokens)
         ids = [[self._ids.get(word, self._ids[UNKNOWN]) for word in words] for words in sentences]
@@ -154,16 +158,16 @@ class Network:
         return logits, present
 
 
-def _vocabulary(path: Path, told: str) -> tuple[str, ...]:
+def _vocabulary(path: Path, listed: str) -> tuple[str, ...]:
     try:
-        tokens = json.loads(told)
+        tokens = json.loads(listed)
     except ValueError:
         tokens = None
     needed = {*SPECIAL, *NAMES, REFUSED, *OPERATORS}
     if not isinstance(tokens, list) or not needed <= set(map(str, tokens)):
         raise ModelError(
-            f"{path}: its metadata has no {VOCABULARY!r} with the tokens of formulas: export it "
-            "again"
+            f"{path}: its metadata has no {VOCABULARY!r} with the tokens of formulas; export the "
+            "model again"
         )
     return tuple(map(str, tokens))
 

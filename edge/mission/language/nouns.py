@@ -1,7 +1,7 @@
-"""What a name may consist of: only words that are known, so that no slip becomes a target.
+"""The words of names: only known words, so that a typing error never becomes a target.
 
-Known are the alias table (`edge.names`) and the lists here; anything else is named in
-double quotes.
+Known words are in the alias table (`edge.names`) and the lists here. Other names need double
+quotes.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ _PLAIN = """
 
 
 def listed(text: str) -> frozenset[str]:
-    """The entries of a text; "|" stands for a space within one."""
+    """Return the entries of a text; "|" stands for a space within an entry."""
     return frozenset(entry.replace("|", " ") for entry in text.split())
 
 
@@ -100,17 +100,17 @@ _FOREIGN = listed(
     dan ga niet
     """
 )
-"""Small words of other languages that no English sentence has."""
+"""Short words of other languages that never occur in English sentences."""
 PEOPLE = listed(_PEOPLE) | {"person"}
 NOUNS = listed(_PLACES) | listed(_OBJECTS) | listed(_PEOPLE)
 QUALITIES = listed(_QUALITIES) | listed(_MATERIALS)
 PLAIN_WORDS = listed(_PLAIN) - NOUNS
-"""Words that plainly name no thing, so that no refusal offers to take them for one."""
+"""Words that name no object, so a refusal must not suggest them as one."""
 NUMBERED = listed(
     """floor level storey story landmark room door waypoint gate street aisle bay dock lane terminal
     ward"""
 )
-"""Kinds whose members are told apart by number: "second floor" is no second step."""
+"""Kinds with numbered members: "second floor" is no second step."""
 ROOMS = listed(
     """apartment attic balcony basement bathroom bedroom cellar classroom conservatory corridor
     garage garden hall hallway kitchen laundry library lobby lounge nursery office pantry patio
@@ -119,35 +119,36 @@ ROOMS = listed(
 NUMERALS = (*names.ORDINALS, "last")
 ORDINALS = frozenset(NUMERALS)
 _KEPT = ("shop", "store", "station", "stop", "room", "market", "museum", "lot", "stand", "park")
-"""Places that are told apart by what is kept there: "coffee shop", "printer room"."""
+"""Places that are named after their content: "coffee shop", "printer room"."""
 _WAYS = ("door", "ladder", "ramp", "escalator", "way", "passage", "doorway")
 _LONGEST = 6
-"""Words that a known noun has at most."""
-_LEADING = listed(_PLACES)  # "kitchen sink", "office door": what a thing belongs to
+"""Largest number of words of a known noun."""
+_LEADING = listed(_PLACES)  # places that may precede a noun: "kitchen sink", "office door"
 
 
 @lru_cache(maxsize=4096)
 def is_noun(phrase: str) -> bool:
-    """Whether a phrase names a kind of thing, in the singular or plural."""
+    """Return True if a phrase names a kind of object, in the singular or plural."""
     return names.is_known(phrase) or phrase in NOUNS or names.singular(phrase) in NOUNS
 
 
 def is_plural(word: str) -> bool:
-    """Whether a word names several of a kind, and is not itself listed, as "glasses" are."""
+    """Return True if a word names several objects and is not itself in a list, as "glasses" is."""
     one = names.singular(word)
     return one != word and is_noun(one) and not (word in NOUNS or names.is_alias(word))
 
 
 def is_place(name: str) -> bool:
-    """Whether a name is a place's or of something that leads somewhere."""
+    """Return True if a name is the name of a place, or of something that leads to one."""
     return name.split()[-1] in _LEADING or name in _LEADING or name.split()[-1] in _WAYS
 
 
 def unknown_in(words: list[str]) -> int | None:
-    """The first word that makes this no name; None when it is one.
+    """Return the index of the first word that makes this no name; None if it is a name.
 
-    A name is qualities, then a noun; a place may stand before it ("kitchen sink"), an owner
-    ("mom's bed"), an ordinal ("first floor"), and a number or a letter behind it ("landmark two").
+    A name has qualities, then a noun. A place ("kitchen sink"), an owner ("mom's bed") or an
+    ordinal ("first floor") may precede the noun. A number or a letter may follow it ("landmark
+    two").
     """
     begin, end = 0, len(words)
     if end > 2 and names.number(words[-2:]) is not None:
@@ -183,14 +184,17 @@ def unknown_in(words: list[str]) -> int | None:
 
 
 def _compound(first: str, second: str) -> bool:
-    """`coffee shop`; not `bed room`, which is a slip of one word."""
+    """Return True for `coffee shop`, but not for `bed room`, which is a slip of one word."""
     return is_noun(first) and not is_noun(first + second)
 
 
 def _not_known(words: list[str], end: int) -> int:
-    """Where a name without a known noun goes wrong: behind the noun that it has, or at its end."""
+    """Return the index of the wrong word in a name without a known noun at its end.
+
+    It is the word after a known noun, or the first unknown word.
+    """
     for last in range(end - 1, 0, -1):
-        # Of all of them, thousands of words that mean nothing would take seconds.
+        # Limit the search: with thousands of unknown words it would take seconds.
         if any(is_noun(" ".join(words[i:last])) for i in range(max(0, last - _LONGEST), last)):
             return last
     odd = (i for i in range(end) if words[i] not in QUALITIES and words[i] not in ORDINALS)
@@ -209,7 +213,7 @@ _MARK = re.compile(r"[^\W\d_]|[a-z]?\d+[a-z]?")
 
 
 def _is_mark(word: str) -> bool:
-    """Whether a word tells one of a kind from another, as in "room b", "gate b12", "bay 3a"."""
+    """Return True if a word distinguishes members of a kind: "room b", "gate b12", "bay 3a"."""
     return _MARK.fullmatch(word) is not None
 
 
@@ -221,7 +225,7 @@ def _all_words() -> tuple[str, ...]:
 
 
 def meant(word: str) -> str | None:
-    """The known word that another one is most likely a slip of, to be offered; never taken.
+    """Return the known word that a word is most likely a slip of; it is only suggested, never used.
 
     >>> meant("firdge"), meant("blorf"), meant("whether")
     ('fridge', None, None)
@@ -232,15 +236,15 @@ def meant(word: str) -> str | None:
 
 
 def is_word(word: str) -> bool:
-    """Return whether a word is known, if only to name no thing, so that it is no slip."""
+    """Return True if a word is known, even as a word that is no name, so that it is no slip."""
     return word in PLAIN_WORDS or word in QUALITIES or is_noun(word)
 
 
 def slip_of(word: str, known: Sequence[str]) -> str | None:
-    """Return the known word that this one is a slip of the finger from, or None.
+    """Return the known word of which this one is a typing error, or None.
 
-    A slip keeps the first letter and adds, drops, changes or swaps one letter, or two in a long
-    word; a short word of other letters is another word.
+    A slip keeps the first letter and adds, drops, changes or swaps one letter (two in a long word).
+    A short word with other letters is another word.
 
     >>> slip_of("vist", ["visit"]), slip_of("base", ["basket"]), slip_of("home", ["some"])
     ('visit', None, None)
@@ -253,11 +257,11 @@ def slip_of(word: str, known: Sequence[str]) -> str | None:
     return next((one for one in slips if _edits(word, one) <= most), None)
 
 
-_SHORT, _LONG = 5, 8  # letters; of a word in which two slips are likely
+_SHORT, _LONG = 5, 8  # letters; two slips are allowed from `_LONG` on
 
 
 def _edits(a: str, b: str) -> int:
-    """Return how many letters to add, drop, change or swap with the next one make `b` of `a`."""
+    """Return the edit distance: letters to add, drop, change, or swap with the next one."""
     before, row = [], list(range(len(b) + 1))
     for i, x in enumerate(a, 1):
         older, before, row = before, row, [i]
@@ -270,8 +274,7 @@ def _edits(a: str, b: str) -> int:
 
 
 def is_foreign(text: str) -> bool:
-    """Whether a text is plainly no English: another script, or several small words of another
-    language.
+    """Return True if a text is clearly not English: another script, or words of another language.
 
     >>> is_foreign("Geh zum Sofa und dann zum Bett."), is_foreign("go to the sofa")
     (True, False)

@@ -1,4 +1,4 @@
-"""What reads like an order and is none, or whose reach cannot be told, is refused here."""
+"""Refusal of sentences that look like orders but are not, and of unclear ones."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ _ASKING = ("did", "does", "has", "had", "is", "are", "am", "was", "were")
 _MAY_I = ("i", "we")
 _REPROACH = ("should", "could", "would", "might", "may", "supposed", "are supposed")
 _HAVING = ("have", "has", "had", "having")
-_NO_ORDER = "no order; say for example 'visit the bed'"
+_NO_ORDER = "not an instruction; say for example 'visit the bed'"
 
 
 def refuse_questions(reader: Reader) -> None:
-    """`did you find the bed?`, `may I go to the bed?`, `won't you go to the bed?`
+    """Refuse `did you find the bed?`, `may I go to the bed?`, `won't you go to the bed?`.
 
     "Can you go to the bed" is a request, and "have the robot go there" an order.
     """
@@ -30,51 +30,53 @@ def refuse_questions(reader: Reader) -> None:
 
 
 def refuse_what_is_done(reader: Reader, begin: int, verb: Token, clause: Clause) -> None:
-    """`I cleaned the kitchen`: what was done is no order; "must have been" looks back as well."""
+    """Refuse `I cleaned the kitchen`, which describes the past; "must have been" does too."""
     at = next(i for i, token in enumerate(reader.tokens) if token is verb)
     before = reader.tokens[begin:at]
     texts = [token.text for token in before]
     past = verb.text.split()[0] in PAST or verb.text == "been" or texts[-1:] == ["been"]
     clause.done = past and bool(set(_HAVING) & set(texts[-3:]))
     if past and not clause.done and not any(token.kind == "be" for token in before):
-        reader.deny("what was done asks for nothing", before[0] if before else verb)
+        reader.deny("this describes the past; say what to do", before[0] if before else verb)
     duties = [t for t in before if t.kind in ("must", "ensure") and t.text not in _HAVING]
     if clause.done and (set(_REPROACH) & set(texts) or not duties):
-        reader.deny("what was done asks for nothing", before[0])
+        reader.deny("this describes the past; say what to do", before[0])
 
 
 def refuse_unclear(clause: Clause, reader: Reader) -> None:
-    """What a clause says that cannot be told of reaching things."""
+    """Refuse parts of a clause that no formula over reached objects can express."""
     conditional = [c for c in clause.conditions if c.kind in ("when", "after") and not c.only]
     if clause.foretold and clause.verb.split()[:1] in (["find"], ["see"]):
-        reader.deny("what will be seen is no order", clause.token)
+        reader.deny("this describes the future; say what to do", clause.token)
     if clause.negated:
         if clause.next_step and not clause.conditions:
-            reader.deny("say plainly what not to do", clause.token)
+            reader.deny("say directly what not to do", clause.token)
         if clause.mood == "can" and clause.verb in AVOIDING and "anywhere" not in clause.verb:
-            reader.deny("what may be left out asks for nothing", clause.token)
+            reader.deny("this is optional and asks for nothing; leave it out", clause.token)
         if clause.ends or clause.verb.startswith(("end ", "finish", "conclude ")):
-            reader.deny("say where it ends", clause.token)
+            reader.deny("say where the mission ends", clause.token)
         if clause.count and clause.things and clause.things.names == ("room",):
             reader.deny("say which", clause.token)
         again = clause.again or clause.returns
         if again and any(c.kind in ("until", "unless", "before") for c in clause.conditions):
             reader.deny("say it without 'again'", clause.token)
         if conditional and len(clause.conditions) > len(conditional):
-            reader.deny("say it in two sentences", conditional[0].token)
+            reader.deny("use two sentences", conditional[0].token)
         return
     if conditional and clause.first:
         reader.deny("say 'before you go there, …'", clause.token)
     if conditional and clause.through and any(c.kind == "when" for c in conditional):
         reader.deny("say 'to get there, go through …'", clause.token)
     if conditional and clause.done:
-        reader.deny("say what must be reached before what", clause.token)
+        reader.deny("say 'visit … before …'", clause.token)
     if clause.first and clause.things and clause.things.listed:
-        reader.deny("which of them first? say 'first …, then …'", clause.token)
+        reader.deny("unclear which one is first; say 'first …, then …'", clause.token)
     if conditional and clause.verb == "" and clause.leads:
         reader.deny("say what to do then, as in 'go to the bed'", conditional[0].token)
     groups = clause.things.groups if clause.things else ()
     if clause.count and clause.count.least > 1 and (clause.order and len(groups) > 1):
-        reader.deny("all of it so often, or each? say it in two sentences", clause.token)
+        reader.deny(
+            "unclear: this number for the whole list, or for each? use two sentences", clause.token
+        )
     if any(c.recurring for c in conditional) and (len(clause.conditions) > 1 or clause.avoiding):
-        reader.deny("say it in two sentences", conditional[0].token)
+        reader.deny("use two sentences", conditional[0].token)

@@ -1,4 +1,4 @@
-"""What lies on the way: `go to b through a`, `to reach b, go through a`, `start at a, go to b`."""
+"""Parser of objects on the way: `go to b through a`, `to reach b, go through a`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from edge.mission.language.things import Memory, Things, starts_things, take_thi
 from edge.mission.language.words import Reader, Token
 
 PASSING = ("through", "past", "along", "across", "via", "by", "over")
-"""Particles that make a verb of motion one of passing: "walk past", "drive through"."""
+"""Particles after which a verb of motion means "pass": "walk past", "drive through"."""
 
 _PARTICIPLES = ("passing", "crossing", "traversing", "using", "taking")
 RIDDEN = ("stairs", "staircase", "elevator", "lift", "escalator", "ladder", "ramp", "bridge")
@@ -19,16 +19,16 @@ _ANY = ("any", "only", "a", "the", "some")
 
 
 def take_route(reader: Reader, memory: Memory, clause: Clause) -> bool:
-    """Takes `via a`, `, passing a` or `only through a` behind a goal; False when there is none."""
+    """Parse `via a`, `, passing a` or `only through a` after a goal; return False if none comes."""
     length, only = _way_length(reader)
     if not length or clause.things is None:
         return False
     token = reader.peek()
     if clause.negated:
-        hint = "which way not to take is said so: 'go to … without going through …'"
+        hint = "to exclude a path, say 'go to … without going through …'"
         reader.refuse(hint, token)
     if clause.several_ways:
-        reader.refuse("say it in two sentences", token)
+        reader.refuse("use two sentences", token)
     reader.at += length
     reader.skip("first", "filler")
     only = only or bool(reader.take("only"))
@@ -36,12 +36,12 @@ def take_route(reader: Reader, memory: Memory, clause: Clause) -> bool:
         clause.avoiding.append(other)
         return True
     if len(clause.things.groups) > 1:
-        reader.refuse("on the way to which of them? say it in two sentences", token)
+        reader.refuse("unclear which one this is on the way to; use two sentences", token)
     pass_by(reader, clause, take_things(reader, memory), token)
     ahead = 1 if reader.sees("comma") else 0
     then = reader.peek(ahead)
     if then.kind == "then" and starts_things(reader, ahead + 1) and reader.pick(then, 2) == 1:
-        reader.at += ahead + 1  # "via the sofa and then the bed": both on the way
+        reader.at += ahead + 1  # "via the sofa and then the bed": both may be on the way
         pass_by(reader, clause, take_things(reader, memory), then)
     while then.kind == "then" and _way_length(reader, ahead + 1)[0]:
         reader.at += ahead + 1
@@ -54,7 +54,7 @@ def take_route(reader: Reader, memory: Memory, clause: Clause) -> bool:
 
 
 def _way_length(reader: Reader, begin: int = 0) -> tuple[int, bool]:
-    """Tokens that introduce what is passed, 0 when none do; whether "only" is among them."""
+    """Return the number of tokens before a passed object (0 if none), and True if one is "only"."""
     ahead = begin + (1 if reader.sees("comma", ahead=begin) else 0)
     aside = ahead > begin
     only = reader.sees("only", ahead=ahead)
@@ -73,7 +73,7 @@ def _way_length(reader: Reader, begin: int = 0) -> tuple[int, bool]:
 
 
 def pass_by(reader: Reader, clause: Clause, passed: Things, token: Token) -> None:
-    """Puts what is passed before the clause's goal; of several "and" leaves the order open."""
+    """Add the passed objects to the route of a clause; after "and", their order is a choice."""
     several = len(passed.groups) > 1 and not passed.listed and not clause.order
     clause.several_ways = len(passed.groups) > 1
     if several and reader.pick(token, 2) == 1:
@@ -83,7 +83,7 @@ def pass_by(reader: Reader, clause: Clause, passed: Things, token: Token) -> Non
 
 
 def bound_ahead(reader: Reader, clause: Clause) -> bool:
-    """Whether where one is bound for comes here: "on the way to x", "to reach x"."""
+    """Return True if a destination comes here: "on the way to x", "to reach x"."""
     if reader.peek().text in ("when", "while") and reader.peek(1).text == "you":
         goes = reader.peek(2).text in _SETS_OUT and reader.sees("to", ahead=3)
         return goes and (clause.negated or clause.mood != "must")  # "pass a when you go to b"
@@ -91,7 +91,7 @@ def bound_ahead(reader: Reader, clause: Clause) -> bool:
 
 
 def take_bound(reader: Reader, memory: Memory, clause: Clause) -> None:
-    """`go through x to reach y`: x, then y; `avoid x on the way to y`: y without x."""
+    """Parse `go through x to reach y` (x, then y) or `avoid x on the way to y` (y without x)."""
     token = reader.peek()
     reader.at += 1
     reader.skip("you")
@@ -102,24 +102,24 @@ def take_bound(reader: Reader, memory: Memory, clause: Clause) -> None:
 
 
 def lead(reader: Reader, memory: Memory, clause: Clause, bound: Things, token: Token) -> None:
-    """What a clause asks for comes on the way to what one is bound for."""
+    """Make the objects of a clause part of the way to its destination `bound`."""
     if clause.things is None:
         reader.refuse("expected something to do or to avoid here", token)
     if not clause.negated:
         pass_by(reader, clause, clause.things, token)
         clause.things = bound
     elif clause.conditions or clause.count or clause.avoiding:
-        reader.refuse("say it in two sentences", token)
+        reader.refuse("use two sentences", token)
     else:
         clause.avoiding.append(clause.things)
         clause.things, clause.negated, clause.elsewhere = bound, False, False
-        clause.mood = "do"  # where one goes is no permission
+        clause.mood = "do"  # the destination is an order, not a permission
     memory.named = clause.things
     memory.ask(clause.things)
 
 
 def take_exception(reader: Reader, memory: Memory) -> Things | None:
-    """`any room but a`, `the room that is not a`: what is left out; None when it is no such."""
+    """Parse `any room but a` or `the room that is not a`; return the exception, or None."""
     ahead = 0
     while reader.peek(ahead).text in _ANY:
         ahead += 1

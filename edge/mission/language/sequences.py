@@ -1,4 +1,4 @@
-"""Clauses one after the other: what each step asks for, and how long its rules last."""
+"""Combination of clauses in sequence: the goal of each step, and how long its rules last."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from edge.mission.logic.ltl import Formula
 
 
 def sequence_goal(sequence: Sequence[Meaning], reader: Reader) -> Goal:
-    """The goal of steps one after the other, each with its rules."""
+    """Return the goal of a sequence of steps with their rules."""
     parts: list[Goal] = []
     rules: list[Formula] = []
     for i, meaning in enumerate(sequence):
@@ -45,13 +45,15 @@ def sequence_goal(sequence: Sequence[Meaning], reader: Reader) -> Goal:
 def anchored(
     meaning: Meaning, sequence: Sequence[Meaning], asked: Container[str], then: bool
 ) -> None:
-    """Puts a clause's goals after what it says they come after.
+    """Put a clause's goals after the objects that it names as earlier.
 
-    "Go to a, and go to b after that": the visit to a is the one already asked for.
+    "Go to a, and go to b after that" refers to the visit to a that was already asked for.
 
     Args:
-        asked: names asked for so far.
-        then: the clause comes after all of the sequence anyway.
+        meaning: the clause, changed in place.
+        sequence: steps before it.
+        asked: names that were asked for so far.
+        then: True if the clause comes after the whole sequence anyway.
     """
     for anchor in meaning.anchors:
         said = set(anchor.names)
@@ -69,9 +71,9 @@ def anchored(
 
 
 def put_first(meaning: Meaning, sequence: list[Meaning], of_all: bool) -> None:
-    """Makes a clause the first step, or the one before the last, which it may repeat a part of.
+    """Make a clause the first step, or the step before the last one.
 
-    "Visit the sofa and the desk, but the desk first": that is one visit to the desk.
+    "Visit the sofa and the desk, but the desk first" asks for one visit to the desk.
     """
     place = 0 if of_all else len(sequence) - 1
     _leave_out(meaning, sequence[place])
@@ -79,18 +81,18 @@ def put_first(meaning: Meaning, sequence: list[Meaning], of_all: bool) -> None:
 
 
 def put_last(meaning: Meaning, sequence: Sequence[Meaning]) -> None:
-    """`visit a and b, but visit b last`: that is one visit to b, which the last step leaves out."""
+    """Remove the goals of a last clause from the step before: `visit a and b, but visit b last`."""
     _leave_out(meaning, sequence[-1])
 
 
 def _leave_out(meaning: Meaning, step: Meaning) -> None:
-    """Takes what a clause says again out of a step, if more is left of it."""
+    """Remove the goals that a clause repeats from a step, unless nothing would be left."""
     said = frozenset(meaning.things.names)
     step.goals = [part for part in _parts(step) if not letters(part) <= said] or step.goals
 
 
 def _parts(step: Meaning) -> list[Goal]:
-    """The goals of a step, those of its sets one by one."""
+    """Return the goals of a step, with its sets flattened."""
     return [
         part
         for goal in step.goals
@@ -99,7 +101,7 @@ def _parts(step: Meaning) -> list[Goal]:
 
 
 def _unwrapped(goal: Goal) -> tuple[Goal, tuple[Formula, ...]]:
-    """What a set of one is a set of, and the rules it came with."""
+    """Return the only goal of nested sets with one goal, and the rules of these sets."""
     held: tuple[Formula, ...] = ()
     while isinstance(goal, Every) and len(goal.goals) == 1:
         held, goal = (*held, *goal.rules), goal.goals[0]
@@ -107,7 +109,7 @@ def _unwrapped(goal: Goal) -> tuple[Goal, tuple[Formula, ...]]:
 
 
 def begun_with(goal: Goal, meaning: Meaning) -> Goal:
-    """`go to a. go to b. return to a.`: a, then b, before the return."""
+    """Return a, then b, before the return: `go to a. go to b. return to a.`."""
     said = frozenset(meaning.things.names)
     inner, held = _unwrapped(goal)
     parts = inner.goals if isinstance(inner, Every) else ()
@@ -119,7 +121,7 @@ def begun_with(goal: Goal, meaning: Meaning) -> Goal:
 
 
 def without_last(goal: Goal, meaning: Meaning) -> Goal:
-    """`visit a and b. b comes last.`: what is left for the sentences before."""
+    """Return the goal without its last clause: `visit a and b. b comes last.`."""
     said = frozenset(meaning.things.names)
     inner, held = _unwrapped(goal)
     parts = inner.goals if isinstance(inner, Every) else ()
@@ -128,7 +130,7 @@ def without_last(goal: Goal, meaning: Meaning) -> Goal:
 
 
 def split_return(meaning: Meaning, sequence: list[Meaning]) -> None:
-    """`visit a, go to b, and return to a`: a comes before b, which comes before a again."""
+    """Put a before b for the return to a: `visit a, go to b, and return to a`."""
     said = frozenset(meaning.things.names)
     goals = _parts(sequence[0])
     start = [goal for goal in goals if letters(goal) & said]
@@ -138,38 +140,41 @@ def split_return(meaning: Meaning, sequence: list[Meaning]) -> None:
 
 
 def passing_by(goal: Goal, passed: Goal, said: Token, reader: Reader) -> Goal:
-    """`go to a. on the way, go to b`: b before the last step of what was asked for."""
+    """Put b before the last step: `go to a. on the way, go to b`."""
     goal, held = _unwrapped(goal)
     parts = goal.goals if isinstance(goal, Steps) else (goal,)
     if not isinstance(parts[-1], Visit):
-        reader.refuse("on the way to what? say 'on the way to …'", said)
+        reader.refuse("unclear where to; say 'on the way to …'", said)
     return Every((steps([*parts[:-1], passed, parts[-1]]),), held)
 
 
 def visit_often(step: Meaning, things: Things, count: Count, token: Token, reader: Reader) -> None:
-    """Makes the last visit of a step several: "go to a, leave it and repeat this twice more"."""
+    """Repeat the last visit of a step: "go to a, leave it and repeat this twice more"."""
     visit = step.goals[-1] if step.goals else None
     if len(things.groups) != 1 or not isinstance(visit, Visit) or visit.options != things.groups[0]:
-        reader.refuse("say it in two sentences", token)
+        reader.refuse("use two sentences", token)
     step.goals[-1] = Visit(visit.options, visit.times - 1 + count.least)
     if count.most is not None:
         step.limits.append((visit.options, visit.times - 1 + count.most, None))
 
 
 def only_then(before: Meaning, after: Meaning) -> list[Formula]:
-    """`x, only then y`: y not before x."""
+    """Return the rules of `x, only then y`: y not before x."""
     return held_until(after.things.names, before.things)
 
 
 def each_at_most(goal: Goal, n: int, token: Token, reader: Reader) -> list[Formula]:
-    """`…; visit each place only once`: of steps each until the next, where the mission goes on."""
+    """Return the rules of `…; visit each place only once`.
+
+    In a sequence, each limit lasts until the next step, if that is a single visit.
+    """
     if isinstance(goal, Visit):
         return [at_most(goal.options, n)]
     if isinstance(goal, Some):
-        reader.refuse("say it of each alternative", token)
+        reader.refuse("say it for each alternative", token)
     visited = Counter(name for visit in single_visits(goal) for name in visit.options)
     if visited.most_common(1)[0][1] > 1:
-        reader.refuse("something is asked for more often; say in one list what is", token)
+        reader.refuse("one object is asked for more often; put all visits in one list", token)
     if isinstance(goal, Every):
         return [rule for part in goal.goals for rule in each_at_most(part, n, token, reader)]
     rules: list[Formula] = []
@@ -178,7 +183,7 @@ def each_at_most(goal: Goal, n: int, token: Token, reader: Reader) -> list[Formu
         after = goal.goals[i + 1] if i + 1 < len(goal.goals) else None
         for visit in single_visits(part):
             if visit.times > n:
-                reader.refuse("something is asked for more often", token)
+                reader.refuse("one object is asked for more often", token)
             in_turn = n == 1 and isinstance(before, Visit)
             if in_turn:  # its only visit comes after the one before
                 rules += held_until(visit.options, Things((before.options,)))
@@ -190,7 +195,7 @@ def each_at_most(goal: Goal, n: int, token: Token, reader: Reader) -> list[Formu
 
 
 def in_strict_order(goal: Goal, token: Token, reader: Reader) -> list[Formula]:
-    """`…; no place out of turn`: none of a step before all of the step before it."""
+    """Return the rules of `…; no place out of turn`: each step only after all of the one before."""
     goal, _ = _unwrapped(goal)
     if not isinstance(goal, Steps):
         reader.refuse("an order goes with a list: 'visit a, then b'", token)
@@ -203,7 +208,10 @@ def in_strict_order(goal: Goal, token: Token, reader: Reader) -> list[Formula]:
 
 
 def chained(waits: Sequence[tuple[tuple[str, ...], Things]]) -> Goal | None:
-    """`do not visit c until b, and do not visit b until a`: a, then b, then c; None for less."""
+    """Return a, then b, then c for `do not visit c until b, and do not visit b until a`.
+
+    Return None if the waits are no such chain.
+    """
     before = {name: until.names[0] for names, until in waits for name in names}
     single = all(len(names) == 1 and len(until.names) == 1 for names, until in waits)
     first = set(before.values()) - before.keys()
@@ -221,7 +229,7 @@ def _together(goals: Sequence[Goal]) -> Goal:
 
 
 def _in_order(meaning: Meaning) -> list[Goal]:
-    """A step's goals; "a, b, then …" with no "and" in it is a sequence already."""
+    """Return a step's goals; "a, b, then …" without "and" is already a sequence."""
     if not meaning.listed:
         return [_together(meaning.goals)] if meaning.goals else []
     return [
@@ -232,7 +240,11 @@ def _in_order(meaning: Meaning) -> list[Goal]:
 
 
 def _banned(meaning: Meaning, before: Sequence[Meaning], after: Sequence[Meaning]) -> list[Formula]:
-    """A ban lasts for good; until its step is done if that or another step asks for the same."""
+    """Return the rules of a step's bans.
+
+    A ban is permanent. If this or another step asks for the same name, it lasts until its step is
+    done.
+    """
     asked = {name for step in (meaning, *after) for goal in step.goals for name in letters(goal)}
     visited = {
         name: visit.times
@@ -255,7 +267,7 @@ def _banned(meaning: Meaning, before: Sequence[Meaning], after: Sequence[Meaning
 
 
 def _without(meaning: Meaning, after: Sequence[Meaning], reader: Reader) -> list[Formula]:
-    """`go to x without y, then to z`: no y before x, or none at all."""
+    """Return the rules of `go to x without y, then to z`: no y before x, or never y."""
     asked = {name for step in after for goal in step.goals for name in letters(goal)}
     rules: list[Formula] = []
     for names, things, token in meaning.withouts:
@@ -265,6 +277,7 @@ def _without(meaning: Meaning, after: Sequence[Meaning], reader: Reader) -> list
 
 
 def single_visits(goal: Goal) -> Iterator[Visit]:
+    """Yield the single visits of a goal."""
     if isinstance(goal, Visit):
         yield goal
     else:
@@ -273,9 +286,10 @@ def single_visits(goal: Goal) -> Iterator[Visit]:
 
 
 def _limited(meaning: Meaning, after: Sequence[Meaning], reader: Reader) -> list[Formula]:
-    """A limit lasts until the next step if that is a single visit, else for good.
+    """Return the rules of a step's limits.
 
-    "Go to b but do not go to a again" may forbid it on the way to b only.
+    A limit lasts until the next step if that is a single visit, else it is permanent. "Go to b but
+    do not go to a again" may forbid a on the way to b only.
     """
     goals = after[0].goals if after else []
     ends = goals[0].options if len(goals) == 1 and isinstance(goals[0], Visit) else ()

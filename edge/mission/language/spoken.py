@@ -1,4 +1,4 @@
-"""The parts of a clause as they were said: how often, when, and the words before its verb."""
+"""Parser of the parts of a clause: counts, conditions, and the words before its verb."""
 
 from __future__ import annotations
 
@@ -24,20 +24,22 @@ class Count:
     most: int | None = None
 
     def negated(self) -> Count | None:
-        """What "do not … so often" leaves; None where that is no range."""
+        """Return the range that "do not …" leaves; None if that is no range."""
         if self.most is None:
             return Count(0, self.least - 1) if self.least else None
         return Count(self.most + 1) if self.least == 0 else None
 
 
 def take_count(reader: Reader, negated: bool, every: bool = False) -> Count | None:
-    """The count that begins here, already negated if the clause is; None when there is none.
+    """Parse the count that begins here; return None if there is none.
 
     Args:
-        every: of all that was asked for, so that "once" can only mean: no second time.
+        reader: the token reader.
+        negated: True if the clause is negated; the result is negated then.
+        every: True if the count is for all places, so that "once" means "no second time".
 
     Raises:
-        TranslationError: a count beyond `MAX_VISITS`, or one that "not" leaves without sense.
+        TranslationError: the count is above `MAX_VISITS`, or makes no sense after "not".
     """
     begin, start = reader.at, reader.peek()
     if start.text in ("on", "for") and reader.sees(*_NUMBERS, *_MARKERS, ahead=1):
@@ -66,7 +68,7 @@ def take_count(reader: Reader, negated: bool, every: bool = False) -> Count | No
         return None
     joined = any(token.kind in ("or", "and") for token in reader.tokens[begin : reader.at])
     if len(set(numbers)) > 1 and not (joined or markers):
-        reader.deny("say how often in one number", start)  # "2 times 3"
+        reader.deny("give one number of visits", start)  # "2 times 3"
     if max(numbers) > MAX_VISITS:
         reader.refuse(f"at most {MAX_VISITS} visits can be counted", start)
     if not negated and {"at least", "at most"} <= marked.keys():
@@ -79,7 +81,7 @@ def take_count(reader: Reader, negated: bool, every: bool = False) -> Count | No
 
 
 def take_quota(reader: Reader, memory: Memory, clause: Clause) -> None:
-    """`the maximum number of visits to a is three`"""
+    """Parse `the maximum number of visits to a is three`."""
     token = reader.take("quota")
     assert token is not None
     clause.things = take_things(reader, memory)
@@ -89,7 +91,7 @@ def take_quota(reader: Reader, memory: Memory, clause: Clause) -> None:
     marked = take_count(reader, negated=False)
     number = reader.take("number") if marked is None else None
     if marked is not None and marked.most not in (None, marked.least):
-        reader.refuse("say how often in one number", token)
+        reader.refuse("give one number of visits", token)
     n = marked.least if marked else NUMBERS.get(number.text if number else "", MAX_VISITS + 1)
     if n > MAX_VISITS:
         reader.refuse(f"at most {MAX_VISITS} visits can be counted", token)
@@ -99,7 +101,7 @@ def take_quota(reader: Reader, memory: Memory, clause: Clause) -> None:
 
 
 def _joins(reader: Reader) -> bool:
-    """Whether "once" here means "as soon as"."""
+    """Return True if "once" here means "as soon as"."""
     return reader.sees("you", "article", "word", "quoted", "pronoun", "all of", "either", ahead=1)
 
 
@@ -112,7 +114,7 @@ def _range(
 ) -> Count:
     n = numbers[-1]
     if 0 in numbers and markers & {"or more", "at least"}:
-        reader.refuse("so often it is in any case; leave it out", reader.tokens[begin])
+        reader.refuse("this number is always fulfilled; leave it out", reader.tokens[begin])
     if "more or less" in markers:  # "not more or less than n": exactly n
         return Count(n, n)
     if markers & {"exactly", "only"} or {"at least", "at most"} <= markers:
@@ -153,23 +155,24 @@ _NEEDS = (
     "obliged", "are obliged",
 )  # fmt: skip
 _THANKS = ("thanks", "please", "thank you", "way", "problem")
-_NOT_NEEDED = "what need not be done asks for nothing; leave it out"
+_NOT_NEEDED = "this is optional and asks for nothing; leave it out"
 PREDICATE = ("must", "can", "not", "filler", "only", "first", "be")
 
 
 @dataclass(slots=True)
 class Condition:
-    """When a clause counts.
+    """A condition of a clause.
 
     Attributes:
         kind: "before", "after", "until", "unless" or "when" ("once" is "when").
-        token: where it begins.
+        token: its first token.
+        things: objects of the event.
         only: "only after …".
-        denied: "not before …", or a happening that is itself denied.
+        denied: "not before …", or an event that is negated.
         recurring: "whenever", "if": each time, not once.
-        going: "when visiting a": on the way there, or from then on.
-        count: how often the happening must have been.
-        referred: it was named by a pronoun only ("before that").
+        going: "when visiting a": on the way there, or afterwards.
+        count: required number of events.
+        referred: it names its event only by a pronoun ("before that").
     """
 
     kind: str
@@ -185,46 +188,49 @@ class Condition:
 
 @dataclass(slots=True)
 class Clause:
-    """What one clause says.
+    """The content of one clause.
 
     Attributes:
-        token: where it begins.
+        token: its first token.
         mood: "do" (an order), "must" (a duty) or "can" (a permission).
         negated: "do not", "never", "avoid".
         only: "only" before the verb.
-        things: what it is about; None for "do not stop (until …)".
-        avoiding: things to be avoided on the way ("while avoiding", "without").
-        during: that is said with "while", so that it lasts no longer.
-        never: things to be avoided for good ("while always avoiding").
-        not_first: things that are avoided only until then ("without visiting x first").
-        not_again: things not to be visited once more on the way ("without returning to x").
-        count_aside: the count stood behind a comma.
+        things: its objects; None for "do not stop (until …)".
+        conditions: its conditions.
+        avoiding: objects to avoid on the way ("while avoiding", "without").
+        during: the avoidance has "while", so it ends with this clause.
+        never: objects to avoid permanently ("while always avoiding").
+        not_first: objects to avoid only until then ("without visiting x first").
+        not_again: objects not to visit again on the way ("without returning to x").
+        order: kind of order among its objects, or "".
+        count: number of visits.
+        count_aside: the count stood after a comma.
         next_step: "right after", "immediately".
-        instant: where it was said to be exactly the next step.
-        soon: "as soon as", which says so of a duty only.
+        instant: token of "in the next step", exactly.
+        soon: "as soon as", which applies to duties only.
         again: "again", "any more", "revisit".
-        first: said to come first.
-        trails: said to come after the clause before it ("… after that").
+        first: it comes first.
+        trails: it comes after the clause before it ("… after that").
         returns: "return to", "go back to": after all before it.
-        bound: where it leads, said first: "to reach x, go through y".
-        bound_by: where that was said behind it: "go through y to reach x".
-        through: the things are on the way to something.
-        by_way: and that is all they can be ("go by way of x").
-        route: what is reached before the things, one after the other.
-        several_ways: the route took "a and b" at once.
-        only_way: nothing but the route leads there.
-        enroute: said to be "on the way" to what was asked for before.
-        always: where that was said.
-        ends: said to come in the end.
-        elsewhere: it names what is left out ("any room but a"), so something else is to be reached.
-        each: how often at most each place that is asked for may be visited ("no revisiting").
-        out_of_turn: said of a ban: it forbids another order than the one asked for.
-        subject: it says who is to do it ("you must …").
-        foretold: it says what "will" or "can not" be.
-        agent: by what name the robot was called in it ("the drone").
+        bound: destination given first: "to reach x, go through y".
+        bound_by: token of a destination given last: "go through y to reach x".
+        through: its objects are on the way to something.
+        by_way: they can only be on the way ("go by way of x").
+        route: objects that are reached before its objects, in order.
+        several_ways: the route has "a and b" in one part.
+        only_way: no other route is allowed.
+        enroute: it is "on the way" to an earlier goal.
+        always: token of "always".
+        ends: it comes at the end.
+        elsewhere: it names only exceptions ("any room but a"), so another goal is needed.
+        each: limit of visits to each place ("no revisiting").
+        out_of_turn: a ban on another order than the given one.
+        done: its verb is in the past: "you must have visited a (before b)".
         leads: "then" stands between its conditions and the rest.
-        done: its verb looks back: "you must have visited a (before b)".
-        verb: the word that named the action, "" in a bare clause.
+        subject: it names who must act ("you must …").
+        foretold: it describes the future ("will", "can not").
+        agent: its name for the robot ("the drone").
+        verb: its verb; "" in a bare clause.
     """
 
     token: Token
@@ -270,29 +276,29 @@ class Clause:
 
 
 def names_one_robot(reader: Reader) -> bool:
-    """Whether "robot c" comes."""
+    """Return True if "robot c" comes."""
     letter = reader.sees("word", ahead=1) and len(reader.peek(1).text) == 1
     return letter and reader.peek().text in ("robot", "the robot")
 
 
 def _refuse_scope(reader: Reader, said: Token) -> None:
-    """`do not just go to a`, `you don't always have to visit a`: how much of it is denied?"""
+    """Refuse `do not just go to a`, `you don't always have to visit a`: unclear what is denied."""
     ahead = 0
     while reader.sees("filler", "always", "only", "immediately", ahead=ahead):
         if set(_LIMITING) & set(reader.peek(ahead).text.split()):
-            reader.deny("say plainly what not to do", said)
+            reader.deny("say directly what not to do", said)
         ahead += 1
     if reader.sees("must", ahead=ahead) and reader.peek(ahead).text in _NEEDS:
         reader.deny(_NOT_NEEDED, said)
 
 
-def _tells(reader: Reader, who: str) -> bool:
-    """Whether "I go to a", "we never use a" comes; "we have to go to a" is an order."""
+def _is_statement(reader: Reader, who: str) -> bool:
+    """Return True if "I go to a" or "we never use a" comes; "we have to go to a" is an order."""
     return reader.sees("verb", "must", "can", "not", "do", "be", "filler", ahead=1)
 
 
 def _acts(reader: Reader) -> bool:
-    """Whether "it" is the robot here: it goes, must go, never goes."""
+    """Return True if "it" is the robot here: it goes, must go, never goes."""
     ahead = 1
     while reader.sees("must", "can", "not", "filler", "to", ahead=ahead):
         ahead += 1
@@ -303,25 +309,25 @@ def _acts(reader: Reader) -> bool:
 
 
 def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> set[str]:
-    """Passes "you must never", "please make sure to", and so on; which kinds there were."""
+    """Skip "you must never", "please make sure to" and the like; return the kinds of the tokens."""
     seen: set[str] = set()
     while True:
         token = reader.peek()
         if token.text == "need" and reader.sees("not", ahead=1):
             reader.deny(_NOT_NEEDED, token)
         if names_one_robot(reader):
-            reader.deny("only one robot is spoken to", token)
+            reader.deny("an instruction is for one robot only", token)
         if token.text in ("ok", "okay", "alright") and reader.sees("to", ahead=1):
-            reader.deny("what may be done asks for nothing; leave it out", token)
+            reader.deny("this is optional and asks for nothing; leave it out", token)
         answers = reader.sees("comma", "article", ahead=1) or reader.peek(1).text in _THANKS
         if token.text == "no" and answers:
-            reader.deny("say again all that is to be done", token)  # "…, no, the bed"
-        if token.kind == "you" and token.text in ("i", "we") and _tells(reader, token.text):
-            reader.deny("what others do is no order", token)
+            reader.deny("give the whole instruction again", token)  # "…, no, the bed"
+        if token.kind == "you" and token.text in ("i", "we") and _is_statement(reader, token.text):
+            reader.deny("not an instruction for the robot", token)
         if token.text == "did" and reader.sees("not", ahead=1):
-            reader.deny("what was done asks for nothing", token)
+            reader.deny("this describes the past; say what to do", token)
         if token.text == "let" and reader.sees("article", ahead=1) and reader.sees("verb", ahead=3):
-            reader.deny("only one robot is spoken to", token)  # "let the dog go there"
+            reader.deny("an instruction is for one robot only", token)  # "let the dog go there"
         if token.text == "it" and _acts(reader):
             seen.add("you")
             reader.at += 1  # "the robot goes to a, then it goes to b"
@@ -371,7 +377,7 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
 
 
 def skip_particles(reader: Reader, clause: Clause) -> None:
-    """Passes what stands between a verb and its object: "go first directly to"."""
+    """Skip words between a verb and its object: "go first directly to"."""
     while True:
         token = reader.peek()
         if token.text == "back":
@@ -380,11 +386,11 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
             clause.again = clause.returns = True
             reader.at += 1
         elif clause.negated and token.text in _LIMITING:
-            reader.deny("say plainly what not to do", token)  # "do not go straight to a"
+            reader.deny("say directly what not to do", token)  # "do not go straight to a"
         elif token.text in AFTER_VERB and token.kind in ("word", "place", "to"):
             reader.at += 1
         elif token.text == "up to" and starts_things(reader, 1):
-            reader.at += 1  # "go up to the roof" counts nothing
+            reader.at += 1  # "go up to the roof" has no count
         elif token.text == "straight" and not starts_things(reader, 1):
             reader.at += 1
         elif token.kind == "first":
@@ -393,9 +399,9 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
         elif token.text in ("me", "us") and (
             clause.verb.startswith("follow") or reader.tokens[reader.at - 1].text == "with"
         ):
-            reader.refuse("only reaching things can be asked for", token)
+            reader.refuse("the robot can only go to objects", token)
         elif token.kind == "filler" and names_one_robot(reader):
-            reader.deny("only one robot is spoken to", token)
+            reader.deny("an instruction is for one robot only", token)
         elif token.kind in ("to", "filler") or (
             token.kind == "and" and reader.sees("verb", ahead=1) and clause.verb == "go"
         ):

@@ -1,9 +1,9 @@
-"""Noun phrases: what an instruction names, alone, in lists and in choices.
+"""Parser of noun phrases: names, alone, in lists and in choices.
 
     things  = element { ("," | "and" | "or" | ", and" | ", or") element }
     element = "either" name { ("," | "or") name } | "one of" names | ["all of"] name | pronoun
 
-Single letters need no comma between them ("visit a b and c"); `naming` has the names.
+Single letters need no comma between them ("visit a b and c"). The module `naming` parses names.
 """
 
 from __future__ import annotations
@@ -24,22 +24,23 @@ from edge.mission.language.naming import (
 from edge.mission.language.words import Reader, Token
 
 COUNTING = ("number", "once", "times n", "at least", "at most", "exactly", "only")
-"""Kinds of token that begin a count."""
+"""Kinds of token that can begin a count."""
 LEAVE = ("leave", "leaving", "exit", "exiting")
-ONE_OF_A_KIND = "only one of a kind can be asked for; say 'the …'"
+ONE_OF_A_KIND = "the robot can go to one object of a kind; say 'the …'"
 _ELEMENT = ("word", "quoted", "article", "either", "all of", "pronoun", "group")
 _STARTS_PREDICATE = ("be", "must", "can", "happen", "banned")
 
 
 @dataclass(frozen=True, slots=True)
 class Things:
-    """All of some groups, any one of each group: ((chair, sofa), (bed,)) is "either a chair or
-    a sofa, and a bed".
+    """A noun phrase: all groups, any one name of each group.
+
+    ((chair, sofa), (bed,)) is "either a chair or a sofa, and a bed".
 
     Attributes:
-        listed: two or more, with neither "and" nor "or" between them.
-        every: said of all that was asked for: "them" ("any of them") or "places" ("each place"),
-            which names nothing by itself.
+        groups: the groups.
+        listed: True for two or more, without "and" or "or" between them.
+        every: "them" ("any of them") or "places" ("each place") for all goals so far; "" else.
     """
 
     groups: tuple[tuple[str, ...], ...]
@@ -54,15 +55,15 @@ class Things:
 
 @dataclass(slots=True)
 class Memory:
-    """What pronouns stand for.
+    """The antecedents of pronouns.
 
     Attributes:
-        named: the things named last.
-        asked: those asked for last.
-        previous: those asked for before them.
-        every: all that was asked for so far, in the order said.
-        mentioned: all that was named so far, whatever for.
-        several: what was named in the plural, and where.
+        named: the objects named last.
+        asked: the objects of the last goal.
+        previous: the objects of the goal before it.
+        every: all goals so far, in order.
+        mentioned: all names so far, in any role.
+        several: names in the plural, with their tokens.
     """
 
     named: Things | None = None
@@ -73,17 +74,17 @@ class Memory:
     several: dict[str, Token] = field(default_factory=dict)
 
     def ask(self, things: Things) -> None:
-        """Something is asked for."""
+        """Store the objects of a new goal."""
         self.previous, self.asked = self.asked, things
         self.note(things.groups)
 
     def note(self, groups: Sequence[tuple[str, ...]]) -> None:
-        """Something is among all that is asked for."""
+        """Add objects to the goals so far."""
         self.every = tuple(dict.fromkeys((*self.every, *groups)))
 
 
 def starts_things(reader: Reader, ahead: int = 0) -> bool:
-    """Whether a noun phrase can begin at that token."""
+    """Return True if a noun phrase can begin at that token."""
     token = reader.peek(ahead)
     if token.kind in ("number", "article") and reader.sees("group", ahead=ahead + 1):
         return True
@@ -97,16 +98,17 @@ def take_things(
     banned: bool = False,
     way: bool = False,
 ) -> Things:
-    """The noun phrase that begins here.
+    """Parse the noun phrase that begins here.
 
     Args:
-        memory: what pronouns stand for.
-        subject: a predicate is expected to follow, so it does not end the list early.
-        banned: "and" and "or" mean the same here ("avoid a and b", "never visit a or b").
-        way: it is passed through, so "and to b" goes on from there.
+        reader: the token reader.
+        memory: antecedents of pronouns.
+        subject: True if a predicate is expected to follow, so that it does not end the list early.
+        banned: True if "and" and "or" mean the same ("avoid a and b", "never visit a or b").
+        way: True if the objects are passed through, so that "and to b" ends the list.
 
     Raises:
-        TranslationError: no noun phrase, or one that can be read in two ways.
+        TranslationError: no noun phrase, or an ambiguous one.
     """
     start = reader.peek()
     if every := _take_collective(reader, memory):
@@ -151,7 +153,7 @@ def take_things(
     if banned:
         return Things(tuple((name,) for group in groups for name in group))
     if joints == {"or"} and start.text == "both":
-        reader.deny("both, or one of them? say which", start)
+        reader.deny("unclear: both, or one of them? say which", start)
     if joints == {"or"}:
         return Things((tuple(dict.fromkeys(name for group in groups for name in group)),))
     if len(joints) > 1:
@@ -161,7 +163,7 @@ def take_things(
 
 
 def _joint_length(reader: Reader) -> int | None:
-    """Tokens between this element and the next of the same list; None when the list is over."""
+    """Return the number of tokens before the next element of the list; None if the list ends."""
     if is_letter(reader.peek(-1)) and is_letter(reader.peek()):
         return 0
     ahead = 1 if reader.sees("comma") else 0
@@ -180,7 +182,7 @@ def _joint_length(reader: Reader) -> int | None:
 
 
 def _has_its_own_time(reader: Reader, ahead: int) -> bool:
-    """Whether the element there has an "after" or "before" of its own ("… and b after c")."""
+    """Return True if the element there has its own "after" or "before" ("… and b after c")."""
     while reader.sees("word", "quoted", "article", "place", "group", ahead=ahead):
         ahead += 1
     if reader.peek(ahead).text in ("after that", "afterwards", "later"):
@@ -193,7 +195,7 @@ def _has_its_own_time(reader: Reader, ahead: int) -> bool:
 
 
 def _is_subject(reader: Reader, ahead: int) -> bool:
-    """Whether the element there is the subject of a clause of its own ("… and b is visited")."""
+    """Return True if the element there is the subject of another clause ("… and b is visited")."""
     while reader.sees("word", "quoted", "article", "place", "all of", "group", ahead=ahead):
         ahead += 1
     return reader.sees(*_STARTS_PREDICATE, ahead=ahead)
@@ -210,7 +212,7 @@ _BEEN = (
 
 
 def _take_collective(reader: Reader, memory: Memory) -> str:
-    """Takes `each place`, `any of them`, `previously visited locations`; "" where none comes."""
+    """Parse `each place`, `any of them`, `previously visited locations`; return "" if not found."""
     ahead = 0
     while reader.sees("all of", "either", "article", ahead=ahead) or (
         reader.peek(ahead).text in _EARLIER
@@ -248,19 +250,19 @@ SINGULARS = ("it", "this", "that", "that one", "this one")
 
 
 def _meant_by(token: Token, reader: Reader, memory: Memory) -> Things:
-    """What a pronoun stands for; "them" after one thing is all that was asked for."""
+    """Return the objects of a pronoun; "them" after a single object means all goals so far."""
     meant = (token.text == "there" and memory.asked) or memory.named
     if token.text in SINGULARS and meant and len(meant.groups) > 1:
-        reader.deny("which of them?", token)
+        reader.deny("unclear which one this refers to", token)
     if token.text in PLURALS and meant and len(meant.groups) == 1 and len(memory.every) > 1:
         meant = Things(memory.every)
     if meant is None or not meant.groups:
-        reader.refuse(f"nothing was named before that {token.text!r} could mean", token)
+        reader.refuse(f"{token.text!r} refers to nothing that was named before", token)
     return meant
 
 
 def _element(reader: Reader, memory: Memory) -> tuple[tuple[str, ...], ...]:
-    """The groups of one element of a list."""
+    """Parse one element of a list and return its groups."""
     if reader.sees("all of") and reader.peek(1).text in PLURALS and reader.peek(2).text == ":":
         reader.at += 3  # "all of these: a, b and c"
     elif reader.take("all of") or (reader.sees("group", ahead=1) and not _is_singled(reader)):
@@ -283,13 +285,13 @@ def _element(reader: Reader, memory: Memory) -> tuple[tuple[str, ...], ...]:
 
 
 def _is_singled(reader: Reader) -> bool:
-    """Whether a number names one of a kind here: "landmark two", "the second room"."""
+    """Return True if a number selects one of a kind here: "landmark two", "the second room"."""
     ahead = 1 if reader.sees("article") else 0
     return reader.sees("group", ahead=ahead) and is_number(reader, ahead + 1)
 
 
 def _choice(reader: Reader, every: bool) -> tuple[str, ...]:
-    """`either x, y or z` ends after "or z"; `one of x, y and z` takes the whole list."""
+    """Parse `either x, y or z`, which ends after "or z", or `one of x, y and z`, the whole list."""
     if reader.take("all of"):
         reader.skip("group")
     if reader.peek().text in PLURALS and reader.peek(1).text == ":":
@@ -309,5 +311,5 @@ def _choice(reader: Reader, every: bool) -> tuple[str, ...]:
         reader.at += ahead
         options.append(take_name(reader))
     if not every and not decided:
-        reader.deny("either that, or what?")
+        reader.deny("'either' needs a second choice")
     return tuple(dict.fromkeys(options))

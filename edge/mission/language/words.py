@@ -1,4 +1,4 @@
-"""An English instruction as a row of known phrases and possible names, and a cursor on it."""
+"""Tokens of an English instruction (known phrases and possible names), and a reader for them."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from edge.text import one_line
 
 MAX_CHARS = 10_000
 MAX_WORDS = 1_000
-"""Far more than an instruction has; it bounds the formula, and so the time that follows."""
+"""Much more than an instruction needs; it limits the formula, and so the time to compile it."""
 
 REASONS = {
-    "endless": "a mission ends, so nothing can be asked for again and again",
-    "forever": "a mission ends, so nothing can be asked for ever",
-    "going on": "say where to go, or until what is reached",
-    "stay": "only reaching things can be asked for, not staying or leaving",
+    "endless": "a mission ends, so endless repetition is not possible",
+    "forever": "a mission ends, so 'forever' is not possible",
+    "going on": "say where to go, or 'until … is reached'",
+    "stay": "the robot can only go to objects, not stay or leave",
     "stray": "leave it out",
     "origin": "a mission starts where the robot is; say 'first go to …'",
-    "needless": "what need not or may be done asks for nothing; leave it out",
-    "picture": "only reaching things can be asked for; say 'photograph the …'",
-    "mark": "this character has no place in an instruction",
+    "needless": "this is optional and asks for nothing; leave it out",
+    "picture": "the robot can only go to objects; say 'photograph the …'",
+    "mark": "this character is not allowed in an instruction",
 }
-"""Why tokens of these kinds are never understood."""
+"""Reasons to refuse tokens, by kind."""
 
 _DRIVEN = ("car", "vehicle")
 _ACTS = ("must", "can", "verb", "not", "do", "always")
 HESITATIONS = ("uh", "um", "er", "erm", "hmm")
 _NAMES = re.compile(r"[\s,]*(?:to )?(?:the|an?|my) ", re.IGNORECASE)
-_MAY_SHUN = ("stay", "keep")  # "stay on the far side of": another translator may know
+_MAY_SHUN = ("stay", "keep")  # "stay on the far side of": another translator may understand it
 _SHOWN = 60
 _PUNCTUATION = {",": "comma", ";": "stop", ".": "stop", "!": "stop", "?": "stop", ":": "comma"}
 _TOKEN = re.compile(rf"""(?P<quoted>"[^"]*")|(?P<word>{WORD.pattern})|(?P<mark>\S)""")
@@ -45,8 +45,8 @@ class TranslationError(UserError):
     """An instruction that cannot be translated.
 
     Attributes:
-        part: what was not understood, in the user's words; "" when it is no part in particular.
-        position: of its first character, counted from 1; 0 when it is no part in particular.
+        part: the part that was not understood, in the user's words; "" if there is no such part.
+        position: position of its first character, counted from 1; 0 if there is no such part.
     """
 
     def __init__(self, message: str, part: str = "", position: int = 0) -> None:
@@ -56,12 +56,11 @@ class TranslationError(UserError):
 
 
 class UnclearError(TranslationError):
-    """An instruction that is no order, or whose reach cannot be told: no other translator is to
-    guess at it."""
+    """An instruction that is no order, or is unclear; no other translator may guess its meaning."""
 
 
 def not_understood(part: str, position: int, hint: str) -> TranslationError:
-    """The error that names a part of an instruction, shortened, and its place."""
+    """Return the error for a part of an instruction, with the part shortened and its position."""
     shown = one_line(part, _SHOWN) or " ".join(f"U+{ord(c):04X}" for c in part[:8])
     what = f"did not understand {shown!r}" if part.strip() else "it ends too early"
     return TranslationError(f"instruction, character {position}: {what}: {hint}", part, position)
@@ -69,13 +68,14 @@ def not_understood(part: str, position: int, hint: str) -> TranslationError:
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """A known phrase, a possible name or a mark.
+    """A known phrase, a possible name, or a punctuation mark.
 
     Attributes:
-        kind: a kind of the lexicon; "word" or "quoted" (a name), "comma", "stop" (a sentence's
-            end), "end", or "mark" (a character that no instruction needs).
-        text: lower case; of a quotation, what stands between the quotes.
-        start, end: character offsets in the instruction.
+        kind: a kind of the lexicon, "word" or "quoted" (a name), "comma", "stop" (end of a
+            sentence), "end", or "mark" (a character that is not allowed).
+        text: lower case; for a quotation, the text between the quotes.
+        start: offset of the first character in the instruction.
+        end: offset after the last character.
     """
 
     kind: str
@@ -85,10 +85,10 @@ class Token:
 
 
 def tokenise(text: str) -> list[Token]:
-    """The instruction's tokens, longest phrases first, with an "end" at the end.
+    """Return the instruction's tokens, with an "end" token at the end; the longest phrases win.
 
     Raises:
-        TranslationError: too long.
+        TranslationError: the instruction is too long.
     """
     if len(text) > MAX_CHARS:
         hint = f"an instruction has at most {MAX_CHARS} characters"
@@ -103,7 +103,7 @@ def tokenise(text: str) -> list[Token]:
         word = words[i]
         if word.text == "u" and i + 1 < len(words) and TABLE.get((words[i + 1].text,)) in _ACTS:
             words[i] = word = replace(word, text="you")
-        if _drives(words, i):  # "the car must go to a", and nothing to be reached
+        if _drives(words, i):  # "the car must go to a": the car is the robot, no target
             tokens.append(Token("you", f"the {words[i + 1].text}", word.start, words[i + 1].end))
             i += 2
             continue
@@ -114,7 +114,7 @@ def tokenise(text: str) -> list[Token]:
             kind = "word" if length == 1 and _numbers(words, i) else TABLE[phrase]
             robot = tokens[-1] if tokens else None
             if phrase == ("visits",) and robot and (robot.kind == "you" or robot.text == "it"):
-                kind = "verb"  # "the robot visits the bed", and no count
+                kind = "verb"  # "the robot visits the bed": a verb, no count
             tokens.append(Token(kind, " ".join(phrase), word.start, end))
         elif word.text.isdecimal():
             tokens.append(Token("number", word.text, word.start, word.end))
@@ -143,13 +143,13 @@ def _words(text: str) -> list[Token]:
 
 
 def _corrects(words: Sequence[Token], rest: str) -> bool:
-    """Whether a hesitation here takes a name back: "the bed, er, the sofa"."""
+    """Return True if a hesitation here corrects a name: "the bed, er, the sofa"."""
     named = len(words) > 1 and words[-1].kind == "comma" and nouns.is_noun(words[-2].text)
     return named and _NAMES.match(rest) is not None
 
 
 def _drives(words: Sequence[Token], i: int) -> bool:
-    """Whether "the car" is what is spoken to here: it goes, must go, never goes."""
+    """Return True if "the car" is the robot here: it goes, must go, never goes."""
     if words[i].text != "the" or len(words) < i + 4 or words[i + 1].text not in _DRIVEN:
         return False
     kind, verb = TABLE.get((words[i + 2].text,)), words[i + 2].text
@@ -159,7 +159,7 @@ def _drives(words: Sequence[Token], i: int) -> bool:
 
 
 def _numbers(words: Sequence[Token], i: int) -> bool:
-    """Whether a word numbers what follows it ("second floor") and no step."""
+    """Return True if a word numbers the next word ("second floor"), not a step."""
     if words[i].text not in nouns.ORDINALS or len(words) < i + 2:
         return False
     numbered = words[i + 1].text in nouns.NUMBERED
@@ -168,7 +168,7 @@ def _numbers(words: Sequence[Token], i: int) -> bool:
 
 
 def _phrase_at(words: Sequence[Token], i: int) -> int:
-    """How many words from here make the longest known phrase; 0 when none does."""
+    """Return the number of words of the longest known phrase that begins here; 0 for none."""
     key: tuple[str, ...] = ()
     longest = 0
     for word in words[i : i + LONGEST]:
@@ -181,14 +181,17 @@ def _phrase_at(words: Sequence[Token], i: int) -> int:
 
 
 class Reader:
-    """A cursor on an instruction's tokens.
+    """A cursor on the tokens of an instruction.
 
     Args:
-        tokens: of another lexicon than the mission's.
-        picks: which way to go at tokens where the text can be read in several, by their start.
+        text: the instruction.
+        tokens: tokens of another lexicon; None uses the mission's lexicon.
+        picks: the choice to take at ambiguous tokens, by offset of the token.
 
     Attributes:
-        forks: how many ways there were at each such token, by its start.
+        tokens: the tokens.
+        at: index of the next token.
+        forks: number of choices at each ambiguous token, by offset of the token.
     """
 
     def __init__(
@@ -201,20 +204,20 @@ class Reader:
         self._picks = picks or {}
 
     def pick(self, token: Token, ways: int) -> int:
-        """Which of so many ways to read the text at a token is taken this time."""
+        """Return which of the `ways` to read the text at a token is taken in this pass."""
         self.forks[token.start] = ways
         return self._picks.get(token.start, 0)
 
     def peek(self, ahead: int = 0) -> Token:
-        """The token so many places on; "end" beyond the last."""
+        """Return the token `ahead` places after the next one; "end" beyond the last."""
         return self.tokens[min(self.at + ahead, len(self.tokens) - 1)]
 
     def sees(self, *kinds: str, ahead: int = 0) -> bool:
-        """Whether that token is of one of these kinds."""
+        """Return True if that token has one of these kinds."""
         return self.peek(ahead).kind in kinds
 
     def take(self, *kinds: str) -> Token | None:
-        """The next token, passed, if it is of one of these kinds."""
+        """Take and return the next token if it has one of these kinds, else None."""
         token = self.peek()
         if token.kind not in kinds or token.kind == "end":
             return None
@@ -222,25 +225,25 @@ class Reader:
         return token
 
     def skip(self, *kinds: str) -> None:
-        """Past any tokens of these kinds."""
+        """Skip all tokens of these kinds."""
         while self.take(*kinds):
             pass
 
     def deny(self, hint: str, start: Token | None = None) -> NoReturn:
-        """Raises an UnclearError that names the rest of this sentence, from `start` on."""
+        """Raise an UnclearError that names the rest of this sentence, from `start` on."""
         part, position = self._rest(start or self.peek())
         error = not_understood(part, position, hint)
         raise UnclearError(str(error), part, position)
 
     def refuse(self, hint: str, start: Token | None = None) -> NoReturn:
-        """Raises a TranslationError that names the rest of this sentence, from `start` on."""
+        """Raise a TranslationError that names the rest of this sentence, from `start` on."""
         first = start or self.peek()
         if first.kind in REASONS and not first.text.startswith(_MAY_SHUN):
             self.deny(REASONS[first.kind], first)
         raise not_understood(*self._rest(first), REASONS.get(first.kind, hint))
 
     def _rest(self, first: Token) -> tuple[str, int]:
-        """The text from a token to the end of its part of the sentence, and where it begins."""
+        """Return the text from a token to the end of its part of the sentence, and its position."""
         i = next((i for i, token in enumerate(self.tokens) if token is first), self.at)
         last = first
         for token in self.tokens[i:]:

@@ -1,4 +1,4 @@
-"""From formulas to automata, and what is wrong with a formula.
+"""Temporal logic: formulas, their automata, and diagnosis of useless formulas.
 
-Bounded in states and steps, never in time; no robot in it, and no English.
+Compilation is limited in states and steps, not in time. This package has no robots and no English.
 """

@@ -1,7 +1,6 @@
-"""The automaton of a mission: which objects, reached in which order, fulfil the formula.
+"""The automaton of a mission: the objects and orders of reaching them that fulfil the formula.
 
-Words have "one reached object or nothing" per step, as in ViTL IV-A1, where a transition is
-taken when the robot reaches an object.
+In each step of a trace, the robot reaches one object or nothing, as in ViTL IV-A1.
 """
 
 from __future__ import annotations
@@ -24,24 +23,24 @@ __all__ = [
 ]  # fmt: skip
 
 COMPILERS = {"own": own_compiler.language, "spot": spot_compiler.language}
-NOTHING = ""  # the letter of a step in which nothing of the formula is reached
+NOTHING = ""  # the letter of a step in which no object of the formula is reached
 
 
 @dataclass(frozen=True, eq=False)
 class Automaton:
-    """The minimal complete deterministic automaton of a formula over finite words.
+    """The minimal complete deterministic automaton of a formula over finite traces.
 
-    States are numbered breadth-first from the initial state 0, letters in their order; so two
-    formulas with the same letters mean the same exactly when their arrays are equal.
+    States are numbered breadth-first from the initial state 0, letters in their order. So two
+    formulas with the same letters are equivalent exactly if their arrays are equal.
 
     Attributes:
-        formula: what was compiled.
+        formula: the compiled formula.
         letters: its propositions, in order of first appearance.
-        delta: (n_states, len(letters) + 1) int32, the next state per letter; the last column is
-            NOTHING.
+        delta: (n_states, len(letters) + 1) int32, the next state for each letter; the last column
+            is NOTHING.
         accepting: (n_states,) bool.
-        steps_left: (n_states,) int32, the fewest objects to reach until acceptance (steps in
-            which nothing is reached are free); -1 where success is impossible.
+        steps_left: (n_states,) int32, the fewest objects to reach until acceptance; steps without
+            an object are free. -1 if success is impossible.
     """
 
     formula: Formula
@@ -59,26 +58,26 @@ class Automaton:
         return {name: k for k, name in enumerate(self.letters)}
 
     def step(self, state: int, letter: str | None) -> int:
-        """The state after one step; a letter that the formula lacks is NOTHING."""
+        """Return the state after one step; a letter outside the formula counts as NOTHING."""
         return int(self.delta[state, self._column.get(letter or NOTHING, len(self.letters))])
 
     def run(self, word: Sequence[str | None]) -> int:
-        """The state after a word."""
+        """Return the state after a trace."""
         state = 0
         for letter in word:
             state = self.step(state, letter)
         return state
 
     def accepts(self, word: Sequence[str | None]) -> bool:
-        """Whether a word fulfils the formula."""
+        """Return True if a trace fulfils the formula."""
         return bool(self.accepting[self.run(word)])
 
     def dead(self, state: int) -> bool:
-        """Whether no continuation leads to acceptance."""
+        """Return True if success is impossible from this state."""
         return bool(self.steps_left[state] < 0)
 
     def edges(self, state: int) -> Iterator[tuple[str, int]]:
-        """Letters and the states they lead to, NOTHING last."""
+        """Return pairs of a letter and the next state, NOTHING last."""
         return zip((*self.letters, NOTHING), self.delta[state].tolist(), strict=True)
 
 
@@ -88,15 +87,23 @@ def compile_formula(
     max_steps: int = MAX_STEPS,
     compiler: Literal["own", "spot"] = "own",
 ) -> Automaton:
-    """The automaton of a formula; it is the same from either compiler.
+    """Return the automaton of a formula; both compilers return the same one.
 
     Args:
-        max_states: the most states that it, or any automaton on the way to it, may have.
-        max_steps: the most steps of work that may be taken, see `edge.mission.logic.limits`.
+        formula: the formula.
+        max_states: limit of the states of the result and of each intermediate automaton.
+        max_steps: limit of the work, see `edge.mission.logic.limits`.
+        compiler: "own", or "spot" for the library Spot.
 
     Raises:
-        CompileError: a limit was passed.
-        UserError: Spot was chosen, and its real bindings are not there.
+        CompileError: a limit was exceeded.
+        UserError: "spot" was chosen, and its Python bindings are not installed.
+
+    Example:
+        >>> from edge.mission.logic.ltl import parse
+        >>> automaton = compile_formula(parse("F (bed & F sofa)"))
+        >>> automaton.accepts(["bed", "sofa"]), automaton.accepts(["sofa", "bed"])
+        (True, False)
     """
     effort = Effort(max_states, max_steps)
     letters = propositions(formula)
@@ -107,7 +114,7 @@ def compile_formula(
 def shortest_word(
     first: Automaton, second: Automaton, wanted: Callable[[int, int], bool]
 ) -> tuple[str, ...] | None:
-    """A shortest word after which the states of two automata are a wanted pair; None if none is."""
+    """Return a shortest trace to a pair of states that `wanted` accepts; None if there is none."""
     letters = (*dict.fromkeys((*first.letters, *second.letters)), NOTHING)
     seen = {(0, 0)}
     queue: deque[tuple[int, int, tuple[str, ...]]] = deque([(0, 0, ())])
@@ -124,13 +131,13 @@ def shortest_word(
 
 
 def implies(first: Automaton, second: Automaton) -> bool:
-    """Whether every word that fulfils the first formula fulfils the second."""
-    told_apart = shortest_word(first, second, lambda s, t: first.accepting[s] > second.accepting[t])
-    return told_apart is None
+    """Return True if every trace that fulfils the first formula fulfils the second."""
+    example = shortest_word(first, second, lambda s, t: first.accepting[s] > second.accepting[t])
+    return example is None
 
 
 def steps_left(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> np.ndarray:
-    """See `Automaton.steps_left`."""
+    """Return `Automaton.steps_left`."""
     far = len(delta)
     left = np.where(accepting, 0, far).astype(np.int32)
     while True:

@@ -1,14 +1,14 @@
-"""Our own compiler: every operator makes a minimal automaton of its operands' minimal automata.
+"""The compiler "own": builds a minimal automaton for each operator from its operands' automata.
 
-Automata are pairs of delta (n, letters + 1) int32, NOTHING last, and accepting (n,) bool; they are
-complete, and state 0 is initial. ! flips what accepts, & | -> <-> are products, X puts a state in
-front, and U is a subset construction. All other operators are these:
+An automaton is a pair of delta (n, letters + 1) int32, NOTHING last, and accepting (n,) bool. It
+is complete, and state 0 is initial. ! inverts acceptance, & | -> <-> are products, X adds a state
+in front, and U is a subset construction. The other operators are rewritten:
 
     F b = true U b        G b = !F !b               WX a = !X !a
     a M b = b U (a & b)   a W b = !(!b U !(a | b))  a R b = !(!a U !b)
 
-Where p is about the next letter alone, and g holds before wherever it holds later, as F does, the
-first p will do: F (p & g) = !p U (p & g), whose subsets are single states.
+F (p & g) = !p U (p & g) is used if p depends on the next letter only, and if g holds earlier
+whenever it holds later (as F does). Then the first p decides, and subsets have one state.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from edge.mission.logic.limits import PER_NODE, CompileError, Effort
 from edge.mission.logic.ltl import Formula, postorder
 
 Dfa = tuple[np.ndarray, np.ndarray]
-Key = tuple[str, tuple[int, ...], str]  # an operator, its operands' numbers, a proposition
+Key = tuple[str, tuple[int, ...], str]  # operator, numbers of its operands, proposition
 
-# So many subformulas bound the memory of a compilation.
+# Limit of different subformulas; it bounds the memory of a compilation.
 MAX_NODES = 10_000
-# As many cells take as long as calling NumPy for one column does.
+# A NumPy call for one column takes as long as this number of cells.
 _CALL = 500
-_PER_ALTERNATIVE = 16  # steps of moving one on by a letter
+_PER_ALTERNATIVE = 16  # steps to advance one alternative by a letter
 
 _TABLES = {
     "&": np.logical_and,
@@ -40,16 +40,18 @@ _TABLES = {
 
 
 def language(formula: Formula, letters: Sequence[str], effort: Effort) -> Dfa:
-    """The minimal complete automaton of a formula over given letters and NOTHING.
+    """Return the minimal complete automaton of a formula over given letters and NOTHING.
 
     Args:
-        letters: distinct; at least the propositions of the formula.
+        formula: the formula.
+        letters: distinct; they contain all propositions of the formula.
+        effort: limits of the compilation.
 
     Returns:
-        See the module; states are numbered breadth-first.
+        The pair delta, accepting (see the module); states are numbered breadth-first.
 
     Raises:
-        CompileError: a limit was passed.
+        CompileError: a limit was exceeded.
     """
     nodes = _nodes(formula, effort)
     uses = Counter(arg for _, args, _ in nodes for arg in args)
@@ -70,7 +72,7 @@ def language(formula: Formula, letters: Sequence[str], effort: Effort) -> Dfa:
 
 
 def _nodes(formula: Formula, effort: Effort) -> list[Key]:
-    """The different subformulas, operands before operators, in the operators that are made."""
+    """Return the different subformulas after rewriting, operands before operators."""
     nodes = _Nodes()
     known: dict[int, int] = {}
     for f in postorder(formula):
@@ -80,14 +82,14 @@ def _nodes(formula: Formula, effort: Effort) -> list[Key]:
 
 
 class _Nodes:
-    """Numbers subformulas in the order in which they are met, equal ones alike."""
+    """Numbering of subformulas in order of appearance; equal subformulas have one number."""
 
     def __init__(self) -> None:
         self.keys: list[Key] = []
         self._numbers: dict[Key, int] = {}
         self._negated: dict[int, int] = {}
-        self._of_next: set[int] = set()  # about the next letter alone
-        self._early: set[int] = set()  # that hold before wherever they hold later
+        self._of_next: set[int] = set()  # depend on the next letter only
+        self._early: set[int] = set()  # hold earlier whenever they hold later
 
     def number(self, op: str, *args: int, name: str = "") -> int:
         if op == "!" and args[0] in self._negated:
@@ -110,7 +112,7 @@ class _Nodes:
         return found
 
     def eventually(self, b: int) -> int:
-        """F b; see the module."""
+        """Return the number of F b; see the module."""
         op, parts, _ = self.keys[b]
         before = self.number("true")
         first = [part for part in parts if part in self._of_next]
@@ -121,7 +123,7 @@ class _Nodes:
         return found
 
     def reduced(self, f: Formula, args: list[int]) -> int:
-        """The number of a subformula, its operator put as the module says."""
+        """Return the number of a subformula, rewritten as the module documents."""
         number = self.number
         match f.op, args:
             case "F", [b]:
@@ -141,14 +143,14 @@ class _Nodes:
 
 
 def _reached(letter: int, width: int) -> Dfa:
-    """The first letter is this one."""
+    """Return the automaton of "the first letter is this one"."""
     delta = np.full((3, width), 2, np.int32)
     delta[0, letter] = delta[1] = 1
     return delta, np.array([False, True, False])
 
 
 def _made(op: str, args: list[Dfa], effort: Effort) -> Dfa:
-    """The minimal automaton of an operator, but for the order of its states."""
+    """Return the minimal automaton of an operator; the order of its states is arbitrary."""
     match op:
         case "!":
             return args[0][0], ~args[0][1]
@@ -156,17 +158,20 @@ def _made(op: str, args: list[Dfa], effort: Effort) -> Dfa:
             return _next(*args[0], effort)
         case "U":
             return minimal(*_Until(*args, effort).automaton(), effort)
-        case "&" | "|":  # the small ones first, so that what is thrown away was small
+        case "&" | "|":  # small operands first, so that intermediate automata stay small
             args = sorted(args, key=lambda dfa: len(dfa[0]))
     return reduce(lambda a, b: minimal(*_product(op, a, b, effort), effort), args)
 
 
 def _next(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> Dfa:
-    """There is a next step, and the rest from it on is accepted: minimal as what it is made of."""
+    """Return the automaton of X; it is minimal if the operand is minimal.
+
+    X f means: there is a next step, and f accepts the rest from there.
+    """
     effort.spend_cells(delta.size)
     n, width = delta.shape
     effort.check_states(n)
-    # The rest must have a letter, so it begins in a state that is like 0 but does not accept.
+    # The rest must not be empty, so it begins in a copy of state 0 that does not accept.
     (rest,) = np.nonzero((delta == delta[0]).all(axis=1) & ~accepting)
     if not len(rest):
         delta, accepting, rest = np.vstack([delta, delta[0]]), np.append(accepting, False), [n]
@@ -181,7 +186,7 @@ def _next(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> Dfa:
 
 
 def _product(op: str, a: Dfa, b: Dfa, effort: Effort) -> Dfa:
-    """The reachable product of two automata over the same letters."""
+    """Return the reachable product of two automata over the same letters."""
     (delta_a, accepts_a), (delta_b, accepts_b) = a, b
     width = len(delta_b)
     index = {0: 0}  # pair i * width + j -> state
@@ -201,15 +206,15 @@ def _product(op: str, a: Dfa, b: Dfa, effort: Effort) -> Dfa:
     return np.concatenate(rows), _TABLES[op](accepts_a[i], accepts_b[j])
 
 
-Alternative = tuple[tuple[int, ...], int]  # states of a, all of which must accept, and one of b
+Alternative = tuple[tuple[int, ...], int]  # states of a, which must all accept, and a state of b
 
 
 class _Until:
-    """a U b by subsets: b may have begun to hold at any of the steps so far.
+    """Subset construction of a U b: b may have begun at any step so far.
 
-    A state is what a must still accept until b begins, None where that is too late, and the
-    alternatives of having begun. What an alternative accepts another may accept as well: then it
-    is left out, which keeps their number small.
+    A state has two parts. The first is the set of states of a that must still accept until b
+    begins, None if it is too late for that. The second is the set of alternatives in which b has
+    begun. Alternatives that another one includes are left out, so there are few.
     """
 
     def __init__(self, a: Dfa, b: Dfa, effort: Effort) -> None:
@@ -221,7 +226,7 @@ class _Until:
         self._width = a[0].shape[1]
 
     def automaton(self) -> Dfa:
-        """The states that can be reached, breadth-first."""
+        """Return the reachable states, breadth-first."""
         states: list[tuple[tuple[int, ...] | None, tuple[Alternative, ...]]] = [((), ())]
         index = {states[0]: 0}
         rows, accepting = [], []
@@ -253,7 +258,7 @@ class _Until:
         return waiting, self._widest(moved)
 
     def _held(self, states: Sequence[int], letter: int) -> tuple[int, ...] | None:
-        """What states of a are after a letter; None where one accepts nothing any more."""
+        """Return the states of a after a letter; None if one of them can never accept."""
         moved = sorted({self._a[state][letter] for state in states} - {self._a_all})
         if self._a_none in moved:
             return None
@@ -261,13 +266,13 @@ class _Until:
         return tuple(s for s in moved if not any(t != s and self._under_a(t, s) for t in moved))
 
     def _widest(self, alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
-        """Those that no other one includes."""
+        """Return the alternatives that no other one includes."""
         kept = sorted(set(alternatives))
         self._effort.spend(len(kept) ** 2)
         return tuple(x for x in kept if not any(y != x and self._under(x, y) for y in kept))
 
     def _under(self, x: Alternative, y: Alternative) -> bool:
-        """Whether y accepts all that x does, as far as its parts tell."""
+        """Return True if y certainly accepts all that x accepts (a sufficient test by parts)."""
         return self._under_b(x[1], y[1]) and all(
             any(self._under_a(s, t) for s in x[0]) for t in y[0]
         )
@@ -278,25 +283,28 @@ class _Until:
 
 
 def _sinks(delta: np.ndarray, accepting: np.ndarray) -> tuple[int, int]:
-    """The states that accept everything and nothing; -1 for none."""
+    """Return the states that accept everything and nothing; -1 if there is none."""
     stays = (delta == np.arange(len(delta))[:, None]).all(axis=1)
     found = [np.flatnonzero(stays & (accepting == wanted)) for wanted in (True, False)]
     return tuple(int(states[0]) if len(states) else -1 for states in found)
 
 
 class _Inclusion:
-    """Whether one state of an automaton accepts no more than another; found where it is asked."""
+    """Language inclusion between states of an automaton, computed on demand."""
 
     def __init__(self, delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> None:
         self._rows, self._accepts, self._effort = delta.tolist(), accepting.tolist(), effort
         self._known: dict[tuple[int, int], bool] = {}
 
     def __call__(self, s: int, t: int) -> bool:
-        """Whether t accepts all that s does: no word leads to a pair of which only s accepts."""
+        """Return True if state t accepts everything that s accepts.
+
+        The search looks for a trace to a pair of states of which only the first accepts.
+        """
         if s == t:
             return True
         if self._known.get((t, s)):
-            return False  # no two states of a minimal automaton accept the same
+            return False  # different states of a minimal automaton accept different traces
         if (s, t) not in self._known:
             self._seek((s, t))
         return self._known[s, t]
@@ -321,15 +329,15 @@ class _Inclusion:
 
 
 def minimal(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> Dfa:
-    """Merge equivalent states by partition refinement (Moore).
+    """Return the automaton with equivalent states merged by partition refinement (Moore).
 
-    States that can be reached are numbered breadth-first, letters in their order.
+    Only reachable states stay; they are numbered breadth-first, letters in their order.
     """
     n = len(delta)
     block, count = accepting.astype(np.int64), int(accepting.max()) + int(not accepting.all())
     while count < n:
         effort.spend_cells((n + _CALL) * delta.shape[1])
-        # As many columns as fit are packed into one int64, which sorts fast.
+        # Pack as many columns as fit into one int64, because it sorts fast.
         key, size = block, count
         for column in delta.T:
             if size * count >= 2**62:
@@ -350,7 +358,7 @@ def _dense(key: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _numbered(delta: np.ndarray, accepting: np.ndarray, start: int) -> Dfa:
-    """The states that can be reached from one, numbered breadth-first."""
+    """Return the states that are reachable from `start`, numbered breadth-first."""
     rows = delta.tolist()
     order = {start: 0}
     queue = [start]

@@ -1,4 +1,4 @@
-"""What is wrong with a formula before anything is driven: contradictions, empty demands."""
+"""Checks of a formula before a mission starts: contradictions and empty demands."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ from edge.mission.logic.ltl import Formula, conj, propositions
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What `diagnose` found.
+    """The result of `diagnose`.
 
     Attributes:
-        contradiction: conjuncts of the formula that no word fulfils together, while it could
-            fulfil any of them that were left without one; empty where the formula can be
-            fulfilled.
-        tautology: every word fulfils the formula.
-        unused: propositions whose being reached makes no difference to it.
+        contradiction: a minimal set of conjuncts that cannot be fulfilled together: without any one
+            of them, they could be. Empty if the formula can be fulfilled.
+        tautology: True if every trace fulfils the formula.
+        unused: propositions that make no difference to the formula.
     """
 
     contradiction: tuple[Formula, ...]
@@ -32,14 +31,15 @@ class Diagnosis:
 def diagnose(
     automaton: Automaton, max_states: int = MAX_STATES, max_steps: int = MAX_STEPS
 ) -> Diagnosis:
-    """Look for what makes a formula pointless.
+    """Return why a formula is useless as a mission, if it is.
 
     Args:
-        max_states, max_steps: limits of finding the conflict in a contradiction, all of its
-            compilations together within `max_steps`.
+        automaton: automaton of the formula.
+        max_states: limit while searching for the conflict in a contradiction.
+        max_steps: limit of all compilations of that search together.
 
     Raises:
-        CompileError: a limit was passed.
+        CompileError: a limit was exceeded.
     """
     nothing = automaton.delta[:, -1]
     unused = tuple(
@@ -54,7 +54,7 @@ def diagnose(
 
 
 def conjuncts(formula: Formula) -> tuple[Formula, ...]:
-    """The formulas that a formula demands all of, in their order; nested conjunctions opened."""
+    """Return the conjuncts of a formula in their order, nested conjunctions flattened."""
     found: list[Formula] = []
     todo = [formula]
     while todo:
@@ -67,9 +67,9 @@ def conjuncts(formula: Formula) -> tuple[Formula, ...]:
 
 
 def _conflict(formula: Formula, effort: Effort) -> tuple[Formula, ...]:
-    """A subset of the conjuncts that is contradictory, and would not be without any of them.
+    """Return a minimal contradictory subset of the conjuncts.
 
-    Later conjuncts are dropped first, so what stays is what was said first.
+    Later conjuncts are dropped first, so the first parts of the instruction stay.
     """
     kept = list(conjuncts(formula))
     for part in reversed(kept.copy()):

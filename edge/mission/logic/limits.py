@@ -1,9 +1,8 @@
-"""What a compilation may take: states and steps, which are the same on every machine.
+"""Limits of a compilation in states and steps; they are the same on every machine.
 
-A step is a small piece of work, such as looking up a state's successor; what takes longer counts
-as several, so that a step takes about as long wherever it is taken: 0.03 to 0.15 µs on a desktop
-computer. Nothing here reads a clock, so that whether a mission is taken does not depend on how
-busy the machine is.
+A step is a small piece of work, such as looking up the successor of a state. Longer work counts as
+several steps. A step takes 0.03 to 0.15 µs on a desktop computer. No clock is read, so the load
+of the machine does not decide if a mission is accepted.
 """
 
 from __future__ import annotations
@@ -13,19 +12,21 @@ from edge.errors import UserError
 MAX_STATES = 20_000
 MAX_STEPS = 30_000_000
 
-PER_NODE = 4  # of a node visited, and of each of its operands
+PER_NODE = 4  # steps to visit a node, and to visit each of its operands
 _CELLS = 16
 
 
 class CompileError(UserError):
-    """A formula whose automaton is too big, or takes too much work."""
+    """A formula whose automaton is too large or takes too much work."""
 
 
 class Effort:
-    """The work of one compilation, or of several together, and how much of it is allowed.
+    """The limits of one or several compilations, and the steps used so far.
 
     Attributes:
-        steps: taken until now.
+        max_states: limit of the states of each automaton.
+        max_steps: limit of the steps.
+        steps: steps used so far.
     """
 
     def __init__(self, max_states: int = MAX_STATES, max_steps: int = MAX_STEPS) -> None:
@@ -34,7 +35,7 @@ class Effort:
         self.steps = 0
 
     def spend(self, steps: int) -> None:
-        """Count steps that are about to be taken; CompileError where they are too many."""
+        """Count steps before they are taken; raise CompileError above the limit."""
         self.steps += steps
         if self.steps > self.max_steps:
             raise CompileError(
@@ -43,11 +44,11 @@ class Effort:
             )
 
     def spend_cells(self, cells: int) -> None:
-        """Count work on whole arrays, of which a step does `_CELLS` at once."""
+        """Count work on whole arrays, at `_CELLS` cells per step."""
         self.spend(1 + cells // _CELLS)
 
     def check_states(self, n: int) -> None:
-        """Raises CompileError when there are more than the allowed states."""
+        """Raise CompileError if the number of states is above the limit."""
         if n > self.max_states:
             raise CompileError(
                 f"formula: its automaton needs more than {self.max_states} states; use fewer "

@@ -1,8 +1,8 @@
-"""Linear temporal logic over finite words (LTLf): formulas, their text, their meaning.
+"""Linear temporal logic over finite traces (LTLf): formulas, their text, their meaning.
 
-A word is what the robot reached, one object or nothing per step (ViTL IV-A). Semantics as in
+In each step of a trace, the robot reaches one object or nothing (ViTL IV-A). Semantics as in
 De Giacomo and Vardi, "Linear temporal logic and linear dynamic logic on finite traces" (IJCAI
-2013), extended to the empty word: a proposition, X, F, U and M are false of it; WX, G, R and W
+2013), extended to the empty trace: there a proposition, X, F, U and M are false; WX, G, R and W
 are true; ! negates.
 
 >>> parse("F ((chair | couch) & F tv)").args[0].op
@@ -31,14 +31,14 @@ _ATOM_STRENGTH = 7
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Formula:
-    """One operator and its operands; equal when the trees are equal.
+    """One operator and its operands; equal if the trees are equal.
 
     Attributes:
         op: "true", "false", "ap" (a proposition), "!", "&", "|", "->", "<->", "X", "WX" (strong
             and weak next), "F", "G", "U", "W" (strong and weak until), "R" or "M" (weak and
             strong release).
-        args: operands; & and | have two or more, and none of their own kind.
-        name: the proposition's name, of "ap" only.
+        args: operands; & and | have two or more, none of them with the same operator.
+        name: name of the proposition, for "ap" only.
     """
 
     op: str
@@ -84,64 +84,68 @@ FALSE = Formula("false")
 
 
 def ap(name: str) -> Formula:
-    """The proposition "`name` is reached in this step"; the name must not be blank."""
+    """Return the proposition "`name` is reached in this step".
+
+    Raises:
+        ValueError: the name is blank.
+    """
     if not name.strip():
         raise ValueError("a proposition needs a name")
     return Formula("ap", (), name)
 
 
 def neg(f: Formula) -> Formula:
-    """!f"""
+    """Return !f."""
     return Formula("!", (f,))
 
 
 def conj(*fs: Formula) -> Formula:
-    """f & g & …, nested conjunctions flattened; `true` of none, f itself of one."""
+    """Return f & g & …, nested conjunctions flattened; `true` for none, f itself for one."""
     return _nary("&", fs, TRUE)
 
 
 def disj(*fs: Formula) -> Formula:
-    """f | g | …, nested disjunctions flattened; `false` of none, f itself of one."""
+    """Return f | g | …, nested disjunctions flattened; `false` for none, f itself for one."""
     return _nary("|", fs, FALSE)
 
 
 def implies(a: Formula, b: Formula) -> Formula:
-    """a -> b"""
+    """Return a -> b."""
     return Formula("->", (a, b))
 
 
 def next_(f: Formula) -> Formula:
-    """X f: there is a next step, and f holds there."""
+    """Return X f: there is a next step, and f holds there."""
     return Formula("X", (f,))
 
 
 def weak_next(f: Formula) -> Formula:
-    """WX f: f holds at the next step, if there is one."""
+    """Return WX f: f holds at the next step, if there is one."""
     return Formula("WX", (f,))
 
 
 def eventually(f: Formula) -> Formula:
-    """F f: f holds now or at some later step."""
+    """Return F f: f holds now or at some later step."""
     return Formula("F", (f,))
 
 
 def always(f: Formula) -> Formula:
-    """G f: f holds now and at all later steps."""
+    """Return G f: f holds now and at all later steps."""
     return Formula("G", (f,))
 
 
 def until(a: Formula, b: Formula) -> Formula:
-    """a U b: b holds at some step, and a at every step before it."""
+    """Return a U b: b holds at some step, and a at every step before it."""
     return Formula("U", (a, b))
 
 
 def weak_until(a: Formula, b: Formula) -> Formula:
-    """a W b: a U b, or a at every step ("not a until b" of speech is `!a W b`)."""
+    """Return a W b: a U b, or a at every step ("not a until b" in English is `!a W b`)."""
     return Formula("W", (a, b))
 
 
 def postorder(f: Formula) -> Iterator[Formula]:
-    """Every distinct object of the tree, operands before operators."""
+    """Yield every distinct object of the tree, operands before operators."""
     seen: set[int] = set()
     stack = [(f, False)]
     while stack:
@@ -155,12 +159,12 @@ def postorder(f: Formula) -> Iterator[Formula]:
 
 
 def propositions(f: Formula) -> tuple[str, ...]:
-    """The names in a formula, in order of first appearance."""
+    """Return the names in a formula, in order of first appearance."""
     return tuple(dict.fromkeys(node.name for node in postorder(f) if node.op == "ap"))
 
 
 def renamed(f: Formula, new: Callable[[str], str]) -> Formula:
-    """The formula with every proposition's name replaced."""
+    """Return the formula with every proposition's name replaced by `new(name)`."""
     done: dict[int, Formula] = {}
     for node in postorder(f):
         if node.op == "ap":
@@ -171,7 +175,7 @@ def renamed(f: Formula, new: Callable[[str], str]) -> Formula:
 
 
 def to_text(f: Formula) -> str:
-    """Infix text with no needless parentheses; `parse` gives the same formula back.
+    """Return infix text with minimal parentheses; `parse` returns the same formula from it.
 
     >>> to_text(eventually(conj(disj(ap("chair"), ap("potted plant")), eventually(ap("tv")))))
     'F ((chair | "potted plant") & F tv)'
@@ -198,7 +202,8 @@ def _pieces(f: Formula) -> list[Formula | str]:
     pieces: list[Formula | str] = []
     last = len(f.args) - 1
     for k, arg in enumerate(f.args):
-        # All but & and | associate to the right, so only a right operand may be of their level.
+        # Operators except & and | associate to the right: a right operand of the same level
+        # needs no parentheses.
         right = k == last and f.op not in "&|"
         pieces += _operand_text(arg, own if right else own + 1)
         if k < last:
@@ -250,8 +255,8 @@ class FormulaError(UserError):
     """A text that is no formula.
 
     Attributes:
-        column: of the first character that does not fit, counted from 1; one past the end of
-            the text when something is missing there.
+        column: column of the first unexpected character, counted from 1; one past the end of the
+            text if something is missing there.
     """
 
     def __init__(self, column: int, message: str) -> None:
@@ -272,16 +277,21 @@ class _Token(NamedTuple):
 
 
 def parse(text: str) -> Formula:
-    """The formula that an infix text writes.
+    """Return the formula of an infix text.
 
-    From tightest to loosest: `! X WX F G`; `U W R M`; `&`; `|`; `->`; `<->`; binary operators
-    other than & and | associate to the right. Propositions are words, or anything in double
-    quotes (`\\"` and `\\\\` inside), that `edge.names` takes for a name. `&& || => <=> <> []` and
-    ◇ □ ○ ¬ ∧ ∨ → ↔ are read too. A word with joined operators, as `Fa` or `aUb`, is refused.
+    Precedence from tightest to loosest: `! X WX F G`; `U W R M`; `&`; `|`; `->`; `<->`. Binary
+    operators other than & and | associate to the right. A proposition is a word, or a text in
+    double quotes (`\\"` and `\\\\` inside); it must be a name for `edge.names`. `&& || => <=> <>
+    []` and ◇ □ ○ ¬ ∧ ∨ → ↔ are accepted too. A word with joined operators, such as `Fa` or `aUb`,
+    is refused.
 
     Raises:
         FormulaError: the text is no formula, a proposition is no name, or the text is longer than
             `MAX_CHARS`.
+
+    Example:
+        >>> str(parse("<>(bed && <>sofa)"))
+        'F (bed & F sofa)'
     """
     values: list[Formula] = []
     ops: list[_Token] = []
@@ -295,7 +305,7 @@ def parse(text: str) -> Formula:
 
 
 def _operand(token: _Token, values: list[Formula], ops: list[_Token]) -> bool:
-    """Take a token where an operand must begin; whether one must still begin after it."""
+    """Process a token where an operand must begin; return True if one must still begin after it."""
     if token.kind == "(" or (token.kind == "op" and token.text in UNARY):
         ops.append(token)
         return True
@@ -306,7 +316,7 @@ def _operand(token: _Token, values: list[Formula], ops: list[_Token]) -> bool:
 
 
 def _operator(token: _Token, values: list[Formula], ops: list[_Token]) -> bool:
-    """Take a token after an operand; whether an operand must begin after it."""
+    """Process a token after an operand; return True if an operand must begin after it."""
     if token.kind == "op" and token.text not in UNARY:
         while ops and ops[-1].kind == "op" and STRENGTH[ops[-1].text] > STRENGTH[token.text]:
             _reduce(values, ops)
@@ -328,7 +338,7 @@ def _operator(token: _Token, values: list[Formula], ops: list[_Token]) -> bool:
 
 
 def _reduce(values: list[Formula], ops: list[_Token]) -> None:
-    """Apply the innermost operator; a run of & (or of |) at once, since it is one operator."""
+    """Apply the innermost operator; a run of & (or of |) is one operator, applied at once."""
     op = ops.pop().text
     n = 1 if op in UNARY else 2
     while op in _NARY and ops and ops[-1].kind == "op" and ops[-1].text == op:
@@ -388,9 +398,9 @@ def _name(text: str, column: int) -> _Token:
 
 
 def _apart(word: str) -> str:
-    """Set the operators in a word apart, as `F a` for `Fa`; "" if the word is only a name.
+    """Return a word with its operators separated, such as `F a` for `Fa`; "" if it is only a name.
 
-    Names that the alias table has, as `Fridge`, hold no operator.
+    Names in the alias table, such as `Fridge`, contain no operator.
     """
     if not _CAPITALS.search(word) or word in KEYWORDS or names.is_known(word):
         return ""
@@ -415,7 +425,7 @@ def _is_operand(word: str) -> bool:
 
 def _unspaced(word: str, spaced: str) -> str:
     word, spaced = one_line(word, 40), one_line(spaced, 60)
-    return f"'{word}' lacks spaces: write '{spaced}', or \"{word}\" for a thing called so"
+    return f"'{word}' lacks spaces: write '{spaced}', or \"{word}\" if it is the name of an object"
 
 
 def _unreadable(char: str) -> str:

@@ -1,14 +1,13 @@
-"""Compilation by Spot (https://spot.lre.epita.fr), where its Python bindings are installed.
+"""The compiler "spot": uses Spot (https://spot.lre.epita.fr) if its Python bindings are installed.
 
-Spot reads formulas over infinite words. `from_ltlf` embeds the finite ones, with a proposition
-`alive` that holds as long as the word lasts; `to_finite` takes it out of the automaton again
-(Spot's tutorial "Working with LTL formulas with finite semantics"). Of the propositions' values
-per step only "one reached object or nothing" is kept. Spot's words are not empty, so whether
-the empty one is accepted is worked out here.
+Spot reads formulas over infinite traces. `from_ltlf` embeds finite traces, with a proposition
+`alive` that holds until the trace ends; `to_finite` removes it from the automaton (Spot's tutorial
+"Working with LTL formulas with finite semantics"). Only steps with "one reached object or nothing"
+are kept. Spot has no empty trace, so this module decides if it is accepted.
 
-The module `spot` of the package `spot` on the Python package index is something else; `spottl`
-there has the real bindings (tried with 2.13). Spot's own work is neither counted nor interrupted,
-only what follows it, so untrusted formulas belong to our compiler.
+The package `spot` on the Python package index is another project; the package `spottl` has the
+bindings (tested with 2.13). The work inside Spot is neither counted nor interrupted, only the work
+after it. Use the compiler "own" for untrusted formulas.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _MAX_DEPTH = 1000  # Spot recurses on the machine's stack
 
 
 def missing() -> str:
-    """What is missing of Spot, in words; empty when it can be used."""
+    """Return what Spot lacks here, in words; "" if it can be used."""
     for name, wanted in _WANTED.items():
         try:
             module = importlib.import_module(name)
@@ -48,18 +47,18 @@ def missing() -> str:
 
 
 def available() -> bool:
-    """Whether Spot's real bindings can be imported."""
+    """Return True if Spot's Python bindings can be imported."""
     return not missing()
 
 
 def language(
     formula: Formula, letters: Sequence[str], effort: Effort
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What `edge.mission.logic.compiler.language` does, by Spot: the same arrays.
+    """Return the automaton, like `edge.mission.logic.compiler.language`, computed by Spot.
 
     Raises:
-        UnavailableError: Spot is not there.
-        CompileError: a limit was passed, or the formula is nested too deep for Spot.
+        UnavailableError: Spot is not installed.
+        CompileError: a limit was exceeded, or the formula is nested too deep for Spot.
     """
     reason = missing()
     if reason:
@@ -77,7 +76,7 @@ def language(
     finite = spot.to_finite(spot.translate(embedded, "buchi", "sbacc", "deterministic"), _ALIVE)
     steps = _steps(finite, buddy, len(letters))
     rows, accepting = _determined(finite, steps, buddy.bddfalse, effort)
-    # The empty word may differ from other words that lead to the initial state.
+    # The empty trace may differ from other traces that lead to the initial state.
     delta = np.array([rows[0], *rows], np.int32) + 1
     accepting = [_takes_nothing(formula), *accepting]
     return minimal(delta, np.array(accepting), effort)
@@ -86,7 +85,7 @@ def language(
 def _determined(
     automaton, steps: list, impossible, effort: Effort
 ) -> tuple[list[list[int]], list[bool]]:
-    """The subset construction over single letters; one state each where Spot's was determined."""
+    """Return the subset construction over letters; a deterministic input keeps its states."""
     states = [frozenset({automaton.get_init_state_number()})]
     index = {states[0]: 0}
     rows: list[list[int]] = []
@@ -110,7 +109,7 @@ def _determined(
 
 
 def _steps(automaton, buddy: ModuleType, n_letters: int) -> list:
-    """Per letter, NOTHING last: the values of all propositions in that step."""
+    """Return for each letter, NOTHING last, the values of all propositions in that step."""
     variables = [automaton.register_ap(f"p{k}") for k in range(n_letters)]
     steps = []
     for letter in range(n_letters + 1):
@@ -123,7 +122,7 @@ def _steps(automaton, buddy: ModuleType, n_letters: int) -> list:
 
 
 def _takes_nothing(formula: Formula) -> bool:
-    """Whether the empty word is accepted: of it, all temporal operators are constants."""
+    """Return True if the empty trace is accepted; on it, every temporal operator is a constant."""
     truth: dict[int, bool] = {}
     for f in postorder(formula):
         args = [truth[id(arg)] for arg in f.args]
@@ -141,7 +140,7 @@ def _takes_nothing(formula: Formula) -> bool:
 
 
 def _text(formula: Formula, letters: Sequence[str]) -> str:
-    """The formula as Spot reads it, propositions as p0, p1 …, every operand in parentheses."""
+    """Return the formula in Spot's syntax: propositions p0, p1 …, each operand in parentheses."""
     number = {name: k for k, name in enumerate(letters)}
     out: list[str] = []
     todo: list[Formula | str] = [formula]

@@ -1,4 +1,4 @@
-"""From an automaton and what is known of its targets to the next one (ViTL IV-A).
+"""Planning: from an automaton and the knowledge about its targets to the next target (ViTL IV-A).
 
-Letters, sets and distances: no words, no sensor, no goal.
+This package works with propositions, sets and distances, without language, sensors or goals.
 """

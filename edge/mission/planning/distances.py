@@ -1,7 +1,7 @@
 """Driving distances between the objects of a mission, on the occupancy map.
 
-Rough on purpose: a grid of 0.2 m and one wavefront for each object, for a planner that weighs
-one object against another. Runs beside the loop: tens of milliseconds on a large map.
+They are approximate: a 0.2 m grid and one wavefront per object are enough to compare objects. Runs
+in the background; takes tens of milliseconds on a large map.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numba import njit
 
 from edge.geometry import Grid
 
-# Steps as integers: 17/12 is sqrt(2) but for 0.2 %.
+# Integer step costs: 17/12 is sqrt(2) within 0.2 %.
 STRAIGHT, DIAGONAL = 12, 17
 CLOSED, FREE, UNKNOWN = 0, 1, 2
 UNREACHED = np.int32(2**31 - 1)
@@ -30,34 +30,41 @@ def distances(
     snap_m: float = 1.2,
     cell_m: float = 0.2,
 ) -> np.ndarray:
-    """`Knowledge.distance_m`: metres to drive from each object, and from the robot, to each.
+    """Return `Knowledge.distance_m`: driving distances from objects and the robot to objects.
 
-    Shortest 8-connected paths that cut no corners. An object is reached at the free cell
-    nearest to it, within `snap_m`, or at one that is joined to that around the object and a bit
-    farther off, which counts as driven. (So an object at a wall is not reached from the next
-    room.) Where none is free, unknown ones serve.
+    Paths are the shortest 8-connected ones without cutting corners. A path to an object ends at the
+    free cell nearest to it, within `snap_m`. It may also end at a cell around the object that is
+    connected to that one; the extra distance to the object then counts as driven. So an object at a
+    wall is not reached from the next room. Unknown cells are used if no cell nearby is free.
 
     Args:
-        snapshot: the map: -1 unknown, 0 free, 100 an obstacle itself, 1 … 99 only nearer to one
-            than the robot may go.
+        snapshot: the map: -1 unknown, 0 free, 100 obstacle, 1 … 99 too near to an obstacle for
+            the robot.
+        robot_xy_m: position of the robot in `map`.
         positions: for each letter (m, 2) float64, its known instances in `map`; (0, 2) for none.
             The nearest instance counts.
-        unknown_cost: how many metres a metre over unknown cells stands for, 1 … 100.
-        cell_m: about how long a cell of the search is; never shorter than the map's.
+        unknown_cost: cost of a metre over unknown cells, in metres, 1 … 100.
+        snap_m: largest distance from an object, or from the robot, to its nearest cell.
+        cell_m: approximate cell size of the search; at least the map's cell size is used.
 
     Returns:
-        (k + 1, k) float64; 0 from an object to itself; inf where there is no way, and to and
-        from a letter without an instance or with none near a cell the robot may enter.
+        (k + 1, k) float64, last row from the robot. 0 from an object to itself. inf if there is
+        no path, no instance, or no cell near the instance that the robot may enter.
 
     Raises:
         ValueError: `unknown_cost` is out of range.
+
+    Example:
+        >>> grid = Grid(np.zeros((20, 20), np.int8), (0.0, 0.0), 0.2)
+        >>> distances(grid, (0.5, 0.5), [np.array([[2.5, 0.5]])]).round(1).tolist()
+        [[0.0], [2.0]]
     """
     if not 1.0 <= unknown_cost <= _MAX_UNKNOWN_COST:
         raise ValueError(f"unknown_cost: {unknown_cost} is not in 1 ... {_MAX_UNKNOWN_COST:g}")
     factor = max(1, int(cell_m / snapshot.resolution_m + 1e-6))
     side_m = factor * snapshot.resolution_m
     height, width = (-(-side // factor) for side in snapshot.cells.shape)
-    # One cell of border, closed, so that the wavefront needs no checks.
+    # A closed border of one cell saves bounds checks in the wavefront.
     state = np.zeros((height + 2, width + 2), np.uint8)
     coarsen(snapshot.cells, factor, state)
     x_m, y_m = snapshot.origin_xy_m
@@ -71,7 +78,7 @@ def distances(
 
 
 def warm_up() -> None:
-    """Compile the kernels, or read them from the cache."""
+    """Compile the kernels, or load them from the cache."""
     snapshot = Grid(np.zeros((4, 4), np.int8), (0.0, 0.0), 0.2)
     distances(snapshot, (0.1, 0.1), [np.array([[0.7, 0.7]])])
 
@@ -79,11 +86,13 @@ def warm_up() -> None:
 def _matrix(
     state: np.ndarray, step: np.ndarray, ends: list[np.ndarray], rows: list[np.ndarray]
 ) -> np.ndarray:
-    """Costs from the cells of each of `rows` to each object's: (rows, k) float64.
+    """Return the costs from each start set to each object: (rows, k) float64.
 
     Args:
-        ends, rows: (m, 2) int64 each, cells and costs to end or begin with; rows are the
-            objects, and the start.
+        state: (h, w) uint8, see `coarsen`.
+        step: (2, 3) int32, see `wavefront`.
+        ends: for each object (m, 2) int64: cells and extra costs at the end of a path.
+        rows: the start sets, like `ends`: the objects, then the robot.
     """
     out = np.full((len(rows), len(ends)), np.inf)
     most = max(step.max(), *(cells[:, 1].max(initial=0) for cells in rows))
@@ -101,11 +110,12 @@ def _matrix(
 
 
 def _ends(state: np.ndarray, points: np.ndarray, reach: float) -> np.ndarray:
-    """Where any of some points is reached: (m, 2) int64, see `around`.
+    """Return the cells at which any of some points is reached: (m, 2) int64, see `around`.
 
     Args:
+        state: (h, w) uint8, see `coarsen`.
         points: (n, 2) float64 in cells.
-        reach: how far the nearest cell may be, in cells.
+        reach: largest distance to the nearest cell, in cells.
     """
     found = [np.zeros((0, 2), np.int64)]
     for x, y in points.tolist():
@@ -117,14 +127,15 @@ def _ends(state: np.ndarray, points: np.ndarray, reach: float) -> np.ndarray:
 
 @njit(nogil=True, cache=True)
 def coarsen(cells, factor, state):
-    """The state of blocks of cells: closed where one is an obstacle, else free where one is free.
+    """Write the states of blocks of cells: closed if one is an obstacle, else free if one is free.
 
-    A wall is an obstacle in every block that it crosses, so that it has no gaps; what is only
-    near a wall closes a block only where it fills it, so that doors stay open.
+    An obstacle closes every block that it touches, so walls have no gaps. A cell that is only near
+    an obstacle closes a block only if all its cells are such, so doors stay open.
 
     Args:
         cells: (h, w) int8, see `distances`.
-        state: (ceil(h / factor) + 2, ceil(w / factor) + 2) uint8, its inside written.
+        factor: side of a block in cells.
+        state: (ceil(h / factor) + 2, ceil(w / factor) + 2) uint8; its interior is written.
     """
     h, w = cells.shape
     for row in range(state.shape[0] - 2):
@@ -144,14 +155,16 @@ def coarsen(cells, factor, state):
 
 @njit(nogil=True, cache=True)
 def nearest_cell(state, x, y, radius):
-    """The cell to enter that is nearest to a point, by centre; free ones before unknown ones.
+    """Return the enterable cell whose centre is nearest to a point; free cells before unknown ones.
 
     Args:
         state: (h, w) uint8.
-        x, y, radius: in cells; cell (r, c) spans [c, c + 1) x [r, r + 1).
+        x: position in cells; cell (r, c) spans [c, c + 1) x [r, r + 1).
+        y: position in cells.
+        radius: largest distance in cells.
 
     Returns:
-        Its flat index; -1 when there is none.
+        Flat index of the cell; -1 if there is none.
     """
     h, w = state.shape
     best, found, found_state = radius * radius, -1, UNKNOWN
@@ -170,14 +183,20 @@ def nearest_cell(state, x, y, radius):
 
 @njit(nogil=True, cache=True)
 def around(state, x, y, cell):
-    """The cells around a point that are joined to the one nearest to it.
+    """Return the cells around a point that are connected to the nearest cell.
 
-    Those of its state within sqrt(2) times its distance and two cells (around a square, that
-    reaches past the corners), by steps along the axes.
+    They have the state of that cell and lie within sqrt(2) times its distance plus two cells. This
+    radius passes the corners of a square object. Connections are along the axes.
+
+    Args:
+        state: (h, w) uint8.
+        x: position of the point in cells.
+        y: position of the point in cells.
+        cell: flat index of the nearest cell.
 
     Returns:
-        (m, 2) int64: flat indices, `cell` first, and how much farther they are from the point,
-        as a cost (STRAIGHT for a cell's side).
+        (m, 2) int64: flat indices, `cell` first, and their additional distance from the point as
+        a cost (STRAIGHT for the side of a cell).
     """
     h, w = state.shape
     row, col = cell // w, cell % w
@@ -207,17 +226,17 @@ def around(state, x, y, cell):
 
 @njit(nogil=True, cache=True)
 def wavefront(state, step, starts, distance, buckets, queue):
-    """Dijkstra's distances from several cells, with a bucket for each cost (Dial).
+    """Write Dijkstra's distances from several cells, with one bucket per cost (Dial's algorithm).
 
-    Entering a cell costs `step` of its state. Costs in the queue span less than the number of
-    buckets, so a bucket never holds two.
+    A step costs `step` of the state of the entered cell. Costs in the queue span fewer values than
+    there are buckets, so a bucket never holds two costs.
 
     Args:
         state: (h, w) uint8 with a closed border.
-        step: (2, 3) int32, cost of a straight and of a diagonal step into a cell by its state.
-        starts: (m, 2) int64: flat indices, not closed, and costs that they begin with.
-        distance: (h, w) int32, written; UNREACHED where there is no way.
-        buckets: int32 scratch, longer than any step and any cost of a start, a power of 2.
+        step: (2, 3) int32, cost of a straight and of a diagonal step, by the state of the cell.
+        starts: (m, 2) int64: flat indices of cells that are not closed, and their initial costs.
+        distance: (h, w) int32 output; UNREACHED if there is no path.
+        buckets: int32 scratch; its length is a power of 2 above all step and initial costs.
         queue: (2, 8 h w + m) int32 scratch: cells, and the next entry of a bucket.
     """
     width = state.shape[1]
@@ -242,7 +261,7 @@ def wavefront(state, step, starts, distance, buckets, queue):
             buckets[slot] = queue[1, entry]
             cell = queue[0, entry]
             if nearest[cell] != level:
-                continue  # a shorter way was found after this one was queued
+                continue  # a shorter path was found after this one was queued
             for m in range(8):
                 near = cell + moves[m]
                 kind = cells[near]

@@ -1,4 +1,4 @@
-"""The baseline that plans nothing: targets in the order in which the instruction names them."""
+"""Baseline planner: targets in the order of the instruction."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from edge.mission.planning.vitl import VitlPlanner
 
 
 class InOrderPlanner:
-    """The first letter of the formula that changes the state and leaves success possible.
+    """Planner that takes the first letter that changes the state and keeps success possible.
 
-    It heeds the mission's constraints and what failed, and neither what was seen nor how far it
-    is: what planning by those is worth is measured against this. A mission whose automaton leads
-    back to where it was may go round.
+    It respects the constraints of the mission and failed objects. It ignores detections and
+    distances, so it is the baseline that shows their value. It may loop if the automaton leads
+    back to an earlier state.
     """
 
     def __init__(self, config: PlannerInOrder, automaton: Automaton) -> None:
@@ -23,7 +23,7 @@ class InOrderPlanner:
         self.automaton = automaton
 
     def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
-        """See `Planner.plan`; costs are steps."""
+        """Return the plan; see `Planner.plan`. The cost is the number of steps."""
         a = self.automaton
         if a.accepting[state]:
             return ACCEPTED
@@ -40,7 +40,7 @@ class InOrderPlanner:
             steps.append(letter)
             state = a.step(state, letter)
         cost, first = float(len(steps)), steps[0]
-        reason = f"{named(first)} is the first in the sentence that can come next"
+        reason = f"{named(first)} is the first in the sentence that is possible now"
         return Plan(first or None, tuple(steps), cost, True, (), reason, ((first, cost),))
 
     def _first(self, state: int, hopeful: np.ndarray, failed: frozenset[str]) -> str:
@@ -51,7 +51,7 @@ class InOrderPlanner:
         raise AssertionError("a hopeful state has a step to a hopeful one")
 
     def _hopeful(self, failed: frozenset[str]) -> np.ndarray:
-        """(n,) bool: states from which acceptance can be reached without a failed object."""
+        """Return (n,) bool: states from which acceptance needs no failed object."""
         a = self.automaton
         usable = [i for i, letter in enumerate((*a.letters, NOTHING)) if letter not in failed]
         hopeful = a.accepting.copy()

@@ -1,4 +1,4 @@
-"""The planner of tasks: what the steps not driven yet name has to be seen, one after another."""
+"""The planner of tasks: the robot must detect the objects that the remaining steps name."""
 
 from __future__ import annotations
 
@@ -9,20 +9,23 @@ from edge.mission.task_step import TaskStep
 
 
 class InSightPlanner:
-    """Goes for what was not seen yet, in the order in which the instruction names it.
+    """Planner that pursues objects not detected yet, in the order of the instruction.
 
     Args:
-        targets: what is looked for, at least one name.
+        targets: names that the detector looks for, at least one.
+        steps: steps of the task.
     """
 
     def __init__(self, targets: Sequence[str], steps: Sequence[TaskStep]) -> None:
         self._targets, self._steps = targets, steps
 
     def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
-        """See `Planner.plan`; a plan without steps: all that has to be seen was seen.
+        """Return the plan; it has no steps if nothing is left to detect.
 
         Args:
-            state: how many steps were driven.
+            state: number of driven steps.
+            knowledge: detected and failed objects.
+            current: the present target.
         """
         to_see = dict.fromkeys(name for step in self._steps[state:] for name in step.names)
         failed = tuple(label for label in to_see if label in knowledge.failed)
@@ -31,9 +34,9 @@ class InSightPlanner:
         unseen = tuple(label for label in to_see if label not in knowledge.detected)
         if not unseen:
             target = current or [*to_see, *self._targets][0]
-            return Plan(target, (), 0.0, True, (), "all that it names was seen", ())
+            return Plan(target, (), 0.0, True, (), "all objects of the task were seen", ())
         cost = float(len(unseen))
-        reason = f"{listed(unseen)} {_is(unseen)} to be seen yet"
+        reason = f"{listed(unseen)} {_is(unseen)} still to be seen"
         return Plan(unseen[0], unseen, cost, True, (), reason, ((unseen[0], cost),))
 
 

@@ -1,4 +1,4 @@
-"""What a planner is told and what it answers, in sets, steps and words for the operator."""
+"""Input and output of a planner, and explanations for the operator."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from edge.mission.logic.automaton import NOTHING
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Knowledge:
-    """The sets of ViTL IV-A2, by letter of the automaton. Other names are no obstacle.
+    """The sets of ViTL IV-A2, by letter of the automaton; unknown names are ignored.
 
     Attributes:
-        detected: D, seen and not reached yet.
+        detected: D, detected and not reached yet.
         reached: R.
-        failed: B, given up on; wins where a letter is in another set too.
-        distance_m: (k + 1, k) float64, metres to drive from letter i (row k: from the robot) to
-            letter j; inf or NaN where that is not known. Only read with distances as weights.
+        failed: B, abandoned. Takes precedence if a letter is in another set too.
+        distance_m: (k + 1, k) float64, driving distance in metres from letter i (row k: from the
+            robot) to letter j; inf or NaN if unknown. Only used with distances as weights.
     """
 
     detected: frozenset[str] = frozenset()
@@ -31,18 +31,18 @@ class Knowledge:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A way to acceptance, or why there is none.
+    """A path to acceptance, or the reason why there is none.
 
     Attributes:
-        target: the object to go to now; None when accepted, infeasible, or when the first step
-            is one in which nothing of the formula is reached.
-        steps: letters along the way, `NOTHING` ("") possible; () when accepted or infeasible.
-        cost: the sum of eq. 2; inf when infeasible.
-        feasible: whether acceptance can be reached without a failed object.
-        blocked_by: failed objects that would open the shortest way to acceptance if they were
-            found after all; () when feasible, and when success is impossible in any case.
-        reason: one plain line: why this target.
-        options: (first letter, cost of the best way that begins with it), cheapest first.
+        target: the next object; None if accepted, if infeasible, or if the first step reaches no
+            object of the formula.
+        steps: letters along the path, possibly `NOTHING` (""); () if accepted or infeasible.
+        cost: the sum of eq. 2; inf if infeasible.
+        feasible: True if acceptance can be reached without a failed object.
+        blocked_by: failed objects on the shortest path to acceptance; () if feasible, or if
+            success is impossible in any case.
+        reason: why this target, in one line.
+        options: (first letter, cost of the best path that begins with it), cheapest first.
             Letters that lead to a dead state or change nothing are left out.
     """
 
@@ -56,14 +56,19 @@ class Plan:
 
 
 class Planner(Protocol):
-    """Chooses the next object. Ties go to the way with the fewest steps, then to the current
-    target, then to the letter that comes first in the formula."""
+    """Interface that chooses the next object.
+
+    Ties go to the path with the fewest steps, then to the current target, then to the letter that
+    comes first in the formula.
+    """
 
     def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
-        """The best way from a state of the automaton.
+        """Return the best path from a state of the automaton.
 
         Args:
-            current: the target that is being pursued; None right after one was reached.
+            state: state of the automaton.
+            knowledge: what is known about the objects.
+            current: the pursued target; None right after one was reached.
         """
         ...
 
@@ -82,17 +87,17 @@ _TARGET = {
     "reached": "{} was reached before",
     "unknown": "{} has to be found",
 }
-_RIVAL = {**_TARGET, "unknown": "{} would have to be found", "nothing": "{} first"}
+_COMPETING = {**_TARGET, "unknown": "{} would have to be found", "nothing": "{} first"}
 _SAME = 1e-9
 
 
 def named(letter: str) -> str:
-    """The letter, or what to call the step that reaches nothing."""
+    """Return the letter, or a phrase for the step that reaches nothing."""
     return "a step with none of the objects" if letter == NOTHING else letter
 
 
 def status(letter: str, knowledge: Knowledge) -> str:
-    """A key of the tables above."""
+    """Return the state of a letter, as a key of `_TARGET`."""
     if letter == NOTHING:
         return "nothing"
     for key in ("failed", "detected", "reached"):
@@ -107,11 +112,13 @@ def explain(
     knowledge: Knowledge,
     text: Callable[[float], str],
 ) -> str:
-    """What is known of the target, what it costs, and the best other choice.
+    """Return the status and cost of the target, and the best other choice, in one line.
 
     Args:
+        target: the chosen letter.
         options: see `Plan.options`.
-        text: writes a cost.
+        knowledge: see `Knowledge`.
+        text: formats a cost.
 
     >>> known = Knowledge(detected=frozenset({"sofa"}))
     >>> explain("sofa", [("sofa", 1.01), ("chair", 2.0)], known, "{:.2f}".format)
@@ -120,30 +127,30 @@ def explain(
     cost = dict(options)
     words = _TARGET[status(target, knowledge)].format(named(target))
     words = f"{words}: {text(cost[target])} to the end"
-    rival = next((letter for letter, _ in options if letter != target), None)
-    if rival is None:
+    second = next((letter for letter, _ in options if letter != target), None)
+    if second is None:
         return f"{words}; nothing else can come first"
-    kind = status(rival, knowledge)
-    other = _RIVAL[kind].format(named(rival))
+    kind = status(second, knowledge)
+    other = _COMPETING[kind].format(named(second))
     if kind == "failed":
         return f"{words}; {other}"
-    if abs(cost[rival] - cost[target]) < _SAME:
-        return f"{words}; {named(rival)} first would cost the same"
-    return f"{words}; {other}: {text(cost[rival])}"
+    if abs(cost[second] - cost[target]) < _SAME:
+        return f"{words}; {named(second)} first would cost the same"
+    return f"{words}; {other}: {text(cost[second])}"
 
 
-def explain_kept(current: str, rival: str, gain: str, margin: str) -> str:
-    """Why the current target stays although another is a little better."""
-    return f"{current} is kept: {named(rival)} first would save {gain}, not more than {margin}"
+def explain_kept(current: str, best: str, gain: str, margin: str) -> str:
+    """Return why the current target is kept although another one is slightly better."""
+    return f"{current} is kept: {named(best)} first would save {gain}, not more than {margin}"
 
 
 def explain_blocked(needed: Sequence[str]) -> str:
-    """Why there is no plan."""
+    """Return why there is no plan."""
     return f"every way to the end needs an object that failed; the shortest needs {listed(needed)}"
 
 
 def listed(words: Sequence[str]) -> str:
-    """Words as English lists them.
+    """Return words as an English list.
 
     >>> listed(["chair", "sofa", "bed"])
     'chair, sofa and bed'

@@ -1,8 +1,8 @@
-"""Shortest paths over an automaton's transition table. Knows arrays only.
+"""Numba kernels for shortest paths over the transition table of an automaton.
 
-A node is a state and a place. With constant weights there is one place; with distances there are
-k + 1: one for each letter (the robot stands at that object) and the last for where it is now.
-Costs are integers, so that ties are exact and sums do not depend on their order.
+A node is a pair of automaton state and place. With constant weights there is one place. With
+distances there are k + 1: one for each letter (the robot is at that object), and the last one for
+the robot's current position. Costs are integers, so ties are exact and sums do not depend on order.
 """
 
 from __future__ import annotations
@@ -13,28 +13,29 @@ from numba import njit
 SCALE = 1_000_000
 """Integer cost of a weight of 1."""
 FAILED = np.int64(1 << 48)
-"""Cost of an edge to a failed object: over that of any path without one."""
+"""Cost of an edge to a failed object: more than any path without one."""
 UNREACHABLE = np.int64(2**63 - 1)
 
 
 @njit(nogil=True, cache=True)
 def _place_after(letter, place, n_places, nothing):
-    """Where the robot is after a step: a step that reaches nothing leaves it where it was."""
+    """Return the robot's place after a step; a step that reaches nothing does not move it."""
     return place if letter == nothing else min(letter, n_places - 1)
 
 
 @njit(nogil=True, cache=True)
 def cost_to_go(delta, accepting, order, weight, cost, steps):
-    """Least cost to acceptance from every node (ViTL eq. 2), then fewest steps.
+    """Write the least cost to acceptance from every node (ViTL eq. 2), then the fewest steps.
 
-    Bellman-Ford; sweeps over `order` settle in a few rounds where it leads away from acceptance.
+    Bellman-Ford. It settles in a few sweeps if `order` has the states nearest to acceptance first.
 
     Args:
-        delta: (n, k + 1) int32, the last column is the step that reaches nothing.
+        delta: (n, k + 1) int32; the last column is the step that reaches nothing.
         accepting: (n,) bool.
         order: (m,) int32, states that are neither accepting nor dead.
         weight: (k + 1, places) int64, at least 0, of each letter from each place.
-        cost, steps: (n, places) int64 and int32, written; UNREACHABLE where there is no way.
+        cost: (n, places) int64 output; UNREACHABLE if there is no path.
+        steps: (n, places) int32 output, steps of the best path.
     """
     n_letters, n_places = weight.shape
     for s in range(delta.shape[0]):
@@ -62,11 +63,17 @@ def cost_to_go(delta, accepting, order, weight, cost, steps):
 
 @njit(nogil=True, cache=True)
 def first_letters(delta, weight, cost, steps, state, place, out_cost, out_steps):
-    """Cost and steps of the best path that begins with each letter.
+    """Write cost and steps of the best path that begins with each letter.
 
     Args:
-        out_cost, out_steps: (k + 1,) int64 and int32, written; UNREACHABLE where a letter
-            leads nowhere or leaves the state as it is.
+        delta: see `cost_to_go`.
+        weight: see `cost_to_go`.
+        cost: output of `cost_to_go`.
+        steps: output of `cost_to_go`.
+        state: state of the automaton.
+        place: place of the robot.
+        out_cost: (k + 1,) int64 output; UNREACHABLE if a letter leads nowhere or keeps the state.
+        out_steps: (k + 1,) int32 output.
     """
     n_letters, n_places = weight.shape
     for c in range(n_letters):
@@ -82,7 +89,7 @@ def follow(delta, accepting, weight, cost, steps, state, place, first, path):
     """Write the best path that begins with the letter `first`; ties go to the first letter.
 
     Returns:
-        Its length.
+        Length of the path.
     """
     n_letters, n_places = weight.shape
     letter, length = first, 0

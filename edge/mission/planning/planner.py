@@ -1,8 +1,8 @@
-"""Planners by name, and what they are asked and answer.
+"""Construction of planners by name.
 
-A new planner is a file with a class that plans, a section in `edge/config/mission.py` and a line
-in `REGISTRY`; or one's own, named as `module:Class`, which is called with its options, and with
-the mission's `automaton` and `instruction` where it has such parameters.
+To add a planner: write a class that plans, add a section to `edge/config/mission.py` and a line
+to `REGISTRY`. A plugin is named as `module:Class`. It is called with its options, and with the
+mission's `automaton` and `instruction` if it has such parameters.
 """
 
 from __future__ import annotations
@@ -35,14 +35,23 @@ def make_planner(
     instruction: str = "",
     **keywords: Any,
 ) -> Planner:
-    """The planner that a configuration's `mission.planner` section names.
+    """Return the planner of a configuration's `mission.planner` section.
 
     Args:
-        instruction: that the automaton is of, for one's own.
+        config: the section.
+        automaton: automaton of the mission.
+        instruction: text of the mission, for a plugin.
         keywords: `known_reached` of `VitlPlanner`.
 
     Raises:
-        ConfigError: one's own cannot be made.
+        ConfigError: the plugin cannot be created.
+
+    Example:
+        >>> from edge.mission.logic.automaton import compile_formula
+        >>> from edge.mission.logic.ltl import parse
+        >>> planner = make_planner(PlannerVitl(), compile_formula(parse("F (bed | sofa)")))
+        >>> planner.plan(0, Knowledge(detected=frozenset({"sofa"}))).target
+        'sofa'
     """
     if isinstance(config, PlannerOwn):
         make = find_own_planner(config, "mission.planner")
@@ -51,10 +60,11 @@ def make_planner(
 
 
 def find_own_planner(config: PlannerOwn, where: str) -> Callable[..., Planner]:
-    """Find the class that a configuration names; what is returned is called with the mission.
+    """Return a function that creates the configured plugin for a mission.
 
     Args:
-        where: of the section, for errors.
+        config: the section.
+        where: path of the section, for errors.
 
     Raises:
         ConfigError: see `edge.config.named.find_named`.
@@ -64,7 +74,7 @@ def find_own_planner(config: PlannerOwn, where: str) -> Callable[..., Planner]:
 
 
 def warm_up(weights: str) -> None:
-    """Compile the planner's kernels for these weights, or read them from the cache."""
+    """Compile the planner's kernels for these weights, or load them from the cache."""
     automaton = Automaton(
         formula=Formula("ap", name="a"),
         letters=("a",),

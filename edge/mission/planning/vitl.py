@@ -20,37 +20,39 @@ from edge.mission.planning.plan import (
 )
 
 W_DET, W_FAIL = 0.01, 1000.0
-"""Weight of an object that was seen, and what a failed one counts in the costs that are shown."""
+"""Weight of a detected object, and weight of a failed one in the reported costs."""
 REPLAN_MARGIN_M = 1.0
 W_NOTHING = 1e-6
-"""Weight of a step that reaches nothing: free, but never idle."""
+"""Weight of a step that reaches nothing: nearly free, but positive so that it is never wasted."""
 
 
 class VitlPlanner:
-    """Shortest path (eq. 2) under eq. 1's constant weights, or under driving distances.
+    """Shortest-path planner (eq. 2) with constant weights (eq. 1) or driving distances.
 
-    A letter weighs `W_DET` if its object was seen and 1 if it has to be found; one that failed
-    is dearer than any path without it, so that a plan with a failed edge exists only where every
-    path has one (the paper's "sum >= w_fail", for paths of any length). Weights are multiples
-    of 1e-6.
+    Constant weights: a letter weighs `W_DET` if its object was detected, else 1. A failed one
+    weighs more than any path without it. So a plan contains a failed edge only if every path does
+    (the paper's "sum >= w_fail", for paths of any length). Weights are multiples of 1e-6.
 
-    With distances, a known object weighs the metres from the step before, an unknown one
-    `explore_m`; from here none is farther than by way of others. From an object whose place is
-    not known yet, the way to a known one is the hypotenuse of `explore_m` and the way from here.
-    The current target is then kept unless another way is better by more than
-    `REPLAN_MARGIN_M`; constant weights switch at once.
+    Distances: a known object weighs the metres from the object before it, an unknown one
+    `explore_m`. The distance from the robot to an object is never more than by way of other
+    objects. From an object at an unknown place, the distance to a known object is the hypotenuse of
+    `explore_m` and its distance from the robot. The current target is kept unless another path is
+    better by more than `REPLAN_MARGIN_M`. With constant weights the target changes at once.
 
-    Letters that leave the state as it is are never planned. The buffers are the planner's own:
-    one thread at a time.
+    Letters that keep the state are never planned. The planner reuses its buffers: use it from one
+    thread at a time.
     """
 
     def __init__(
         self, config: PlannerVitl, automaton: Automaton, known_reached: bool = True
     ) -> None:
-        """
+        """Allocate the buffers.
+
         Args:
-            known_reached: an object that was reached weighs what one that was seen weighs: its
-                place is known. False is eq. 1 to the letter, where it weighs 1.
+            config: the `mission.planner` section.
+            automaton: automaton of the mission.
+            known_reached: True gives a reached object the weight of a detected one, because its
+                place is known. False follows eq. 1 literally: it weighs 1.
         """
         self.automaton = automaton
         self.known_reached = known_reached
@@ -60,7 +62,7 @@ class VitlPlanner:
         places = k + 1 if self._by_distance else 1
         self._here = places - 1
         self._order = working_order(automaton)
-        # No path without a failed edge, which enters no node twice, gets as dear as FAILED.
+        # A path without a failed edge enters no node twice, so it always costs less than FAILED.
         self._heaviest = int(kernels.FAILED - 1) // (n * places)
         self._weight = np.empty((k + 1, places), np.int64)
         self._cost = np.empty((n, places), np.int64)
@@ -70,10 +72,10 @@ class VitlPlanner:
         self._path = np.empty(n * places + 1, np.int32)
 
     def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
-        """See `Planner.plan`.
+        """Return the plan; see `Planner.plan`.
 
         Raises:
-            ValueError: `distance_m` does not have the letters' shape.
+            ValueError: `distance_m` does not fit the number of letters.
         """
         a = self.automaton
         if a.accepting[state]:
@@ -110,13 +112,13 @@ class VitlPlanner:
     def _blocked(
         self, path: tuple[str, ...], knowledge: Knowledge, options: tuple[tuple[str, float], ...]
     ) -> Plan:
-        """What to answer where the best path needs failed objects: as few of them as possible."""
+        """Return the infeasible plan if the best path needs failed objects, as few as possible."""
         needed = tuple(dict.fromkeys(c for c in path if c in knowledge.failed))
         reason = explain_blocked(needed)
         return Plan(None, (), math.inf, False, needed, reason, options)
 
     def _kept(self, ranked: list[int], cost: list[int], current: str | None) -> int:
-        """The first letter under the margin: the current target's where that is near enough."""
+        """Return the current target's letter if it is within the margin, else the best letter."""
         limit = cost[ranked[0]] + round(REPLAN_MARGIN_M * kernels.SCALE)
         letters = self.automaton.letters
         if current in letters:
@@ -135,7 +137,7 @@ class VitlPlanner:
         return tuple(names[c] for c in self._path[:length].tolist())
 
     def _float(self, cost: int) -> float:
-        """Integer cost as eq. 2's sum, `W_FAIL` for each failed edge."""
+        """Return an integer cost as the sum of eq. 2, with `W_FAIL` for each failed edge."""
         failed, rest = divmod(cost, int(kernels.FAILED))
         return failed * W_FAIL + rest / kernels.SCALE
 
@@ -143,7 +145,7 @@ class VitlPlanner:
         return f"{cost:.1f} m" if self._by_distance else f"{cost:.2f}"
 
     def _weigh(self, knowledge: Knowledge) -> None:
-        """Eq. 1, or metres, into `_weight`."""
+        """Write the weights (eq. 1, or metres) to `_weight`."""
         letters, weight = self.automaton.letters, self._weight
         known = knowledge.detected
         if self.known_reached:
@@ -162,16 +164,18 @@ class VitlPlanner:
 
 
 def _metres(distance_m: np.ndarray | None, known: list[bool], explore_m: float) -> np.ndarray:
-    """Metres that each letter weighs from each place; see `VitlPlanner`.
+    """Return the weight in metres of each letter from each place; see `VitlPlanner`.
 
     Args:
-        distance_m: see `Knowledge.distance_m`; None: nothing is known of distances.
+        distance_m: see `Knowledge.distance_m`; None if no distance is known.
+        known: True for each letter whose object is known.
+        explore_m: weight of an unknown object.
 
     Returns:
         (k + 1, k) float64.
 
     Raises:
-        ValueError: the matrix has another shape.
+        ValueError: the matrix has a wrong shape.
     """
     k = len(known)
     metres = np.full((k + 1, k), float(explore_m))
@@ -193,10 +197,11 @@ def _metres(distance_m: np.ndarray | None, known: list[bool], explore_m: float) 
 
 
 def no_detours(metres: np.ndarray) -> None:
-    """From here to any letter never farther than by way of others, in place.
+    """Shorten distances from the robot to those by way of other objects, in place.
 
-    Distances between things of several instances each, and rounded ones, need not keep the
-    triangle inequality. A way back to what was just reached could then seem to pay, over and over.
+    Rounded distances, and distances between objects with several instances, can violate the
+    triangle inequality. Then a return to the object just reached could seem better, again and
+    again.
     """
     here = metres[-1]
     for _ in range(len(here)):
@@ -207,11 +212,11 @@ def no_detours(metres: np.ndarray) -> None:
 
 
 def working_order(automaton: Automaton) -> np.ndarray:
-    """States that are neither accepting nor dead, those nearest to acceptance first.
+    """Return the states that are neither accepting nor dead, nearest to acceptance first.
 
     Returns:
-        (m,) int32. Among equals later states come first: states are numbered from the initial
-        one on, so the last ones are the nearest to acceptance more often than not.
+        (m,) int32. Of equally near states, the later one comes first: states are numbered from the
+        initial state, so later ones are mostly nearer to acceptance.
     """
     left = automaton.steps_left
     order = np.lexsort((-np.arange(left.size), left))

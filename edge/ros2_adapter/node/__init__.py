@@ -1,6 +1,6 @@
-"""What runs in the robot's own ROS Python: rclpy and zenoh, nothing of `edge`.
+"""The adapter's node, for the robot's own ROS Python: uses rclpy and zenoh, nothing of `edge`.
 
-Messages are passed as the bytes that they are, from DDS only while somebody hears them on Zenoh.
-The action's three services are queryables there, as zenoh-bridge-ros2dds has them; only their
-requests and answers are opened, as rclpy wants it.
+Messages pass as bytes, from DDS only while they have a receiver on Zenoh. The action's three
+services are queryables, as in zenoh-bridge-ros2dds; only their requests and answers are
+deserialized, because rclpy needs that.
 """

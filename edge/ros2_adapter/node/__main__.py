@@ -1,7 +1,7 @@
-"""`python3 node`: reads its plan, one line of JSON (see `edge.ros2_adapter.process`), from standard
-input, and ends when that is closed.
+"""`python3 node`: runs the adapter's node by a plan, until standard input is closed.
 
-One thread does everything, between two callbacks of ROS; what comes on Zenoh wakes it.
+The plan is one line of JSON on standard input (see `edge.ros2_adapter.process`). One thread does
+everything, between callbacks of ROS; messages from Zenoh wake it.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from passing import Ends, FromRos, ToRos, Unusable, find_type, one_line
 
 log = logging.getLogger("edge.ros2_adapter")
 
-GRAPH_S = 0.2  # between two looks at who is there
-SETTLE_S = 0.5  # for a goal to be cancelled at the end
+GRAPH_S = 0.2  # period of checks for receivers and servers
+SETTLE_S = 0.5  # time for cancelling the goal at the end
 _OPEN_AGAIN_S = 0.5
 
 
 def main() -> int:
-    """Run until standard input ends or a signal comes; returns an exit code of sysexits.h."""
+    """Run until standard input closes or a signal comes; return an exit code of sysexits.h."""
     logging.basicConfig(level=logging.INFO, format="ros2-adapter: %(message)s", stream=sys.stderr)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
@@ -43,9 +43,9 @@ def main() -> int:
 
 
 def _watch_input(stop: threading.Event) -> None:
-    """Whoever started the node holds the other end of its input: it must not outlive them.
+    """Set `stop` when the input closes, because its other end is the process that started this one.
 
-    Read past Python's buffer, whose lock a thread must not hold when the interpreter ends.
+    Read without Python's buffer: a thread must not hold its lock when the interpreter ends.
     """
     while os.read(0, 4096):
         pass
@@ -56,7 +56,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
     """Pass messages until `stop` is set.
 
     Raises:
-        Unusable: a package, a message or a Zenoh setting is not to be had here.
+        Unusable: a package, a message type or a Zenoh setting is missing.
     """
     rclpy, zenoh = _imported("rclpy", plan), _imported("zenoh", plan)
     from rclpy.executors import SingleThreadedExecutor
@@ -78,7 +78,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
             action = Action(ends, plan["action"], lambda: any(one.wanted for one in heard))
             often.append(action.pass_requests)
             seldom.append(action.look)
-        log.info("passes up to %d topics in and %d out", len(heard), len(plan["said"]))
+        log.info("passing up to %d topics in and %d out", len(heard), len(plan["said"]))
         while not stop.is_set():
             executor.spin_once(timeout_sec=GRAPH_S)
             for look in often:
@@ -109,19 +109,19 @@ def _imported(name: str, plan: dict[str, Any]) -> Any:
 
 
 def _open(zenoh: Any, plan: dict[str, Any], stop: threading.Event) -> Any:
-    """A session with the service, waited for; None once `stop` is set."""
+    """Open a session when the service is there; return None once `stop` is set."""
     try:
         config = zenoh.Config.from_json5(plan["zenoh"])
     except zenoh.ZError as error:
-        versions = f"{plan['version']} of eclipse-zenoh wrote them"
+        versions = f"written by eclipse-zenoh {plan['version']}"
         raise Unusable(f"zenoh: cannot read the session's settings ({versions}): {error}") from None
-    told = False
+    logged = False
     while not stop.is_set():
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
-            if not told:
-                told = True
+            if not logged:
+                logged = True
                 log.info("waiting for the service: %s", one_line(str(error).split(" at /")[0]))
             stop.wait(_OPEN_AGAIN_S)
     return None

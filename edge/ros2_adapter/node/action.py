@@ -1,4 +1,4 @@
-"""The action NavigateToPose, passed: three services and two topics."""
+"""Passes the action NavigateToPose: three services and two topics."""
 
 from __future__ import annotations
 
@@ -12,15 +12,18 @@ from passing import Ends, FromRos, Inbox, cdr_of, find_type, one_line
 
 log = logging.getLogger("edge.ros2_adapter")
 
-GONE_S = 3.0  # nobody hears what is passed: nobody looks where the robot goes
+GONE_S = 3.0  # without any receiver for this time, nobody supervises the robot
 _REQUEST_BYTES = 4096
 _KEPT = 16
 
 
 class Service:
-    """One service of ROS, offered on Zenoh as long as somebody serves it.
+    """A ROS service, offered on Zenoh while it has a server.
 
     Args:
+        ends: node and session.
+        place: its ROS name and its key.
+        kind: the service type.
         answered: called with each request and its answer.
     """
 
@@ -31,10 +34,10 @@ class Service:
         self._client = ends.node.create_client(kind, place["ros"])
         self._inbox, self._queryable = Inbox(_KEPT, ends.wake), None
         self._waiting: dict[Any, Any] = {}  # future: query
-        self._told = False
+        self._warned = False
 
     def look(self) -> None:
-        """Offer it, or no more; who waits for an answer then waits no longer."""
+        """Offer the service while it has a server; otherwise drop pending requests."""
         if self._client.service_is_ready():
             if self._queryable is None:
                 self._queryable = self._ends.session.declare_queryable(
@@ -53,7 +56,7 @@ class Service:
             self._pass(query)
 
     def ask(self, request: Any) -> None:
-        """Send a request of our own, whose answer nobody waits for."""
+        """Send a request without waiting for its answer."""
         self._client.call_async(request)
 
     def _pass(self, query: Any) -> None:
@@ -62,10 +65,10 @@ class Service:
         try:
             payload = cdr_of(query.payload, _REQUEST_BYTES)
             request = deserialize_message(payload, self._kind.Request)
-        except Exception as error:  # rclpy raises what its middleware does
-            if not self._told:
-                self._told = True
-                said = "%s: a request is left out: %s (further ones are not told)"
+        except Exception as error:  # errors depend on the ROS middleware
+            if not self._warned:
+                self._warned = True
+                said = "%s: a request was dropped: %s (further ones are not logged)"
                 log.warning(said, self._key, one_line(error))
             query.drop()
             return
@@ -84,12 +87,14 @@ class Service:
 
 
 class Action:
-    """NavigateToPose, passed: three services and two topics.
+    """Passes NavigateToPose: three services and two topics.
 
-    The goal that was accepted last is cancelled where nobody follows any more what becomes of it.
+    The goal that was accepted last is cancelled if the service is gone.
 
     Args:
-        is_followed: whether the service hears the robot's sensors.
+        ends: node and session.
+        plan: ROS name, key and type of the action.
+        is_followed: returns True if the service receives the robot's sensors.
     """
 
     def __init__(self, ends: Ends, plan: dict[str, str], is_followed: Callable[[], bool]) -> None:
@@ -114,7 +119,7 @@ class Action:
             topic("feedback", impl.FeedbackMessage), topic("status", impl.GoalStatusMessage)
         ]  # fmt: skip
         self._is_followed = is_followed
-        self._goal_id: Any = None  # of the goal that was accepted last and has not ended
+        self._goal_id: Any = None  # the goal accepted last, until it ends
         self._followed_s = time.monotonic()
 
     def pass_requests(self) -> None:
@@ -122,7 +127,7 @@ class Action:
             one.pass_requests()
 
     def look(self) -> None:
-        """See who is there."""
+        """Check for servers and receivers; cancel the goal if the service is gone."""
         for one in (*self._services, *self._topics):
             one.look()
         if self._is_followed():
@@ -131,7 +136,7 @@ class Action:
             log.warning("the service is gone: its goal is cancelled")
 
     def cancel(self) -> bool:
-        """Cancel what the robot drives to for us; whether there was anything."""
+        """Cancel our active goal; return True if there was one."""
         goal_id, self._goal_id = self._goal_id, None
         if goal_id is None:
             return False

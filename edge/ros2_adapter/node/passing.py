@@ -1,4 +1,4 @@
-"""Topics, passed between ROS and Zenoh as they are."""
+"""Passes topics between ROS and Zenoh without decoding them."""
 
 from __future__ import annotations
 
@@ -14,19 +14,23 @@ from typing import Any, NamedTuple
 
 log = logging.getLogger("edge.ros2_adapter")
 
-PATIENCE_S = 5.0  # for a first message
+PATIENCE_S = 5.0  # before a warning that a topic has no messages
 _CDR = b"\x00\x01"
-_HISTORY = 100  # latched messages, of all publishers of a topic
+_HISTORY = 100  # latched messages kept, from all publishers of a topic
 
 
 class Unusable(Exception):
-    """Something that no restart mends; one line."""
+    """A fault that a restart cannot repair; the message is one line."""
 
 
 class Ends(NamedTuple):
-    """Where messages are passed between: a node of ROS and a session of Zenoh, and its package.
+    """The two ends of the adapter: a ROS node and a Zenoh session.
 
-    `wake` has the node's thread look at once; any thread may call it.
+    Attributes:
+        node: rclpy node.
+        session: Zenoh session.
+        zenoh: the module.
+        wake: makes the node's thread check its queues now; any thread may call it.
     """
 
     node: Any
@@ -36,7 +40,7 @@ class Ends(NamedTuple):
 
 
 class Inbox:
-    """The newest of what Zenoh brings, on threads of its own, for the node's thread."""
+    """The newest items from Zenoh's threads, for the node's thread."""
 
     def __init__(self, kept: int, wake: Callable[[], None]) -> None:
         self._waiting: deque[Any] = deque(maxlen=kept)
@@ -47,7 +51,7 @@ class Inbox:
         self._wake()
 
     def take(self) -> Iterator[Any]:
-        """What came since the last look, `kept` at most, oldest first."""
+        """Yield the items since the last call, at most `kept`, oldest first."""
         for _ in range(self._kept):
             try:
                 yield self._waiting.popleft()
@@ -56,7 +60,7 @@ class Inbox:
 
 
 def find_type(name: str) -> Any:
-    """The class of `package/msg/Name` or `package/action/Name`.
+    """Return the class of `package/msg/Name` or `package/action/Name`.
 
     Raises:
         Unusable: it is not installed.
@@ -72,12 +76,12 @@ def find_type(name: str) -> Any:
 
 
 def one_line(text: object) -> str:
-    """One printable line of what others say."""
+    """Return a text from outside as one printable line."""
     return "".join(c if c.isprintable() else " " for c in str(text)[:200])
 
 
 def make_qos(passed: dict[str, Any]) -> Any:
-    """Best effort hears reliable publishers too; what is latched comes to whoever is late."""
+    """Return the QoS: best effort matches reliable publishers too; latched is transient local."""
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
     reliable, latched = passed["reliable"], passed["latched"]
@@ -89,15 +93,18 @@ def make_qos(passed: dict[str, Any]) -> Any:
 
 
 class FromRos:
-    """One topic of ROS, put on Zenoh as it is while somebody hears it there.
+    """A ROS topic, passed to Zenoh while it has a subscriber there.
 
-    What is latched is always taken, and kept for whoever comes late.
+    A latched topic is always subscribed, and kept for late subscribers.
 
     Args:
-        patience_s: how long it may be silent before that is told.
+        ends: node and session.
+        passed: names, type and quality of service.
+        kind: the message class.
+        patience_s: time without messages before a warning.
 
     Attributes:
-        wanted: whether somebody is known to hear it.
+        wanted: True if there is a subscriber on Zenoh; always False for a latched topic.
     """
 
     def __init__(
@@ -105,7 +112,7 @@ class FromRos:
     ) -> None:
         self.wanted = False
         self._node, self._passed, self._kind = ends.node, passed, kind
-        self._patience_s, self._due_s, self._heard = patience_s, math.inf, 0
+        self._patience_s, self._due_s, self._received = patience_s, math.inf, 0
         self._subscription: Any = None
         self._keeps = passed["latched"]
         key, drop = passed["key"], ends.zenoh.CongestionControl.DROP
@@ -119,45 +126,45 @@ class FromRos:
             self._publisher = ends.session.declare_publisher(key, congestion_control=drop)
 
     def look(self) -> None:
-        """Take it, or let it go, as it is heard; say once why it may be silent."""
+        """Subscribe or unsubscribe as needed; log once why a topic may be silent."""
         self.wanted = not self._keeps and self._publisher.matching_status.matching
-        is_taken, now_s = self._subscription is not None, time.monotonic()
-        if is_taken != (self.wanted or self._keeps):
-            self._let_go() if is_taken else self._take(now_s)
-        elif self._heard == 0 and now_s > self._due_s:
+        is_subscribed, now_s = self._subscription is not None, time.monotonic()
+        if is_subscribed != (self.wanted or self._keeps):
+            self._unsubscribe() if is_subscribed else self._subscribe(now_s)
+        elif self._received == 0 and now_s > self._due_s:
             self._due_s = math.inf
             log.warning("%s: no message yet: %s", self._passed["ros"], self._reason())
 
-    def _take(self, now_s: float) -> None:
-        self._heard, self._due_s = 0, now_s + self._patience_s
+    def _subscribe(self, now_s: float) -> None:
+        self._received, self._due_s = 0, now_s + self._patience_s
         self._subscription = self._node.create_subscription(
             self._kind, self._passed["ros"], self._pass, make_qos(self._passed), raw=True
         )
 
-    def _let_go(self) -> None:
+    def _unsubscribe(self) -> None:
         self._node.destroy_subscription(self._subscription)
         self._subscription, self._due_s = None, math.inf
 
     def _pass(self, message: bytes) -> None:
         self._publisher.put(message)
-        self._heard += 1
+        self._received += 1
 
     def _reason(self) -> str:
-        """Most mistakes are names and types."""
+        """Return the likely reason of silence: mostly a wrong name or type."""
         there = self._node.get_publishers_info_by_topic(self._passed["ros"])
         types = sorted({info.topic_type for info in there})
         if not there:
-            return "nobody publishes it"
+            return "it has no publisher"
         if types != [self._passed["type"]]:
             return f"it is {one_line(', '.join(types))}, not {self._passed['type']}"
-        return f"{len(there)} publish it (is their quality of service another?)"
+        return f"{len(there)} publishers (is their quality of service another?)"
 
 
 class ToRos:
-    """One key of Zenoh, published in ROS as it is; the first that is no message is told."""
+    """A Zenoh key, published as a ROS topic; the first invalid message is logged."""
 
     def __init__(self, ends: Ends, passed: dict[str, Any], max_bytes: int) -> None:
-        self._key, self._max_bytes, self._told = passed["key"], max_bytes, False
+        self._key, self._max_bytes, self._warned = passed["key"], max_bytes, False
         self._inbox = Inbox(passed["depth"], ends.wake)
         self._subscriber = ends.session.declare_subscriber(self._key, self._inbox)
         self._publisher = ends.node.create_publisher(
@@ -169,16 +176,16 @@ class ToRos:
             try:
                 self._publisher.publish(cdr_of(sample.payload, self._max_bytes))
             except ValueError as error:
-                if not self._told:
-                    self._told = True
-                    log.warning("%s: left out: %s (further ones are not told)", self._key, error)
+                if not self._warned:
+                    self._warned = True
+                    log.warning("%s: dropped: %s (further ones are not logged)", self._key, error)
 
 
 def cdr_of(brought: Any, max_bytes: int) -> bytes:
-    """What is given to ROS, which does not look; raises ValueError where it is none."""
+    """Return a payload for ROS, which does not check it; raise ValueError if it is no CDR."""
     if brought is None or len(brought) > max_bytes:
         size = 0 if brought is None else len(brought)
-        raise ValueError(f"{size} bytes, at most {max_bytes} are taken")
+        raise ValueError(f"{size} bytes, at most {max_bytes} are allowed")
     data = brought.to_bytes()
     if data[:2] != _CDR:
         raise ValueError(f"not little-endian CDR: begins {data[:4].hex() or 'empty'}")

@@ -126,7 +126,7 @@ PNG, JPEG = picture(".png", BGR), picture(".jpg", BGR)
         ("png", PNG[:33] + b"\x7f\xff\xff\xffIDAT" + PNG[41:], "cut off"),
         ("png", PNG[:33] + bytes(4) + b"acTL" + bytes(4) + PNG[33:], "animation"),
         ("png", PNG[:37] + b"IAT8" + PNG[41:], "a chunk b'IAT8'"),
-        ("png", PNG[:60] + bytes(20) + PNG[80:], "broken"),
+        ("png", PNG[:60] + bytes(20) + PNG[80:], "corrupt"),
         ("jpeg", JPEG[: len(JPEG) // 2], "cut off"),
         ("jpeg", JPEG[:-2] + (b"\xff\xda" + bytes(10)) * 100 + JPEG[-2:], "100 scans"),
     ],

@@ -40,7 +40,7 @@ def recovered(stage: Stage, watch: Watch, when: When) -> str:
 
 def blind(stage: Stage, watch: Watch, when: When) -> str:
     """Check that `/readyz` reports that the service sees nothing."""
-    if watch.seen_s > when.began_s and any("nothing to be seen" in why for why in watch.ready):
+    if watch.seen_s > when.began_s and any("no usable observations" in why for why in watch.ready):
         return ""
     return (
         f"/readyz does not report a lack of sensor data, but: {'; '.join(watch.ready) or 'ready'}"
